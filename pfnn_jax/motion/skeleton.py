@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -71,3 +73,47 @@ def need_roles(skeleton: Skeleton, source: str | Path = "skeleton") -> Roles:
             source, "skeleton", f"joints {', '.join(skeleton.names)}", "hips, shoulders and feet must be found or named"
         )
     return skeleton.roles
+
+
+def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
+    """The skeleton as numbers, strings, lists and dicts, exact to the last bit."""
+    return {
+        "names": list(skeleton.names),
+        "parents": [int(p) for p in skeleton.parents],
+        "offsets": np.asarray(skeleton.offsets, np.float64).tolist(),
+        "end_sites": [[int(joint), np.asarray(offset, np.float64).tolist()] for joint, offset in skeleton.end_sites],
+        "mirror": [int(m) for m in skeleton.mirror],
+        "roles": None if skeleton.roles is None else {k: _plain(v) for k, v in asdict(skeleton.roles).items()},
+    }
+
+
+def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton") -> Skeleton:
+    """Inverse of `skeleton_to_json`.
+
+    Args:
+        data: as `skeleton_to_json` returns it.
+        source: file it was read from, for messages.
+
+    Raises:
+        InputError: if an entry is missing or not of the joints' shape.
+    """
+    missing = [k for k in ("names", "parents", "offsets", "end_sites", "mirror", "roles") if k not in data]
+    if missing:
+        raise InputError(source, "skeleton", f"no {', '.join(missing)}", "a skeleton has all of its entries")
+    joints = len(data["names"])
+    for key in ("parents", "offsets", "mirror"):
+        if len(data[key]) != joints:
+            raise InputError(source, f"skeleton.{key}", f"{len(data[key])} entries", f"one for each of {joints} joints")
+    roles = data["roles"]
+    return Skeleton(
+        names=tuple(data["names"]),
+        parents=np.array(data["parents"], np.int64),
+        offsets=np.array(data["offsets"], np.float64).reshape(joints, 3),
+        end_sites=tuple((int(joint), np.array(offset, np.float64)) for joint, offset in data["end_sites"]),
+        mirror=np.array(data["mirror"], np.int64),
+        roles=None if roles is None else Roles(**{k: tuple(v) if isinstance(v, list) else v for k, v in roles.items()}),
+    )
+
+
+def _plain(role: Any) -> Any:
+    return [int(i) for i in role] if isinstance(role, tuple) else int(role)
