@@ -6,8 +6,27 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+# Read by JAX when it is first imported, so that tests of `motion` need not import it: broadcasting between arrays of
+# different rank is an error unless written out.
+os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
+
+# The first example of a property compiles, which takes longer than hypothesis allows. On continuous integration the
+# same examples are drawn every time.
+settings.register_profile("pfnn_jax", deadline=None, derandomize="CI" in os.environ)
+settings.load_profile("pfnn_jax")
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skips tests marked `gpu` where JAX finds no accelerator."""
+    if item.get_closest_marker("gpu"):
+        import jax
+
+        if jax.default_backend() == "cpu":
+            pytest.skip("JAX finds no accelerator on this machine")
 
 
 def _folder(variable: str, default: Path) -> Path:

@@ -1,0 +1,47 @@
+# Everything a contributor runs. `make test` and `make demo` need nothing but python3 (3.11 or newer) and make.
+PYTHON ?= python3
+WORKERS ?= 2
+BIN := .venv/bin
+
+.PHONY: test lint types pytest docs demo serve lock clean
+
+test: lint types pytest docs
+
+lint: .venv/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: .venv/.installed
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+pytest: .venv/.installed
+	$(BIN)/python -m pytest -n $(WORKERS) --nbmake tests notebooks
+
+docs: .venv/.installed
+	$(BIN)/mkdocs build --strict --quiet --site-dir site
+
+demo: .venv/.installed
+	$(BIN)/pfnn-jax demo --out demo
+
+serve: .venv/.installed
+	$(BIN)/mkdocs serve
+
+# Writes the lock file anew; needs uv. The lock names no package index and serves every supported Python.
+lock:
+	uv pip compile pyproject.toml --extra test --extra docs --extra notebooks --group build --upgrade \
+	  --universal --python-version 3.11 --fork-strategy fewest \
+	  --no-header --no-emit-index-url --no-annotate --quiet -o requirements.lock
+
+clean:
+	rm -rf .venv site demo .pytest_cache .ruff_cache .hypothesis
+
+# Two stamps: a changed lock file rebuilds the environment, a changed pyproject.toml installs the project again.
+.venv/.locked: requirements.lock
+	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is " + sys.version if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	touch $@
+
+.venv/.installed: .venv/.locked pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
