@@ -1,0 +1,146 @@
+"""The character's root on the ground: where it is, where it faces, and the path around every frame.
+
+Ground vectors are (x, z). The yaw of a direction (dx, dz) is atan2(dx, dz): a turn about +Y that takes +Z to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from pfnn_jax.motion.layout import TRAJECTORY_OFFSETS
+from pfnn_jax.motion.skeleton import Roles
+
+LAYOUT_FPS = 60.0
+"""Frame rate at which `TRAJECTORY_OFFSETS` count."""
+
+EXTRAPOLATION_SECONDS = 0.5
+"""Span at a clip's end whose mean velocity carries on beyond it: about one step, so that hip sway averages out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Root:
+    """Root of every frame.
+
+    Attributes:
+        positions: [T, 2] metres, hips projected to the ground (x, z).
+        directions: [T, 2] unit facing direction (x, z).
+    """
+
+    positions: np.ndarray
+    directions: np.ndarray
+
+    @property
+    def yaw(self) -> np.ndarray:
+        """[T] radians about +Y from +Z, in (-π, π]."""
+        return np.arctan2(self.directions[:, 0], self.directions[:, 1])
+
+
+def root_motion(positions: np.ndarray, roles: Roles, fps: float, smoothing_seconds: float = 20 / 60) -> Root:
+    """Root position and smoothed facing direction (Holden et al. 2017, section 5; sigma of 20 frames at 60 fps).
+
+    Across is the unit vector along (left - right shoulder) + (left - right hip), forward = across × up, smoothed in
+    time by a Gaussian and normalised.
+
+    Args:
+        positions: [T, J, 3] metres, world joint positions.
+        roles: hips and shoulders.
+        fps: frames per second.
+        smoothing_seconds: standard deviation of the Gaussian; 0 for none.
+    """
+    across = positions[:, roles.left_shoulder] - positions[:, roles.right_shoulder]
+    across = across + positions[:, roles.left_hip] - positions[:, roles.right_hip]
+    across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
+    # across × (0, 1, 0), without its y, which is zero
+    forward = np.stack([-across[:, 2], across[:, 0]], axis=-1)
+    if smoothing_seconds > 0:
+        forward = gaussian_filter1d(forward, smoothing_seconds * fps, axis=0, mode="nearest")
+    return Root(positions[:, roles.hips][:, [0, 2]], _unit(forward))
+
+
+def trajectory_windows(root: Root, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Path around every frame, relative to that frame's root: 12 samples, one second each way.
+
+    Beyond the ends of the clip the root goes on at constant velocity (the mean over `EXTRAPOLATION_SECONDS`) with the
+    last facing direction, so that no frame is lost. Before the start likewise, backwards.
+
+    Args:
+        root: T frames.
+        fps: frames per second, a multiple of 6 so that samples fall on frames.
+
+    Returns:
+        positions [T, 12, 2] metres and directions [T, 12, 2], in each frame's root.
+
+    Raises:
+        ValueError: if fps is not a multiple of 6.
+    """
+    offsets = sample_offsets(fps)
+    before, after = -int(offsets.min()), int(offsets.max())
+    path, facing = _extrapolate(root, before, after, fps)
+    index = np.arange(len(root.positions))[:, None] + before + offsets
+    yaw = root.yaw
+    return to_local(yaw, path[index] - root.positions[:, None]), to_local(yaw, facing[index])
+
+
+def sample_offsets(fps: float) -> np.ndarray:
+    """[12] offsets of the trajectory samples in frames at `fps`.
+
+    Raises:
+        ValueError: if they do not fall on frames.
+    """
+    offsets = np.array(TRAJECTORY_OFFSETS) * fps / LAYOUT_FPS
+    if np.abs(offsets - np.round(offsets)).max() > 1e-6:
+        raise ValueError(f"Trajectory samples are 1/6 s apart: fps must be a multiple of 6, got {fps:g}.")
+    return np.round(offsets).astype(np.int64)
+
+
+def to_local(yaw: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """World vectors seen from a root that faces `yaw`.
+
+    Args:
+        yaw: [T] radians.
+        v: [T, ..., 2] as (x, z) or [T, ..., 3] as (x, y, z).
+    """
+    return _turn(-np.asarray(yaw), v)
+
+
+def to_world(yaw: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Vectors of a root that faces `yaw`, seen in the world. Inverse of `to_local`; the same arguments."""
+    return _turn(np.asarray(yaw), v)
+
+
+def wrap_angle(angle: np.ndarray) -> np.ndarray:
+    """The same angle in [-π, π)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def _turn(yaw: np.ndarray, v: np.ndarray) -> np.ndarray:
+    yaw = yaw.reshape(yaw.shape + (1,) * (v.ndim - 1 - yaw.ndim))
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turned = np.empty(np.broadcast_shapes(v.shape, (*yaw.shape, 1)), np.result_type(v, yaw))
+    turned[..., 0] = v[..., 0] * cos + v[..., -1] * sin
+    turned[..., -1] = v[..., -1] * cos - v[..., 0] * sin
+    if v.shape[-1] == 3:
+        turned[..., 1] = v[..., 1]
+    return turned
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
+
+
+def _extrapolate(root: Root, before: int, after: int, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    positions, directions = root.positions, root.directions
+    span = min(max(1, round(EXTRAPOLATION_SECONDS * fps)), len(positions) - 1)
+    if span == 0:
+        start = end = np.zeros(2)
+    else:
+        start, end = (positions[span] - positions[0]) / span, (positions[-1] - positions[-1 - span]) / span
+    head = positions[0] + np.arange(-before, 0)[:, None] * start
+    tail = positions[-1] + np.arange(1, after + 1)[:, None] * end
+    facing = np.concatenate(
+        [np.repeat(directions[:1], before, 0), directions, np.repeat(directions[-1:], after, 0)], axis=0
+    )
+    return np.concatenate([head, positions, tail], axis=0), facing
