@@ -1,0 +1,277 @@
+"""Learning one style from a short clip, a whole grid of settings at once (Mason 2018 §7).
+
+A *method* says what is trained: an adapter beside the frozen shared network, or, as the paper's baselines, a whole
+network. Freezing means not differentiating: the frozen parameters are an argument of their own.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import struct
+
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.layers import Layer
+from pfnn_jax.models.network import Dropout, Network, NetworkConfig, init_network
+from pfnn_jax.training.batches import Batch
+from pfnn_jax.training.losses import l1_penalty, squared_error
+from pfnn_jax.training.steps import predict_batch
+
+Method = Literal["cp", "full", "diagonal", "bias", "fine_tune", "scratch"]
+METHODS: tuple[Method, ...] = ("cp", "full", "diagonal", "bias", "fine_tune", "scratch")
+
+
+@dataclass(frozen=True)
+class FewShotConfig:
+    """How a style is learned from a clip.
+
+    Every combination of rates is one setting of the grid; all are trained at once by `vmap`, each is looked at after
+    every number of epochs in `stops`, and one (setting, stop) is chosen.
+
+    Attributes:
+        method: `cp`, `full`, `diagonal` or `bias` adapters; `fine_tune` (all shared weights, from the pretrained
+            ones) and `scratch` (all weights, from a fresh network) are the baselines of §8.1.
+        rank: R of a CP adapter.
+        learning_rates: Adam's rates to try.
+        main_dropouts: drop probabilities before the shared layers to try.
+        adapter_dropouts: drop probabilities before the adapter to try (the variable dropout of §7.2).
+        stops: numbers of epochs after which to look, increasing; the last is the length of training.
+        batch_size: frames of a minibatch.
+        l1: λ of Eq. 3 on what is trained.
+        held_out: share of the clip's frames, at its end, that choose among the settings.
+        seed: of initialisation, shuffling and dropout.
+    """
+
+    method: Method = "cp"
+    rank: int = 30
+    learning_rates: tuple[float, ...] = (1e-4, 1e-3)
+    main_dropouts: tuple[float, ...] = (0.0, 0.3)
+    adapter_dropouts: tuple[float, ...] = (0.3,)
+    stops: tuple[int, ...] = (5, 10, 25, 50, 100)
+    batch_size: int = 32
+    l1: float = 0.01
+    held_out: float = 0.2
+    seed: int = 0
+
+    def __post_init__(self):
+        if self.method not in METHODS:
+            raise ValueError(f"FewShotConfig.method must be one of {', '.join(METHODS)}, got {self.method!r}.")
+        if not self.stops or list(self.stops) != sorted(set(self.stops)) or self.stops[0] < 1:
+            raise ValueError(f"FewShotConfig.stops must be increasing whole numbers from 1, got {self.stops}.")
+        if not 0 < self.held_out < 1:
+            raise ValueError(f"FewShotConfig.held_out must lie between 0 and 1, got {self.held_out}.")
+        for name in ("main_dropouts", "adapter_dropouts"):
+            rates = getattr(self, name)
+            if not rates or not all(0 <= rate < 1 for rate in rates):
+                raise ValueError(f"FewShotConfig.{name} must be rates in [0, 1), got {rates}.")
+        if not self.learning_rates or not all(rate > 0 for rate in self.learning_rates):
+            raise ValueError(f"FewShotConfig.learning_rates must be positive, got {self.learning_rates}.")
+
+
+PAPER = FewShotConfig(
+    learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.1, 0.3, 0.5, 0.7, 0.9), stops=(100,)
+)
+"""The recipe of Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid search over the adapter's dropout alone."""
+
+
+@struct.dataclass
+class Setting:
+    """One point of the grid, or the whole grid on a leading axis G."""
+
+    learning_rate: jax.Array  # []
+    main_dropout: jax.Array  # []
+    adapter_dropout: jax.Array  # []
+
+
+class Choice(NamedTuple):
+    """A setting and its stopping point, with the error that ranked it."""
+
+    learning_rate: float
+    main_dropout: float
+    adapter_dropout: float
+    epochs: int
+    held_out_error: float
+
+
+class Candidate(NamedTuple):
+    """A choice and what it trained: an adapter, or a whole network for the baselines."""
+
+    choice: Choice
+    trained: Any
+
+
+def settings_grid(config: FewShotConfig) -> Setting:
+    """All combinations of the configured rates; leaves [G]."""
+    rows = list(itertools.product(config.learning_rates, config.main_dropouts, config.adapter_dropouts))
+    return Setting(*(jnp.asarray(column, jnp.float32) for column in zip(*rows, strict=True)))
+
+
+def network_config_of(network: Network) -> NetworkConfig:
+    """The sizes a network was made with, read from its parameters."""
+    first, _, last = network.layers
+    rank = getattr(first, "d", None)
+    inputs, hidden = (first.b.shape[0], first.a.shape[0]) if rank is not None else first.weights.shape[1:]
+    outputs = last.bias.shape[0] if rank is not None else last.biases.shape[1]
+    return NetworkConfig(inputs, outputs, hidden, first.num_control_points, None if rank is None else rank.shape[1])
+
+
+def initial_parameters(config: FewShotConfig, shared: Network, key: jax.Array) -> Any:
+    """What the method starts from: a fresh adapter, the pretrained network, or a fresh network."""
+    if config.method == "fine_tune":
+        return shared
+    sizes = network_config_of(shared)
+    if config.method == "scratch":
+        return init_network(sizes, key)
+    return init_adapter(AdapterConfig(config.method, config.rank), sizes.hidden, sizes.num_control_points, key)
+
+
+def assemble(trained: Any, shared: Network) -> tuple[Network, Layer | None]:
+    """The network and adapter to run: (shared, adapter), or (network, None) where a whole network was trained."""
+    return (trained, None) if isinstance(trained, Network) else (shared, trained)
+
+
+@struct.dataclass
+class FewShotState:
+    """What few-shot training changes, for one setting or, on a leading axis, for a grid or a bank."""
+
+    trained: Any
+    optimiser: Any
+
+
+def init_few_shot_state(trained: Any) -> FewShotState:
+    """A state at epoch 0 from the parameters to be trained."""
+    return FewShotState(trained, optax.scale_by_adam().init(trained))
+
+
+def few_shot_step(
+    state: FewShotState, setting: Setting, shared: Network, batch: Batch, key: jax.Array, l1: float
+) -> FewShotState:
+    """One Adam step of one setting on one minibatch; only `state.trained` is differentiated."""
+    dropout = Dropout(main=setting.main_dropout, adapter=setting.adapter_dropout)
+
+    def loss(trained):
+        network, adapter = assemble(trained, shared)
+        return squared_error(predict_batch(network, adapter, batch, dropout, key), batch.y) + l1 * l1_penalty(trained)
+
+    update, optimiser = optax.scale_by_adam().update(jax.grad(loss)(state.trained), state.optimiser)
+    trained = jax.tree.map(lambda value, change: value - setting.learning_rate * change, state.trained, update)
+    return FewShotState(trained, optimiser)
+
+
+def _train_epochs(
+    state: FewShotState, setting: Setting, shared: Network, data: Batch, epochs, key, batch_size: int, l1: float
+) -> FewShotState:
+    """One setting trained on one style over the epochs [start, stop); a last incomplete batch is dropped."""
+    num_frames = data.phase.shape[0]
+    rounds = num_frames // batch_size
+
+    def one_epoch(epoch, state):
+        order_key, step_key = jax.random.split(jax.random.fold_in(key, epoch))
+        order = jax.random.permutation(order_key, num_frames)[: rounds * batch_size].reshape(rounds, batch_size)
+
+        def body(state, step):
+            frames, key = step
+            batch = jax.tree.map(lambda leaf: leaf[frames], data)
+            return few_shot_step(state, setting, shared, batch, key, l1), None
+
+        return jax.lax.scan(body, state, (order, jax.random.split(step_key, rounds)))[0]
+
+    return jax.lax.fori_loop(epochs[0], epochs[1], one_epoch, state)
+
+
+@partial(jax.jit, static_argnames=("batch_size", "l1", "per_style"), donate_argnums=0)
+def _train_many(states, settings, shared, data, epochs, key, *, batch_size, l1, per_style=False) -> FewShotState:
+    """A leading axis of states trained at once: settings over one style's data, or styles under one setting."""
+
+    def one(state, setting, data):
+        return _train_epochs(state, setting, shared, data, epochs, key, batch_size, l1)
+
+    return jax.vmap(one, in_axes=(0, None, 0) if per_style else (0, 0, None))(states, settings, data)
+
+
+@jax.jit
+def _errors(trained, shared: Network, data: Batch) -> jax.Array:
+    """Mean squared normalised error [G] of every setting on all frames of `data`."""
+
+    def one(trained):
+        return squared_error(predict_batch(*assemble(trained, shared), data, None, None), data.y)
+
+    return jax.vmap(one)(trained)
+
+
+def train_grid(shared: Network, data: Batch, held_out: Batch, config: FewShotConfig) -> list[Candidate]:
+    """Train every setting of the grid; the candidates of all stops, best held-out error first.
+
+    Args:
+        shared: pretrained style-agnostic parameters, not changed.
+        data: [N, ...] normalised frames to learn from (mirrored ones included).
+        held_out: [M, ...] frames of the same clip that rank the candidates.
+        config: the grid.
+
+    Raises:
+        ValueError: if there are fewer training frames than a minibatch.
+    """
+    if data.phase.shape[0] < config.batch_size:
+        raise ValueError(f"`data` must have at least {config.batch_size} frames, got {data.phase.shape[0]}.")
+    settings = settings_grid(config)
+    count = settings.learning_rate.shape[0]
+    init_key, train_key = jax.random.split(jax.random.key(config.seed))
+    start = initial_parameters(config, shared, init_key)
+    states = jax.vmap(lambda _: init_few_shot_state(start))(jnp.arange(count))
+    candidates, begin = [], 0
+    for stop in config.stops:
+        states = _train_many(
+            states, settings, shared, data, (begin, stop), train_key, batch_size=config.batch_size, l1=config.l1
+        )
+        candidates += _candidates(states.trained, settings, stop, np.asarray(_errors(states.trained, shared, held_out)))
+        begin = stop
+    return sorted(candidates, key=lambda candidate: candidate.choice.held_out_error)
+
+
+def _candidates(trained, settings: Setting, stop: int, errors: np.ndarray) -> list[Candidate]:
+    rates = np.stack(jax.tree.leaves(settings), axis=1).astype(float)
+    host = jax.tree.map(np.asarray, trained)
+    return [
+        Candidate(
+            Choice(*(round(float(r), 8) for r in row), stop, float(error) if np.isfinite(error) else float("inf")),
+            jax.tree.map(lambda leaf, g=g: leaf[g], host),
+        )
+        for g, (row, error) in enumerate(zip(rates, errors, strict=True))
+    ]
+
+
+def choose(candidates: Sequence[Candidate], is_stable: Callable[[Any], bool] | None = None) -> Candidate:
+    """The best-ranked candidate whose rollouts are stable; the best-ranked of all if none is.
+
+    Args:
+        candidates: best first, as `train_grid` returns them.
+        is_stable: judges the trained parameters by rollouts on paths that turn; None takes the first.
+    """
+    if is_stable is None:
+        return candidates[0]
+    return next((candidate for candidate in candidates if is_stable(candidate.trained)), candidates[0])
+
+
+def refit(shared: Network, data: Batch, choice: Choice, config: FewShotConfig) -> Any:
+    """Train the chosen setting once more on all frames [N, ...], the held-out ones included."""
+    bank = train_bank(shared, jax.tree.map(lambda leaf: leaf[None], data), choice, config)
+    return jax.tree.map(lambda leaf: np.asarray(leaf[0]), bank)
+
+
+def train_bank(shared: Network, data: Batch, choice: Choice, config: FewShotConfig) -> Any:
+    """Many styles at once under one setting: data [S, N, ...] -> trained parameters [S, ...], by `vmap`."""
+    init_key, train_key = jax.random.split(jax.random.key(config.seed))
+    setting = Setting(*(jnp.float32(rate) for rate in choice[:3]))
+    start = initial_parameters(config, shared, init_key)
+    states = jax.vmap(lambda _: init_few_shot_state(start))(jnp.arange(data.phase.shape[0]))
+    sizes = {"batch_size": config.batch_size, "l1": config.l1}
+    states = _train_many(states, setting, shared, data, (0, choice.epochs), train_key, per_style=True, **sizes)
+    return states.trained
