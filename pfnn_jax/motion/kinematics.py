@@ -1,0 +1,240 @@
+"""Rotations as unit quaternions [..., 4] in wxyz order, and forward kinematics. NumPy, vectorised over leading axes.
+
+A quaternion turns vectors by `v' = q v q*`; a product `a b` applies b first. Right-handed axes, Y up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pfnn_jax.motion.skeleton import Skeleton
+
+AXES = {"X": 0, "Y": 1, "Z": 2}
+SMALL = 1e-12  # below this a length carries no direction
+
+
+def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Hamilton product [..., 4]: the rotation b followed by the rotation a."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(a), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(b), -1, 0)
+    return np.stack(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        axis=-1,
+    )
+
+
+def quat_conjugate(q: np.ndarray) -> np.ndarray:
+    """Inverse rotation [..., 4] of a unit quaternion."""
+    return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def quat_rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Vectors v [..., 3] turned by unit quaternions q [..., 4]."""
+    w, qx, qy, qz = np.moveaxis(np.asarray(q), -1, 0)
+    x, y, z = np.moveaxis(np.asarray(v), -1, 0)
+    tx, ty, tz = 2.0 * (qy * z - qz * y), 2.0 * (qz * x - qx * z), 2.0 * (qx * y - qy * x)
+    return np.stack(
+        (x + w * tx + qy * tz - qz * ty, y + w * ty + qz * tx - qx * tz, z + w * tz + qx * ty - qy * tx), axis=-1
+    )
+
+
+def quat_normalise(q: np.ndarray) -> np.ndarray:
+    """q [..., 4] at unit length; a zero quaternion becomes the identity."""
+    q = np.asarray(q, dtype=float)
+    length = np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(length > SMALL, q / np.maximum(length, SMALL), [1.0, 0.0, 0.0, 0.0])
+
+
+def quat_from_axis_angle(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Rotation [..., 4] by `angle` [...] radians about `axis` [..., 3] (any length; zero gives the identity)."""
+    axis, half = np.asarray(axis, dtype=float), np.asarray(angle, dtype=float)[..., None] / 2
+    length = np.linalg.norm(axis, axis=-1, keepdims=True)
+    v = np.sin(half) * axis / np.maximum(length, SMALL)
+    w = np.where(length > SMALL, np.cos(half), 1.0)
+    return np.concatenate((np.broadcast_to(w, v.shape[:-1] + (1,)), v), axis=-1)
+
+
+def quat_from_euler(angles: np.ndarray, order: str) -> np.ndarray:
+    """Rotation [..., 4] from `angles` [..., 3] radians in the order in which a BVH file lists its channels.
+
+    "ZYX" means R = Rz Ry Rx: the last listed axis turns first about fixed axes.
+
+    Args:
+        angles: one angle per letter of `order`.
+        order: any of the six orders of X, Y and Z.
+    """
+    half = np.asarray(angles, dtype=float) / 2
+    cos, sin = np.moveaxis(np.cos(half), -1, 0), np.moveaxis(np.sin(half), -1, 0)
+    i, j, k = _axes(order)
+    parity = 1.0 if (i, j, k) in ((0, 1, 2), (1, 2, 0), (2, 0, 1)) else -1.0
+    q = np.empty(half.shape[:-1] + (4,))
+    c01, s01, cs, sc = cos[0] * cos[1], sin[0] * sin[1], cos[0] * sin[1], sin[0] * cos[1]
+    # the product of three axis quaternions; e_i e_j = parity e_k
+    q[..., 0] = c01 * cos[2] - parity * s01 * sin[2]
+    q[..., 1 + i] = sc * cos[2] + parity * cs * sin[2]
+    q[..., 1 + j] = cs * cos[2] - parity * sc * sin[2]
+    q[..., 1 + k] = c01 * sin[2] + parity * s01 * cos[2]
+    return q
+
+
+def quat_to_euler(q: np.ndarray, order: str) -> np.ndarray:
+    """Angles [..., 3] radians, one per letter of `order`, with `quat_from_euler(angles, order)` = ±q.
+
+    The middle angle lies in [-π/2, π/2]; at its ends (gimbal lock) the last angle is 0.
+    """
+    i, j, k = _axes(order)
+    m = quat_to_matrix(quat_normalise(q))
+    parity = 1.0 if (i, j, k) in ((0, 1, 2), (1, 2, 0), (2, 0, 1)) else -1.0
+    # R = Ri(a) Rj(b) Rk(c): its entry [i, k] is ±sin b, its row i holds cos b (cos c, sin c), its column k cos b cos a
+    sin_b, cos_b = parity * m[..., i, k], np.hypot(m[..., i, i], m[..., i, j])
+    b = np.arctan2(sin_b, cos_b)
+    locked = cos_b < 1e-7
+    a = np.arctan2(-parity * m[..., j, k], m[..., k, k])
+    c = np.arctan2(-parity * m[..., i, j], m[..., i, i])
+    a_locked = np.arctan2(parity * m[..., k, j], m[..., j, j])
+    return np.stack((np.where(locked, a_locked, a), b, np.where(locked, 0.0, c)), axis=-1)
+
+
+def quat_to_matrix(q: np.ndarray) -> np.ndarray:
+    """Rotation matrices [..., 3, 3] of unit quaternions q [..., 4]."""
+    w, x, y, z = np.moveaxis(np.asarray(q), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quat_from_matrix(m: np.ndarray) -> np.ndarray:
+    """Unit quaternions [..., 4] with w ≥ 0 of rotation matrices m [..., 3, 3]."""
+    m = np.asarray(m, dtype=float)
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    # row r is 4 q_r q: the longest row is the one free of cancellation
+    rows = np.stack(
+        [
+            np.stack((1 + xx + yy + zz, wx, wy, wz), axis=-1),
+            np.stack((wx, 1 + xx - yy - zz, xy, xz), axis=-1),
+            np.stack((wy, xy, 1 - xx + yy - zz, yz), axis=-1),
+            np.stack((wz, xz, yz, 1 - xx - yy + zz), axis=-1),
+        ],
+        axis=-2,
+    )
+    best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
+    q = quat_normalise(np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :])
+    return np.where(q[..., :1] < 0, -q, q)
+
+
+def quat_log(q: np.ndarray) -> np.ndarray:
+    """Half-angle logarithm [..., 3] of unit quaternions: axis times half of the angle, with w ≥ 0 taken first.
+
+    Source: Holden et al. 2017, joint rotations of the released layout.
+    """
+    q = np.asarray(q, dtype=float)
+    q = np.where(q[..., :1] < 0, -q, q)
+    sin = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    # near the identity half/sin(half) is 1 to second order
+    scale = np.where(sin > 1e-8, np.arctan2(sin, q[..., :1]) / np.maximum(sin, 1e-8), 1.0)
+    return q[..., 1:] * scale
+
+
+def quat_exp(v: np.ndarray) -> np.ndarray:
+    """Unit quaternions [..., 4] of half-angle vectors v [..., 3]; the inverse of `quat_log`."""
+    v = np.asarray(v, dtype=float)
+    half = np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.concatenate((np.cos(half), v * np.sinc(half / np.pi)), axis=-1)
+
+
+def quat_slerp(a: np.ndarray, b: np.ndarray, t: np.ndarray | float) -> np.ndarray:
+    """Rotation [..., 4] at fraction t [...] of the shorter great arc from a to b (both [..., 4], unit)."""
+    a, b, t = np.asarray(a, dtype=float), np.asarray(b, dtype=float), np.asarray(t, dtype=float)[..., None]
+    dot = np.sum(a * b, axis=-1, keepdims=True)
+    sign = np.where(dot < 0, -1.0, 1.0)
+    angle = np.arccos(np.clip(dot * sign, 0.0, 1.0))
+    sin = np.sin(angle)
+    near = sin < 1e-6  # on so short an arc the chord is the arc
+    safe = np.where(near, 1.0, sin)
+    wa = np.where(near, 1.0 - t, np.sin((1.0 - t) * angle) / safe)
+    wb = np.where(near, t, np.sin(t * angle) / safe)
+    return quat_normalise(wa * a + wb * sign * b)
+
+
+def quat_between(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Shortest rotation [..., 4] taking the direction of u [..., 3] to that of v [..., 3].
+
+    Opposite directions turn half a circle about some axis across u.
+    """
+    u = np.asarray(u, dtype=float) / np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), SMALL)
+    v = np.asarray(v, dtype=float) / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), SMALL)
+    u, v = np.broadcast_arrays(u, v)
+    dot = np.sum(u * v, axis=-1, keepdims=True)
+    q = np.concatenate((1.0 + dot, np.cross(u, v)), axis=-1)
+    across = np.cross(u, np.where(np.abs(u[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+    half_turn = np.concatenate((np.zeros_like(dot), across), axis=-1)
+    return quat_normalise(np.where(dot < -1.0 + 1e-9, half_turn, q))
+
+
+def quat_from_yaw(yaw: np.ndarray) -> np.ndarray:
+    """Rotation [..., 4] by yaw [...] radians about +Y; takes +Z to (sin yaw, 0, cos yaw)."""
+    half = np.asarray(yaw, dtype=float) / 2
+    zero = np.zeros_like(half)
+    return np.stack((np.cos(half), zero, np.sin(half), zero), axis=-1)
+
+
+def quat_from_forward_up(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Rotation [..., 4] whose local +Z is `forward` [..., 3] and whose local +Y is `up` [..., 3] made orthogonal.
+
+    Both need not be unit or orthogonal, as a network's outputs are not; `forward` keeps its direction.
+    """
+    z = np.asarray(forward, dtype=float)
+    z = z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), SMALL)
+    x = np.cross(np.asarray(up, dtype=float), z)
+    x = x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), SMALL)
+    return quat_from_matrix(np.stack((x, np.cross(z, x), z), axis=-1))
+
+
+def forward_kinematics(
+    skeleton: Skeleton, root_positions: np.ndarray, rotations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """World positions and rotations of all joints.
+
+    Args:
+        skeleton: J joints.
+        root_positions: [T, 3] metres, position of joint 0.
+        rotations: [T, J, 4] local rotations.
+
+    Returns:
+        (positions [T, J, 3] metres, global rotations [T, J, 4]).
+    """
+    rotations = np.asarray(rotations)
+    positions, world = np.empty(rotations.shape[:-1] + (3,)), np.empty(rotations.shape)
+    parents, offsets = skeleton.parents, skeleton.offsets
+    positions[:, 0], world[:, 0] = root_positions, rotations[:, 0]
+    depth = np.zeros(len(parents), dtype=int)
+    for joint in range(1, len(parents)):
+        depth[joint] = depth[parents[joint]] + 1
+    for level in range(1, int(depth.max()) + 1):  # all joints of one depth at once
+        joints = np.flatnonzero(depth == level)
+        above = parents[joints]
+        turn = world[:, above]
+        positions[:, joints] = positions[:, above] + quat_rotate(turn, offsets[joints])
+        world[:, joints] = quat_multiply(turn, rotations[:, joints])
+    return positions, world
+
+
+def _axes(order: str) -> tuple[int, int, int]:
+    """Indices of the three axes of an Euler order.
+
+    Raises:
+        ValueError: unless `order` names X, Y and Z once each.
+    """
+    if sorted(order) != ["X", "Y", "Z"]:
+        raise ValueError(f"order must name X, Y and Z once each, got {order!r}.")
+    return AXES[order[0]], AXES[order[1]], AXES[order[2]]

@@ -1,0 +1,354 @@
+"""Which joint plays which part: hips, legs, arms and head, from names, else from geometry, else from the user.
+
+Names cover the CMU, Bandai-Namco, 100STYLE (Xsens), Mixamo, Biped, Unreal, Blender and SMPL conventions.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.skeleton import Roles, Skeleton
+
+ROLE_NAMES = tuple(field.name for field in fields(Roles))
+FEET = ("left_foot", "right_foot")
+
+# in order of preference: a clavicle is often called Shoulder, so Arm comes first
+PARTS = {
+    "hip": ("upleg", "upperleg", "thigh", "femur", "legupper", "hip"),
+    "heel": ("ankle", "foot", "feet"),
+    "toe": ("toebase", "toe", "toes", "ball", "foot"),
+    "shoulder": ("upperarm", "uparm", "armupper", "humerus", "arm", "shldr", "shoulder"),
+    "hand": ("wrist", "hand"),
+}
+HIPS = ("hips", "pelvis", "hip")
+HEAD = ("head", "neck1", "neck")
+SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
+
+
+def find_roles(
+    skeleton: Skeleton, overrides: dict | None = None, source: str | Path = "skeleton", *, pose: np.ndarray | None = None
+) -> Roles:
+    """The part of each joint in walking, from names and, for parts that names do not give, from geometry.
+
+    Geometry: the legs are the two chains that reach lowest, the arms those that reach farthest to the sides, the head
+    the highest end; a leg or arm is the run of three joints with the longest two bones, so duplicates of zero length
+    are passed over. Left is +X when the toes point to +Z. A foot without a toe joint is (ankle, ankle): both contacts
+    are then the ankle's.
+
+    Args:
+        skeleton: the joints; its own roles and mirror are not read.
+        overrides: role -> joint name, or [heel, toe] names for the feet (one name stands for both).
+        source: file to name in messages.
+        pose: [J, 3] joint positions of a standing pose for the geometry; None takes the pose of zero rotations.
+
+    Returns:
+        Joint indices.
+
+    Raises:
+        InputError: if an override names no role or no joint, or a role cannot be found.
+    """
+    chosen = _read_overrides(skeleton, overrides or {}, source)
+    named = _roles_from_names(skeleton.names, tuple(int(parent) for parent in skeleton.parents))
+    found = dict(_deepest_hips(skeleton, {**named, **chosen}), **chosen)
+    if any(role not in found for role in ROLE_NAMES):
+        # sides found by geometry must not mix with sides found by names, so a pair is taken whole
+        measured = _roles_from_geometry(skeleton, _rest_pose(skeleton) if pose is None else pose)
+        for part in ("hip", "foot", "shoulder", "hand"):
+            pair = (f"left_{part}", f"right_{part}")
+            if any(role not in found for role in pair) and all(role in measured for role in pair):
+                found.update({role: measured[role] for role in pair if role not in chosen})
+        found = {**measured, **found}
+    missing = [role for role in ROLE_NAMES if role not in found]
+    if missing:
+        rule = f"needs a joint for {', '.join(missing)}; name it in a roles file"
+        raise InputError(source, "skeleton", f"joints {_listed(skeleton.names)}", rule)
+    return _consistent(skeleton, Roles(**found), source)
+
+
+def assign_roles(
+    skeleton: Skeleton,
+    roles_file: Path | None = None,
+    source: str | Path = "skeleton",
+    *,
+    pose: np.ndarray | None = None,
+) -> Skeleton:
+    """The skeleton with its left-right partners and roles filled in.
+
+    Without a roles file, roles that cannot be found stay None; with one, they must be found.
+
+    Args:
+        skeleton: the joints.
+        roles_file: JSON object from role to joint name, feet as [heel, toe], as
+            `{"hips": "Pelvis", "left_foot": ["Ankle_L", "Ball_L"]}`. Roles not named in it are found as usual.
+        source: file to name in messages.
+        pose: as in `find_roles`.
+
+    Raises:
+        InputError: if the roles file is not such a JSON object, or names no role, no joint or an impossible one.
+    """
+    roles = None
+    if roles_file is not None:
+        roles = find_roles(skeleton, _read_json(Path(roles_file)), roles_file, pose=pose)
+    else:
+        try:
+            roles = find_roles(skeleton, None, source, pose=pose)
+        except InputError:
+            roles = None
+    return replace(skeleton, mirror=find_mirror(skeleton.names, skeleton.parents, roles), roles=roles)
+
+
+def find_mirror(names: tuple[str, ...], parents: np.ndarray | None = None, roles: Roles | None = None) -> np.ndarray:
+    """[J] index of each joint's left-right partner, its own index on the midline.
+
+    Partners have names that differ only in the side. Where names tell no sides, the limbs of `roles` are paired, and
+    below them children in order.
+    """
+    sides = _sides(tuple(names))
+    index = {key: joint for joint, key in reversed(list(enumerate(sides)))}
+    mirror = np.arange(len(names))
+    for joint, (side, part) in enumerate(sides):
+        if side and index[(side, part)] == joint:
+            mirror[joint] = index.get((_other(side), part), joint)
+    if roles is not None and parents is not None and np.all(mirror == np.arange(len(names))):
+        for left, right in ((roles.left_hip, roles.right_hip), (roles.left_shoulder, roles.right_shoulder)):
+            _pair_upwards(mirror, parents, left, right)
+            _pair_downwards(mirror, parents, left, right)
+    return mirror
+
+
+def is_hips_name(name: str) -> bool:
+    """Whether a joint's name says that it is the hips."""
+    return _words(name)[-1:] in [[word] for word in HIPS[:2]]
+
+
+def leg_length(skeleton: Skeleton, roles: Roles) -> float:
+    """Length of the bones from hip to ankle, the mean of both legs, in the skeleton's unit.
+
+    Raises:
+        ValueError: if an ankle does not lie below its hip.
+    """
+    lengths = np.linalg.norm(skeleton.offsets, axis=-1)
+    total = 0.0
+    for hip, (ankle, _) in ((roles.left_hip, roles.left_foot), (roles.right_hip, roles.right_foot)):
+        chain = _chain(skeleton.parents, ankle)
+        if hip not in chain:
+            raise ValueError(f"{skeleton.names[ankle]} does not lie below {skeleton.names[hip]}.")
+        total += float(lengths[chain[: chain.index(hip)]].sum())
+    return total / 2
+
+
+def longest_chain(skeleton: Skeleton) -> float:
+    """Length of the longest run of bones from the root to an end, End Sites left out, in the skeleton's unit."""
+    reach = np.zeros(skeleton.num_joints)
+    for joint in range(1, skeleton.num_joints):
+        reach[joint] = reach[skeleton.parents[joint]] + np.linalg.norm(skeleton.offsets[joint])
+    return float(reach.max())
+
+
+def _chain(parents: np.ndarray, joint: int) -> list[int]:
+    """The joint and all above it, up to the root."""
+    chain = [int(joint)]
+    while parents[chain[-1]] >= 0:
+        chain.append(int(parents[chain[-1]]))
+    return chain
+
+
+def _words(name: str) -> list[str]:
+    """Lower-case words of a joint name without its namespace: `mixamorig:LeftUpLeg` -> left, up, leg."""
+    name = name.rsplit(":", 1)[-1]
+    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)]
+
+
+@functools.lru_cache(maxsize=64)
+def _sides(names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """(side, part) of each joint: side is left, right or empty, part the remaining words joined."""
+    words = [_words(name) for name in names]
+    prefix = words[-1][:1]
+    if len(names) > 2 and sum(w[:1] == prefix for w in words) >= 0.8 * len(names):
+        words = [w[1:] if w[:1] == prefix else w for w in words]  # Bip01, mixamorig_, CC_Base
+    whole = {"".join(w) for w in words}
+    sides = []
+    for w in words:
+        marks = [i for i, word in enumerate(w) if word in SIDES]
+        joined = "".join(w)
+        glued = re.match(r"(left|right)(.+)", joined)
+        if marks:
+            sides.append((SIDES[w[marks[0]]], "".join(w[: marks[0]] + w[marks[0] + 1 :])))
+        elif glued:
+            sides.append((glued[1], glued[2]))
+        elif joined[:1] in ("l", "r") and {"l" + joined[1:], "r" + joined[1:]} <= whole:
+            sides.append((SIDES[joined[0]], joined[1:]))  # lfemur beside rfemur
+        else:
+            sides.append(("", joined))
+    return tuple(sides)
+
+
+def _other(side: str) -> str:
+    return "right" if side == "left" else "left"
+
+
+@functools.lru_cache(maxsize=64)
+def _roles_from_names(names: tuple[str, ...], parents: tuple[int, ...]) -> dict:
+    """The roles that names give; a pair of sides is found whole or not at all."""
+    first: dict[tuple[str, str], int] = {}
+    for joint, (side, part) in enumerate(_sides(names)):
+        first.setdefault((side, re.sub(r"\d+$", "", part) if part not in HEAD else part), joint)
+
+    def pair(part: str, beside: dict | None = None) -> tuple[int, int] | None:
+        for word in PARTS[part]:
+            found = first.get(("left", word)), first.get(("right", word))
+            if found[0] is not None and found[1] is not None and found != beside:
+                return found[0], found[1]
+        return None
+
+    roles: dict = {}
+    for role, part in (("hip", "hip"), ("shoulder", "shoulder"), ("hand", "hand")):
+        if found := pair(part):
+            roles[f"left_{role}"], roles[f"right_{role}"] = found
+    if heels := pair("heel"):
+        toes = pair("toe", heels) or heels
+        below = all(heel in _chain(np.array(parents), toe) for heel, toe in zip(heels, toes, strict=True))
+        toes = toes if below else heels
+        roles["left_foot"], roles["right_foot"] = (heels[0], toes[0]), (heels[1], toes[1])
+    for role, words in (("hips", HIPS), ("head", HEAD)):
+        if found := [first[("", word)] for word in words if ("", word) in first]:
+            roles[role] = found[0]
+    return roles
+
+
+def _deepest_hips(skeleton: Skeleton, roles: dict) -> dict:
+    """Roles with the hips at the joint that both legs hang from, where the name is missing or not above them."""
+    if "left_hip" not in roles or "right_hip" not in roles:
+        return roles
+    left, right = (_chain(skeleton.parents, roles[f"{side}_hip"]) for side in ("left", "right"))
+    common = [joint for joint in left if joint in right]
+    if roles.get("hips") not in common and common:
+        roles = {**roles, "hips": common[0]}
+    return roles
+
+
+def _rest_pose(skeleton: Skeleton) -> np.ndarray:
+    """[J, 3] positions with all rotations zero."""
+    pose = np.zeros((skeleton.num_joints, 3))
+    for joint in range(1, skeleton.num_joints):
+        pose[joint] = pose[skeleton.parents[joint]] + skeleton.offsets[joint]
+    return pose
+
+
+def _roles_from_geometry(skeleton: Skeleton, pose: np.ndarray) -> dict:
+    """The roles that a standing pose [J, 3] gives; empty where it has no two legs."""
+    parents = skeleton.parents
+    ends = [joint for joint in range(skeleton.num_joints) if joint not in set(parents.tolist())]
+    ends.sort(key=lambda joint: pose[joint, 1])
+    legs = _two_limbs(parents, pose, ends)
+    if legs is None:
+        return {}
+    hips, legs = legs
+    forward = sum(pose[leg[3]] - pose[leg[2]] for leg in legs) * np.array([1.0, 0.0, 1.0])
+    side = np.array([forward[2], 0.0, -forward[0]])  # Y x forward
+    side = side if np.linalg.norm(side) > 0 else np.array([1.0, 0.0, 0.0])
+    right, left = sorted(legs, key=lambda leg: float(pose[leg[0]] @ side))
+    roles: dict = {"hips": hips, "left_hip": left[0], "right_hip": right[0]}
+    roles["left_foot"], roles["right_foot"] = left[2:], right[2:]
+    ends = [joint for joint in ends if not {left[0], right[0]} & set(_chain(parents, joint))]
+    if ends:
+        roles["head"] = max(ends, key=lambda joint: pose[joint, 1])
+    arms = _two_limbs(parents, pose, sorted(ends, key=lambda j: -abs(float((pose[j] - pose[hips]) @ side))))
+    if arms is not None:
+        right, left = sorted(arms[1], key=lambda arm: float(pose[arm[2]] @ side))
+        roles.update(left_shoulder=left[0], right_shoulder=right[0], left_hand=left[2], right_hand=right[2])
+    return roles
+
+
+def _two_limbs(parents: np.ndarray, pose: np.ndarray, ends: list[int]) -> tuple[int, list[tuple]] | None:
+    """The joint where the first end's chain parts from another's, and both limbs, trying ends in order."""
+    for other in ends[1:]:
+        first, second = _chain(parents, ends[0]), _chain(parents, other)
+        fork = next(joint for joint in first if joint in second)
+        limbs = [_limb(pose, chain[: chain.index(fork)][::-1]) for chain in (first, second)]
+        if limbs[0] is not None and limbs[1] is not None:
+            return fork, [limb for limb in limbs if limb is not None]
+    return None
+
+
+def _limb(pose: np.ndarray, chain: list[int]) -> tuple[int, int, int, int] | None:
+    """(upper, middle, lower, tip) of a chain given from the body outwards, by its two longest successive bones."""
+    kept = [j for i, j in enumerate(chain) if i == 0 or np.linalg.norm(pose[j] - pose[chain[i - 1]]) > 1e-6]
+    if len(kept) < 3:
+        return None
+    bones = np.linalg.norm(np.diff(pose[kept], axis=0), axis=-1)
+    start = int(np.argmax(np.minimum(bones[:-1], bones[1:])))
+    lower = start + 2
+    return kept[start], kept[start + 1], kept[lower], kept[min(lower + 1, len(kept) - 1)]
+
+
+def _pair_upwards(mirror: np.ndarray, parents: np.ndarray, left: int, right: int) -> None:
+    while left != right and left >= 0 and right >= 0:
+        mirror[left], mirror[right] = right, left
+        left, right = int(parents[left]), int(parents[right])
+
+
+def _pair_downwards(mirror: np.ndarray, parents: np.ndarray, left: int, right: int) -> None:
+    pairs = [(left, right)]
+    while pairs:
+        left, right = pairs.pop()
+        mirror[left], mirror[right] = right, left
+        children = np.flatnonzero(parents == left), np.flatnonzero(parents == right)
+        if len(children[0]) == len(children[1]):
+            pairs += [(int(a), int(b)) for a, b in zip(*children, strict=True)]
+
+
+def _consistent(skeleton: Skeleton, roles: Roles, source: str | Path) -> Roles:
+    """The roles, refused where a leg does not hang from the hips or an ankle not from its leg."""
+    limbs = (("left_hip", roles.left_hip, roles.left_foot), ("right_hip", roles.right_hip, roles.right_foot))
+    for role, hip, (heel, toe) in limbs:
+        above = _chain(skeleton.parents, toe)
+        if not (heel in above and hip in above and hip != heel and roles.hips in above):
+            found = f"{role} {skeleton.names[hip]}, foot {skeleton.names[heel]} {skeleton.names[toe]}"
+            raise InputError(source, "skeleton", found, "hips, upper leg, ankle and toe lie on one chain")
+    if roles.left_hip == roles.right_hip or roles.left_shoulder == roles.right_shoulder:
+        found = f"left {skeleton.names[roles.left_hip]}, {skeleton.names[roles.left_shoulder]}"
+        raise InputError(source, "skeleton", found, "left and right must be different joints")
+    return roles
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:12])
+    return shown if len(names) <= 12 else f"{shown} and {len(names) - 12} more"
+
+
+def _read_json(path: Path) -> dict:
+    try:
+        loaded = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, "file", error.strerror or error, "must be a readable JSON file") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, "file", error, "must be a JSON object from role to joint name") from None
+    if not isinstance(loaded, dict):
+        raise InputError(path, "file", type(loaded).__name__, "must be a JSON object from role to joint name")
+    return loaded
+
+
+def _read_overrides(skeleton: Skeleton, overrides: dict, source: str | Path) -> dict:
+    """Role -> joint index or (heel, toe), checked."""
+    chosen: dict = {}
+    for role, value in overrides.items():
+        if role not in ROLE_NAMES:
+            raise InputError(source, "role", role, f"known roles are {', '.join(ROLE_NAMES)}")
+        names = [value] if isinstance(value, str) else value
+        if not isinstance(names, list) or len(names) not in ((1, 2) if role in FEET else (1,)):
+            rule = "a role names one joint, a foot one joint or [heel, toe]"
+            raise InputError(source, f"role {role}", value, rule)
+        for name in names:
+            if name not in skeleton.names:
+                raise InputError(source, f"role {role}", name, f"no such joint; there are {_listed(skeleton.names)}")
+        joints = [skeleton.names.index(name) for name in names]
+        chosen[role] = (joints[0], joints[-1]) if role in FEET else joints[0]
+    return chosen
