@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -27,6 +29,7 @@ def steps_per_epoch(num_styles: int, num_frames: int, batch_size: int) -> int:
     return num_styles * (num_frames // batch_size)
 
 
+@partial(jax.jit, static_argnames=("num_styles", "num_frames", "batch_size"))
 def epoch_order(key: jax.Array, epoch: jax.Array, num_styles: int, num_frames: int, batch_size: int) -> jax.Array:
     """The frames of every step of one epoch: each style shuffled anew, the styles in fixed turn.
 

@@ -56,7 +56,7 @@ def replacing(target: Path) -> Iterator[Path]:
         _exchange(new, target)
     except (OSError, ValueError) as error:
         if _disk_is_full(error):
-            raise InputError(target, "write", "no space left on the disk", "a save needs room; free some") from error
+            raise InputError(target, "disk", "no space left", "nothing was written; free some room") from error
         raise
     finally:
         _remove(new)
@@ -180,7 +180,7 @@ def _need_room(target: Path, folder: Path, size: int) -> None:
     """Refuses a save that cannot fit, before Orbax begins: its threads report a full disk with many tracebacks."""
     free = shutil.disk_usage(folder).free
     if free < size:
-        raise InputError(target, "write", f"{free / 1e6:.1f} MB of room", f"the save needs up to {size / 1e6:.1f} MB")
+        raise InputError(target, "disk", f"{free / 1e6:.1f} MB free", f"the save needs up to {size / 1e6:.1f} MB")
 
 
 def _sizes(folder: Path) -> dict[str, int]:

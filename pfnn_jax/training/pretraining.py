@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -128,27 +128,37 @@ def train(
         TrainingError: when a loss is not finite, before `on_dispatch` sees that state.
     """
     num_styles, num_frames = data.phase.shape
-    per_epoch = steps_per_epoch(num_styles, num_frames, config.batch_size)
     steps = total_steps(config, num_styles, num_frames)
     run_key = jax.random.fold_in(jax.random.key(config.seed), 1)
     dispatch = _make_dispatch(data, config, run_key)
-    order_of = jax.jit(partial(epoch_order, num_styles=num_styles, num_frames=num_frames, batch_size=config.batch_size))
-    epoch, order = -1, None
+    frames_of = _make_order(config, num_styles, num_frames, run_key)
     step = int(state.step)
     while step < steps:
-        if step // per_epoch != epoch:
-            epoch = step // per_epoch
-            order = order_of(run_key, epoch)
-        begin = step - epoch * per_epoch
-        count = min(config.steps_per_dispatch - step % config.steps_per_dispatch, per_epoch - begin, steps - step)
+        count = min(config.steps_per_dispatch - step % config.steps_per_dispatch, steps - step)
+        frames = frames_of(step, count)
         started = time.perf_counter()
-        state, losses = dispatch(state, order[begin : begin + count])
+        state, losses = dispatch(state, frames)
         losses = np.asarray(losses)
         _check_finite(losses, step, styles)
         step += count
         rate = losses.size * config.batch_size / (time.perf_counter() - started)
         on_dispatch(state, Progress(step, steps, float(losses.mean()), rate))
     return state
+
+
+def _make_order(config: PretrainConfig, num_styles: int, num_frames: int, run_key: jax.Array):
+    """(step, count) -> frames [count, B] of those steps, across the ends of epochs."""
+    per_epoch = steps_per_epoch(num_styles, num_frames, config.batch_size)
+    sizes = {"num_styles": num_styles, "num_frames": num_frames, "batch_size": config.batch_size}
+    order_of = lru_cache(maxsize=2)(lambda epoch: np.asarray(epoch_order(run_key, epoch, **sizes)))
+
+    def frames_of(step: int, count: int) -> np.ndarray:
+        epochs = range(step // per_epoch, (step + count - 1) // per_epoch + 1)
+        orders = np.concatenate([order_of(epoch) for epoch in epochs])
+        begin = step - epochs[0] * per_epoch
+        return orders[begin : begin + count]
+
+    return frames_of
 
 
 def _make_dispatch(data: Batch, config: PretrainConfig, run_key: jax.Array):
@@ -161,9 +171,9 @@ def _make_dispatch(data: Batch, config: PretrainConfig, run_key: jax.Array):
         return lambda state, frames: run_steps(state, on_device, frames, run_key)
     run_batches, num_styles = make_run_batches(step), data.phase.shape[0]
 
-    def from_host(state: PretrainState, frames: jax.Array):
+    def from_host(state: PretrainState, frames: np.ndarray):
         style = (int(state.step) + np.arange(len(frames))) % num_styles
-        return run_batches(state, gather(data, style[:, None], np.asarray(frames)), run_key)
+        return run_batches(state, gather(data, style[:, None], frames), run_key)
 
     return from_host
 
