@@ -1,0 +1,109 @@
+"""A skeleton as a body of capsules, so that pictures show a person and not a bundle of lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
+from pfnn_jax.motion.skeleton import Skeleton
+
+LEG = 0.83  # metres of thigh and shin at which the radii below hold
+SHORTEST = 0.015  # metres; shorter bones only carry a rotation
+_RADII = {  # metres at both ends, by part and by how many bones away from the part's first joint
+    "leg": ((0.078, 0.056), (0.056, 0.038), (0.042, 0.034), (0.034, 0.026)),
+    "arm": ((0.048, 0.04), (0.04, 0.03), (0.034, 0.022), (0.016, 0.012)),
+    "head": ((0.085, 0.08),),
+}
+_TRUNK = 0.1
+_GIRDLE = 0.06
+_NECK = 0.05
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """One limb segment: a tapered capsule between two points of `body_points`, radii in metres.
+
+    `side` is `left`, `right` or `middle`.
+    """
+
+    start: int
+    end: int
+    start_radius: float
+    end_radius: float
+    side: str
+
+
+def body_points(clip: MotionClip) -> np.ndarray:
+    """World positions [T, J + E, 3] in metres of the joints, then of the End Sites."""
+    positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    sites = [positions[:, joint] + quat_rotate(rotations[:, joint], offset) for joint, offset in clip.skeleton.end_sites]
+    return np.concatenate([positions, np.stack(sites, axis=1)], axis=1) if sites else positions
+
+
+def body_capsules(skeleton: Skeleton) -> list[Capsule]:
+    """The limb segments of a skeleton, thick where people are, scaled to its legs.
+
+    Without roles every bone is equally thin.
+    """
+    parents = [*(int(parent) for parent in skeleton.parents), *(joint for joint, _ in skeleton.end_sites)]
+    offsets = [*skeleton.offsets, *(offset for _, offset in skeleton.end_sites)]
+    limbs = _limbs(skeleton, parents)
+    scale = _scale(skeleton)
+    capsules = []
+    for end, (start, offset) in enumerate(zip(parents, offsets, strict=True)):
+        if start >= 0 and np.linalg.norm(offset) > SHORTEST * scale:
+            part, order, side = limbs.get(end, ("", 0, "middle"))
+            first, second = _thickness(skeleton, part, order, start, end)
+            capsules.append(Capsule(start, end, first * scale, second * scale, side))
+    return capsules
+
+
+def _scale(skeleton: Skeleton) -> float:
+    if skeleton.roles is None:
+        return 1.0
+    total, joint = 0.0, skeleton.roles.left_foot[0]
+    while joint != skeleton.roles.left_hip and joint >= 0:
+        total += float(np.linalg.norm(skeleton.offsets[joint]))
+        joint = int(skeleton.parents[joint])
+    return total / LEG
+
+
+def _limbs(skeleton: Skeleton, parents: list[int]) -> dict[int, tuple[str, int, str]]:
+    """For each point below a limb's first joint: (part, bones since that joint, side)."""
+    roles = skeleton.roles
+    if roles is None:
+        return {}
+    roots = {
+        roles.left_hip: ("leg", "left"),
+        roles.right_hip: ("leg", "right"),
+        roles.left_shoulder: ("arm", "left"),
+        roles.right_shoulder: ("arm", "right"),
+        roles.head: ("head", "middle"),
+    }
+    limbs: dict[int, tuple[str, int, str]] = {}
+    for point, parent in enumerate(parents):
+        if parent in roots:
+            part, side = roots[parent]
+            limbs[point] = (part, 0, side)
+        elif parent in limbs:
+            part, order, side = limbs[parent]
+            limbs[point] = (part, order + 1, side)
+    return limbs
+
+
+def _thickness(skeleton: Skeleton, part: str, order: int, start: int, end: int) -> tuple[float, float]:
+    if part:
+        return _RADII[part][min(order, len(_RADII[part]) - 1)]
+    roles = skeleton.roles
+    if roles is None:
+        return 0.03, 0.03
+    if end == roles.head:
+        return _NECK, _NECK
+    if end in (roles.left_hip, roles.right_hip):
+        return 0.9 * _TRUNK, 0.085
+    if end in (roles.left_shoulder, roles.right_shoulder) or abs(float(skeleton.offsets[end][0])) > 0.02:
+        return _GIRDLE, _GIRDLE
+    return _TRUNK, _TRUNK
