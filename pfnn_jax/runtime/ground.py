@@ -1,0 +1,63 @@
+"""Vectors on the ground of one character: turning them between a root and the world, towards a target, to length 1.
+
+A facing is a unit vector [2] (x, z); +Z is yaw 0 and +X, the left of a character facing +Z, is yaw π/2.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def root_yaw(directions: jax.Array) -> jax.Array:
+    """Radians about +Y of unit directions [..., 2] -> [...] (0 = +Z, π/2 = +X)."""
+    return jnp.arctan2(directions[..., 0], directions[..., 1])
+
+
+def to_world(v: jax.Array, facing: jax.Array) -> jax.Array:
+    """Vectors [..., 2] (x, z) or [..., 3] of a root facing [2], turned into the world."""
+    x, z = v[..., 0], v[..., -1]
+    turned = (x * facing[1] + z * facing[0], z * facing[1] - x * facing[0])
+    return jnp.stack((turned[0], *(v[..., axis] for axis in range(1, v.shape[-1] - 1)), turned[1]), -1)
+
+
+def to_local(v: jax.Array, facing: jax.Array) -> jax.Array:
+    """Vectors [..., 2] (x, z) or [..., 3] of the world, turned into a root facing [2]."""
+    return to_world(v, facing * np.array([-1.0, 1.0], np.float32))
+
+
+def turn_towards(directions: jax.Array, target: jax.Array, share: jax.Array | float) -> jax.Array:
+    """Unit directions [..., 2] turned by a share [...] of their angle to a target [2], the short way round."""
+    across = directions[..., 1] * target[0] - directions[..., 0] * target[1]
+    along = directions[..., 0] * target[0] + directions[..., 1] * target[1]
+    return turn(directions, share * jnp.arctan2(across, along))
+
+
+def turn(directions: jax.Array, angle: jax.Array) -> jax.Array:
+    """Vectors [..., 2] turned by angles [...] radians about +Y."""
+    x, z, sin, cos = directions[..., 0], directions[..., 1], jnp.sin(angle), jnp.cos(angle)
+    return jnp.stack([x * cos + z * sin, z * cos - x * sin], -1)
+
+
+def heading(yaw: jax.Array) -> jax.Array:
+    """The facing [2] of a yaw [] radians about +Y."""
+    return jnp.stack([jnp.sin(yaw), jnp.cos(yaw)])
+
+
+def lift(ground: jax.Array) -> jax.Array:
+    """A ground point [2] (x, z) as [3] at height 0."""
+    return jnp.stack([ground[0], jnp.zeros_like(ground[0]), ground[1]])
+
+
+def mix(old: jax.Array, new: jax.Array, share: jax.Array | np.ndarray | float) -> jax.Array:
+    """The value a share of the way from old to new, all of equal rank."""
+    return old + share * (new - old)
+
+
+def unit(v: jax.Array) -> jax.Array:
+    """Vectors [..., 2] scaled to length 1; those without length become +Z."""
+    squared = jnp.sum(v * v, axis=-1, keepdims=True)
+    found = squared > 1e-12
+    scaled = v * jax.lax.rsqrt(jnp.where(found, squared, 1.0))
+    return jnp.where(found, scaled, jnp.broadcast_to(jnp.asarray([0.0, 1.0], v.dtype), v.shape))

@@ -1,0 +1,284 @@
+"""Many frames: a character driven by commands or along a path, and a pose left to itself while all else is the truth.
+
+Everything here is one `lax.scan`, compiled once per network function, layout and length. A batch of characters is a
+`vmap`; so is a batch of styles, with the shared network left unbatched:
+
+    def walk(adapter):
+        return follow_path(evaluate, predictor.replace(adapter=adapter), layout, state, track, 600)
+
+    frames = jax.vmap(walk)(adapters)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from pfnn_jax.motion.layout import FrameLayout
+from pfnn_jax.runtime.controller import CONTROLLERS, Command, ControllerConfig, step
+from pfnn_jax.runtime.ground import mix, root_yaw
+from pfnn_jax.runtime.paths import Path, resample_path
+from pfnn_jax.runtime.state import ROOT, CharacterState
+
+EvaluateFn = Callable[[Any, jax.Array, jax.Array], jax.Array]
+"""(params, x [Dx], phase []) -> y [Dy] in layout units, as `evaluate` and `evaluate_lookup`."""
+
+SEARCH = np.arange(0.0, 1.0, 0.05, dtype=np.float32)
+"""Metres ahead of its progress at which a character looks for its nearest point on a path."""
+
+ARRIVAL = 0.1
+"""Metres before the end of an open path at which a character is told to stand."""
+
+
+@struct.dataclass(kw_only=True)
+class Track:
+    """A path to follow, for JAX.
+
+    Attributes:
+        points: [N, 2] metres at equal distances along the path; a closed one repeats its first point at the end.
+        length: [] metres.
+        closed: [] bool.
+        speed: [] metres per second asked for.
+    """
+
+    points: jax.Array
+    length: jax.Array
+    closed: jax.Array
+    speed: jax.Array
+
+
+@struct.dataclass(kw_only=True)
+class Frames:
+    """What happened at every frame.
+
+    Attributes:
+        outputs: [T, Dy] the network's outputs in layout units, of frame i relative to root i.
+        root_positions: [T, 2] metres, root i.
+        root_yaw: [T] radians about +Y, 0 = facing +Z.
+        phase: [T] radians at which frame i was evaluated.
+        joint_positions: [T, J, 3] metres in the world, blended with the previous pose.
+        state: of the character before the frame after the last, to go on from.
+        progress: [T] metres along the followed path, never falling, or None.
+        path_distance: [T] metres from the root to the path there, or None.
+    """
+
+    outputs: jax.Array
+    root_positions: jax.Array
+    root_yaw: jax.Array
+    phase: jax.Array
+    joint_positions: jax.Array
+    state: CharacterState
+    progress: jax.Array | None = None
+    path_distance: jax.Array | None = None
+
+
+@struct.dataclass(kw_only=True)
+class Stability:
+    """What a rollout says about the network that made it. Infinite where the rollout was not finite.
+
+    Attributes:
+        finite: [] bool.
+        pose_distance: [] mean over frames of the mean squared normalised distance of the joint positions from the
+            mean pose; about 1 or less on the data.
+        pose_peak: [] the largest of these over the frames.
+        speed: [] metres per second, mean along the ground.
+        turn_rate: [] radians per second about +Y, mean.
+        trajectory_error: [] metres, mean distance to the path, or None without one.
+    """
+
+    finite: jax.Array
+    pose_distance: jax.Array
+    pose_peak: jax.Array
+    speed: jax.Array
+    turn_rate: jax.Array
+    trajectory_error: jax.Array | None = None
+
+
+def make_track(path: Path, speed: float, num_points: int | None = None) -> Track:
+    """A path at a speed in metres per second; a batch of tracks for `vmap` needs one `num_points` for all."""
+    if num_points is not None:
+        path = resample_path(path.points, path.closed, num_points)
+    points = np.concatenate([path.points, path.points[:1]]) if path.closed else path.points
+    return Track(
+        points=jnp.asarray(points, jnp.float32),
+        length=jnp.float32(path.length),
+        closed=jnp.asarray(path.closed),
+        speed=jnp.float32(speed),
+    )
+
+
+def point_at(track: Track, distance: jax.Array) -> jax.Array:
+    """Points [..., 2] at distances [...] metres along a track: open tracks stop at their end, closed ones go round."""
+    last = track.points.shape[0] - 1
+    along = jnp.where(track.closed, jnp.mod(distance, track.length), jnp.clip(distance, 0.0, track.length))
+    place = along * (last / track.length)
+    first = jnp.clip(place.astype(jnp.int32), 0, last - 1)
+    return mix(track.points[first], track.points[first + 1], (place - first)[..., None])
+
+
+@partial(jax.jit, static_argnames=("evaluate_fn", "layout", "config"))
+def rollout(
+    evaluate_fn: EvaluateFn,
+    params: Any,
+    layout: FrameLayout,
+    state: CharacterState,
+    commands: Command,
+    *,
+    config: ControllerConfig | None = None,
+) -> Frames:
+    """A character under a command for every frame.
+
+    Args:
+        evaluate_fn: (params, x [Dx], phase []) -> y [Dy] in layout units; a function, the same object at every call.
+        params: its parameters, as a `Predictor`.
+        layout: of x and y.
+        state: where the character begins.
+        commands: with a leading axis T: velocity [T, 2] metres per second and direction [T, 2], in the world.
+        config: by default the published constants of the layout.
+    """
+
+    def frame(state: CharacterState, command: Command):
+        after, y = step(partial(evaluate_fn, params), layout, state, command, config)
+        return after, (y, state.phase, _seen(after))
+
+    final, (outputs, phase, seen) = jax.lax.scan(frame, state, commands)
+    return Frames(outputs=outputs, phase=phase, state=final, **seen)
+
+
+@partial(jax.jit, static_argnames=("evaluate_fn", "layout", "num_frames", "config"))
+def follow_path(
+    evaluate_fn: EvaluateFn,
+    params: Any,
+    layout: FrameLayout,
+    state: CharacterState,
+    track: Track,
+    num_frames: int,
+    *,
+    config: ControllerConfig | None = None,
+) -> Frames:
+    """A character along a path: at every frame it is sent towards the point that lies `look_ahead` seconds further on.
+
+    Args:
+        evaluate_fn, params, layout, state, config: as for `rollout`.
+        track: the path and the speed asked for. At the end of an open path the character is told to stand.
+        num_frames: T.
+    """
+    constants = config or CONTROLLERS[layout.name]
+
+    def frame(carry, _):
+        state, progress = carry
+        root = state.positions[ROOT]
+        progress = _advance_progress(track, root, progress)
+        command = _pursue(track, state, progress, constants)
+        after, y = step(partial(evaluate_fn, params), layout, state, command, constants)
+        distance = jnp.linalg.norm(root - point_at(track, progress))
+        return (after, progress), (y, state.phase, _seen(after), progress, distance)
+
+    start = (state, jnp.zeros((), state.positions.dtype))
+    (final, _), (outputs, phase, seen, progress, distance) = jax.lax.scan(frame, start, length=num_frames)
+    return Frames(outputs=outputs, phase=phase, state=final, progress=progress, path_distance=distance, **seen)
+
+
+@partial(jax.jit, static_argnames=("evaluate_fn", "layout"))
+def locked_rollout(
+    evaluate_fn: EvaluateFn, params: Any, layout: FrameLayout, x: jax.Array, phase: jax.Array
+) -> jax.Array:
+    """Outputs when root, trajectory and phase are the truth and only the pose is fed back.
+
+    It measures the pose alone: no drift of the root away from the clip can make up or add to the error.
+
+    Args:
+        evaluate_fn, params, layout: as for `rollout`.
+        x: [T, Dx] true inputs of consecutive frames, in layout units; the pose of the first one starts the rollout.
+        phase: [T] radians, true.
+
+    Returns:
+        [T, Dy] outputs in layout units; the joint positions and velocities of one are the inputs of the next
+        (by the layouts' frame rule), without blending.
+    """
+    blocks = ("joint_position", "joint_velocity")
+
+    def frame(pose, row):
+        x, phase = row
+        for name, block in zip(blocks, pose, strict=True):
+            x = x.at[layout.input_slice(name)].set(block)
+        y = evaluate_fn(params, x, phase)
+        return tuple(y[layout.output_slice(name)] for name in blocks), y
+
+    start = tuple(x[0, layout.input_slice(name)] for name in blocks)
+    return jax.lax.scan(frame, start, (x, phase))[1]
+
+
+def stability(
+    layout: FrameLayout, frames: Frames, output_mean: jax.Array, output_std: jax.Array, *, settle: int = 60
+) -> Stability:
+    """Summary of a rollout for the choice of settings.
+
+    Args:
+        layout: of the outputs.
+        frames: of one character.
+        output_mean, output_std: [Dy] of the normaliser, in layout units.
+        settle: frames at the start that are left out of the means.
+    """
+    pose = layout.output_slice("joint_position")
+    normalised = (frames.outputs[:, pose] - output_mean[None, pose]) / output_std[None, pose]
+    distance = jnp.mean(normalised**2, axis=1)[settle:]
+    finite = jnp.isfinite(frames.outputs).all() & jnp.isfinite(frames.joint_positions).all()
+    finite = finite & jnp.isfinite(frames.root_positions).all() & jnp.isfinite(frames.root_yaw).all()
+    steps = jnp.linalg.norm(jnp.diff(frames.root_positions[settle:], axis=0), axis=1)
+    turns = jnp.diff(frames.root_yaw[settle:])
+    turns = jnp.mod(turns + jnp.pi, 2.0 * jnp.pi) - jnp.pi
+
+    def sound(value: jax.Array) -> jax.Array:
+        return jnp.where(finite, value, jnp.inf)
+
+    error = None if frames.path_distance is None else sound(jnp.mean(frames.path_distance[settle:]))
+    return Stability(
+        finite=finite,
+        pose_distance=sound(jnp.mean(distance)),
+        pose_peak=sound(jnp.max(distance)),
+        speed=sound(jnp.mean(steps) * layout.fps),
+        turn_rate=sound(jnp.mean(turns) * layout.fps),
+        trajectory_error=error,
+    )
+
+
+def _seen(after: CharacterState) -> dict[str, jax.Array]:
+    """Root and joints of the frame that a step has just placed."""
+    return {
+        "root_positions": after.positions[ROOT - 1],
+        "root_yaw": root_yaw(after.directions[ROOT - 1]),
+        "joint_positions": after.joint_positions,
+    }
+
+
+def _advance_progress(track: Track, root: jax.Array, progress: jax.Array) -> jax.Array:
+    """Progress [] metres after a look at the stretch just ahead: the nearest point of it, never backwards."""
+    stations = progress + SEARCH
+    candidates = point_at(track, stations)
+    nearest = stations[jnp.argmin(jnp.sum((candidates - root[None]) ** 2, axis=-1))]
+    # Between two stations the path is almost straight: the root's projection on it is exact enough.
+    half = 0.5 * float(SEARCH[1])
+    before, after = point_at(track, nearest - half), point_at(track, nearest + half)
+    chord = after - before
+    share = jnp.dot(root - before, chord) / jnp.maximum(jnp.dot(chord, chord), 1e-12)
+    refined = nearest + half * (2.0 * jnp.clip(share, 0.0, 1.0) - 1.0)
+    furthest = jnp.where(track.closed, jnp.inf, track.length)
+    return jnp.minimum(jnp.maximum(refined, progress), furthest)
+
+
+def _pursue(track: Track, state: CharacterState, progress: jax.Array, config: ControllerConfig) -> Command:
+    """The command that leads from a character's root to the track's point ahead of it."""
+    toward = point_at(track, progress + track.speed * config.look_ahead) - state.positions[ROOT]
+    squared = jnp.dot(toward, toward)
+    going = squared > 1e-8
+    direction = jnp.where(going, toward * jax.lax.rsqrt(jnp.where(going, squared, 1.0)), state.target_direction)
+    arrived = ~track.closed & (progress > track.length - ARRIVAL)
+    direction = jnp.where(arrived, state.target_direction, direction)
+    return Command(velocity=jnp.where(arrived, 0.0, track.speed) * direction, direction=direction)

@@ -1,0 +1,117 @@
+"""The state of one character under control, and how it begins."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from pfnn_jax.motion.layout import GAITS, TRAJECTORY_OFFSETS, FrameLayout
+from pfnn_jax.runtime.ground import heading, lift, mix, to_local, to_world, unit
+
+STRIDE = TRAJECTORY_OFFSETS[1] - TRAJECTORY_OFFSETS[0]
+"""Frames between two trajectory samples of a network."""
+
+ROOT = -TRAJECTORY_OFFSETS[0]
+"""Index of the present among a state's trajectory points; the one before it is the previous root."""
+
+NUM_POINTS = ROOT + TRAJECTORY_OFFSETS[-1] + 1
+"""111 trajectory points, one per frame, from -60 to +50. The last predicted sample stands at the last point, so that
+filling in between samples never reads beyond them."""
+
+
+@struct.dataclass(kw_only=True)
+class CharacterState:
+    """One character before frame i is evaluated.
+
+    Attributes:
+        positions: [111, 2] metres, the ground trajectory of frames i-60 to i+50 in the world; 60 is root i.
+        directions: [111, 2] unit vectors, facing.
+        gait: [111, 6] weights of `pfnn_jax.motion.layout.GAITS`.
+        joint_positions: [J, 3] metres in the world, of frame i-1.
+        joint_velocities: [J, 3] metres per second in the world, from frame i-1 to i.
+        phase: [] radians of frame i.
+        target_velocity, target_direction: [2] the smoothed command.
+    """
+
+    positions: jax.Array
+    directions: jax.Array
+    gait: jax.Array
+    joint_positions: jax.Array
+    joint_velocities: jax.Array
+    phase: jax.Array
+    target_velocity: jax.Array
+    target_direction: jax.Array
+
+
+def initial_state(
+    layout: FrameLayout, x: jax.Array, phase: jax.Array, position: jax.Array, yaw: jax.Array
+) -> CharacterState:
+    """A character in the midst of the motion that a row of inputs describes.
+
+    Args:
+        layout: of the row.
+        x: [Dx] layout units: a real frame, or the mean of a normaliser.
+        phase: [] radians.
+        position: [2] metres, its root in the world.
+        yaw: [] radians about +Y, 0 = facing +Z.
+
+    Returns:
+        The state, which repeats x as its input up to the steering. Layouts without gaits start walking.
+    """
+    x, facing = jnp.asarray(x), heading(yaw)
+    read = {name: x[layout.input_slice(name)] for name, _ in layout.inputs}
+    positions = fill_between(jnp.stack([read["trajectory_position_x"], read["trajectory_position_z"]], -1))
+    directions = fill_between(jnp.stack([read["trajectory_direction_x"], read["trajectory_direction_z"]], -1))
+    positions = to_world(positions * layout.length_unit, facing) + jnp.asarray(position, x.dtype)[None]
+    directions = to_world(unit(directions), facing)
+    walking = jnp.zeros((len(GAITS), len(TRAJECTORY_OFFSETS)), x.dtype).at[GAITS.index("walk")].set(1.0)
+    before, faced = positions[ROOT - 1], directions[ROOT - 1]
+    joints = read["joint_position"].reshape(-1, 3) * layout.length_unit
+    velocities = read["joint_velocity"].reshape(-1, 3) * (layout.length_unit / layout.time_unit)
+    return CharacterState(
+        positions=positions,
+        directions=directions,
+        gait=fill_between(read.get("gait", walking).reshape(len(GAITS), -1).T),
+        joint_positions=to_world(joints, faced) + lift(before)[None],
+        joint_velocities=to_world(velocities, faced),
+        phase=jnp.asarray(phase, x.dtype),
+        target_velocity=(positions[-1] - positions[ROOT]) * (layout.fps / (NUM_POINTS - 1 - ROOT)),
+        target_direction=directions[ROOT],
+    )
+
+
+def standing_state(layout: FrameLayout, x: jax.Array, position: jax.Array, yaw: jax.Array) -> CharacterState:
+    """A character that stands still in the pose of x [Dx], at phase 0, at `position` [2] facing `yaw` []."""
+    x = jnp.asarray(x)
+    for name, _ in layout.inputs:
+        if name not in ("joint_position", "terrain_height"):
+            x = x.at[layout.input_slice(name)].set(1.0 if name == "trajectory_direction_z" else 0.0)
+    state = initial_state(layout, x, jnp.zeros((), x.dtype), position, yaw)
+    return state.replace(gait=jnp.zeros_like(state.gait).at[:, GAITS.index("stand")].set(1.0))
+
+
+def place_state(state: CharacterState, position: jax.Array, yaw: jax.Array) -> CharacterState:
+    """The same character moved as one rigid body until its root is at `position` [2] metres facing `yaw` []."""
+    root, facing = state.positions[ROOT], state.directions[ROOT]
+    position, towards = jnp.asarray(position, root.dtype), heading(yaw)
+
+    def turned(v: jax.Array) -> jax.Array:
+        return to_world(to_local(v, facing), towards)
+
+    return state.replace(
+        positions=turned(state.positions - root[None]) + position[None],
+        directions=turned(state.directions),
+        joint_positions=turned(state.joint_positions - lift(root)[None]) + lift(position)[None],
+        joint_velocities=turned(state.joint_velocities),
+        target_velocity=turned(state.target_velocity),
+        target_direction=turned(state.target_direction),
+    )
+
+
+def fill_between(samples: jax.Array) -> jax.Array:
+    """Samples [M, ...] ten frames apart, filled in linearly: [10 (M - 1) + 1, ...]."""
+    share = np.arange(STRIDE, dtype=np.float32).reshape((1, STRIDE) + (1,) * (samples.ndim - 1)) / STRIDE
+    filled = mix(samples[:-1, None], samples[1:, None], share)
+    return jnp.concatenate([filled.reshape((-1, *samples.shape[1:])), samples[-1:]])
