@@ -32,6 +32,7 @@ LIMIT = 1e7  # no length or angle of a person comes near; far below where square
 STRETCH = 0.02  # bones may vary by this share of the longest limb and still count as rigid
 METRE, CENTIMETRE, MILLIMETRE, INCH, CMU = 1.0, 0.01, 0.001, 0.0254, 0.056444
 RATE_STEP = 2e-4  # relative: frame times are printed to few decimals, 0.008333 means 120 fps
+CHANNELS = {f"{axis}{kind}": f"{kind[0]}{axis}" for axis in "XYZ" for kind in ("POSITION", "ROTATION")}
 LONGEST_FRAME, SHORTEST_FRAME = 10.0, 1e-5  # seconds
 
 
@@ -131,13 +132,13 @@ def read_bvh(path: str | Path, *, unit: float | None = None, roles_file: str | P
     offsets = np.median(positions, axis=0)
     offsets[0] = 0.0
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
-    scale = _guess_unit(bare, rotations) if unit is None else unit
+    pose = forward_kinematics(bare, np.zeros((1, 3)), rotations[:1])[0][0]
+    scale = _guess_unit(bare, pose) if unit is None else unit
     _require_rigid(path, bare, positions)
     skeleton = Skeleton(
         names, parents, offsets * scale, tuple((joint, site * scale) for joint, site in end_sites), bare.mirror
     )
-    pose = forward_kinematics(skeleton, np.zeros((1, 3)), rotations[:1])[0][0]
-    skeleton = assign_roles(skeleton, None if roles_file is None else Path(roles_file), str(path), pose=pose)
+    skeleton = assign_roles(skeleton, None if roles_file is None else Path(roles_file), str(path), pose=pose * scale)
     return MotionClip(skeleton, _frame_rate(frame_time), positions[:, 0] * scale, rotations, source=str(path))
 
 
@@ -253,10 +254,9 @@ def _parse_channels(tokens: _Tokens, joint: _Joint) -> list[str]:
         raise tokens.fail(tokens.words[tokens.next - 1][0], "a joint has 0 to 6 channels")
     channels: list[str] = []
     for _ in range(int(count)):
-        word = tokens.take(f"joint {_short(joint.name)} states {int(count)} channels")
-        match = re.fullmatch(r"([XYZ])(POSITION|ROTATION)", word.upper())
-        channel = f"{match[2][0]}{match[1]}" if match else ""
-        if not channel or channel in channels:
+        word = tokens.take("the stated count of channels must follow")
+        channel = CHANNELS.get(word.upper())
+        if channel is None or channel in channels:
             rule = f"joint {_short(joint.name)} states {int(count)} different channels, as Xposition or Zrotation"
             raise tokens.fail(word, rule)
         channels.append(channel)
@@ -364,12 +364,11 @@ def _require_rigid(path: Path, skeleton: Skeleton, positions: np.ndarray) -> Non
         raise InputError(path, f"joint {_short(skeleton.names[joint])}", f"moves by {stretch[joint]:.3g}", rule)
 
 
-def _guess_unit(skeleton: Skeleton, rotations: np.ndarray) -> float:
+def _guess_unit(skeleton: Skeleton, pose: np.ndarray) -> float:
     """Metres per file unit, from the length of a leg from hip to ankle.
 
     An adult's is 0.7 to 1 m, a child's of 1 m height 0.42 m. Without legs, three quarters of the longest chain.
     """
-    pose = forward_kinematics(skeleton, np.zeros((1, 3)), rotations[:1])[0][0]
     try:
         leg = leg_length(skeleton, find_roles(skeleton, pose=pose))
     except InputError:

@@ -15,8 +15,8 @@ SMALL = 1e-12  # below this a length carries no direction
 
 def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Hamilton product [..., 4]: the rotation b followed by the rotation a."""
-    aw, ax, ay, az = np.moveaxis(np.asarray(a), -1, 0)
-    bw, bx, by, bz = np.moveaxis(np.asarray(b), -1, 0)
+    aw, ax, ay, az = _parts(a)
+    bw, bx, by, bz = _parts(b)
     return np.stack(
         (
             aw * bw - ax * bx - ay * by - az * bz,
@@ -35,8 +35,8 @@ def quat_conjugate(q: np.ndarray) -> np.ndarray:
 
 def quat_rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Vectors v [..., 3] turned by unit quaternions q [..., 4]."""
-    w, qx, qy, qz = np.moveaxis(np.asarray(q), -1, 0)
-    x, y, z = np.moveaxis(np.asarray(v), -1, 0)
+    w, qx, qy, qz = _parts(q)
+    x, y, z = _parts(v)
     tx, ty, tz = 2.0 * (qy * z - qz * y), 2.0 * (qz * x - qx * z), 2.0 * (qx * y - qy * x)
     return np.stack(
         (x + w * tx + qy * tz - qz * ty, y + w * ty + qz * tx - qx * tz, z + w * tz + qx * ty - qy * tx), axis=-1
@@ -69,9 +69,9 @@ def quat_from_euler(angles: np.ndarray, order: str) -> np.ndarray:
         order: any of the six orders of X, Y and Z.
     """
     half = np.asarray(angles, dtype=float) / 2
-    cos, sin = np.moveaxis(np.cos(half), -1, 0), np.moveaxis(np.sin(half), -1, 0)
+    cos, sin = _parts(np.cos(half)), _parts(np.sin(half))
     i, j, k = _axes(order)
-    parity = 1.0 if (i, j, k) in ((0, 1, 2), (1, 2, 0), (2, 0, 1)) else -1.0
+    parity = _parity(i, j)
     q = np.empty(half.shape[:-1] + (4,))
     c01, s01, cs, sc = cos[0] * cos[1], sin[0] * sin[1], cos[0] * sin[1], sin[0] * cos[1]
     # the product of three axis quaternions; e_i e_j = parity e_k
@@ -89,7 +89,7 @@ def quat_to_euler(q: np.ndarray, order: str) -> np.ndarray:
     """
     i, j, k = _axes(order)
     m = quat_to_matrix(quat_normalise(q))
-    parity = 1.0 if (i, j, k) in ((0, 1, 2), (1, 2, 0), (2, 0, 1)) else -1.0
+    parity = _parity(i, j)
     # R = Ri(a) Rj(b) Rk(c): its entry [i, k] is ±sin b, its row i holds cos b (cos c, sin c), its column k cos b cos a
     sin_b, cos_b = parity * m[..., i, k], np.hypot(m[..., i, i], m[..., i, j])
     b = np.arctan2(sin_b, cos_b)
@@ -102,7 +102,7 @@ def quat_to_euler(q: np.ndarray, order: str) -> np.ndarray:
 
 def quat_to_matrix(q: np.ndarray) -> np.ndarray:
     """Rotation matrices [..., 3, 3] of unit quaternions q [..., 4]."""
-    w, x, y, z = np.moveaxis(np.asarray(q), -1, 0)
+    w, x, y, z = _parts(q)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -227,6 +227,17 @@ def forward_kinematics(
         positions[:, joints] = positions[:, above] + quat_rotate(turn, offsets[joints])
         world[:, joints] = quat_multiply(turn, rotations[:, joints])
     return positions, world
+
+
+def _parity(i: int, j: int) -> float:
+    """+1 where the axes i, j and the third run as X, Y, Z do, -1 where they run backwards."""
+    return 1.0 if j == (i + 1) % 3 else -1.0
+
+
+def _parts(v: np.ndarray) -> list[np.ndarray]:
+    """The components of v [..., N] as N arrays [...]; indexing costs less than moving the axis."""
+    v = np.asarray(v)
+    return [v[..., i] for i in range(v.shape[-1])]
 
 
 def _axes(order: str) -> tuple[int, int, int]:

@@ -33,7 +33,11 @@ SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 
 def find_roles(
-    skeleton: Skeleton, overrides: dict | None = None, source: str | Path = "skeleton", *, pose: np.ndarray | None = None
+    skeleton: Skeleton,
+    overrides: dict | None = None,
+    source: str | Path = "skeleton",
+    *,
+    pose: np.ndarray | None = None,
 ) -> Roles:
     """The part of each joint in walking, from names and, for parts that names do not give, from geometry.
 
