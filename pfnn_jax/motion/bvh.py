@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import os
 import re
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -377,3 +376,104 @@ def _guess_unit(skeleton: Skeleton, pose: np.ndarray) -> float:
         if leg < longest:
             return unit
     return MILLIMETRE
+
+
+def write_bvh(path: str | Path, clip: MotionClip, *, unit: float = CENTIMETRE, overwrite: bool = False) -> None:
+    """Write a clip as a BVH file that other software opens: ZYX Euler channels, centimetres, an End Site on every leaf.
+
+    Joints are written depth first, which is the skeleton's own order for clips that were read from BVH. Numbers have
+    6 decimals. The file appears whole or not at all.
+
+    Args:
+        path: file to write.
+        clip: the motion, in metres.
+        unit: metres per unit of the file.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        InputError: if the file exists and may not be replaced, cannot be written, or the clip is not finite.
+    """
+    path = Path(path)
+    if path.exists() and not overwrite:
+        raise InputError(path, "output", "exists", "pass overwrite (--overwrite) to replace it")
+    if not (np.isfinite(unit) and unit > 0):
+        raise InputError(path, "unit", unit, "metres per unit must be positive and finite")
+    for what, values in (("root positions", clip.root_positions), ("rotations", clip.rotations)):
+        if not np.all(np.isfinite(values)):
+            frame = int(np.argwhere(~np.isfinite(values))[0][0])
+            raise InputError(path, f"frame {frame}", f"non-finite {what}", "motion must be finite to be written")
+    if clip.num_frames < 1:
+        raise InputError(path, "clip", "0 frames", "there must be at least one frame")
+    write_whole(path, "\n".join(_hierarchy_lines(clip.skeleton, unit) + _motion_lines(clip, unit)) + "\n")
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file so that it appears whole or not at all.
+
+    Raises:
+        InputError: if it cannot be written, as on a full disk; nothing is left behind.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise InputError(path, "output", error.strerror or error, "must be writable and the disk have room") from None
+
+
+def _depth_first(skeleton: Skeleton) -> list[int]:
+    children: list[list[int]] = [[] for _ in skeleton.names]
+    for joint in range(1, skeleton.num_joints):
+        children[skeleton.parents[joint]].append(joint)
+    order, waiting = [], [0]
+    while waiting:
+        order.append(waiting.pop())
+        waiting += children[order[-1]][::-1]
+    return order
+
+
+def _hierarchy_lines(skeleton: Skeleton, unit: float) -> list[str]:
+    lines, open_joints = ["HIERARCHY"], []
+    parents = skeleton.parents
+
+    def put(text: str) -> None:
+        lines.append("\t" * len(open_joints) + text)
+
+    def close() -> None:
+        joint = open_joints[-1]
+        sites = [site for owner, site in skeleton.end_sites if owner == joint]
+        if joint not in parents and not sites:
+            sites = [np.zeros(3)]
+        for site in sites:
+            put("End Site")
+            put("{")
+            put("\tOFFSET " + _numbers(site / unit))
+            put("}")
+        open_joints.pop()
+        put("}")
+
+    for joint in _depth_first(skeleton):
+        while open_joints and open_joints[-1] != parents[joint]:
+            close()
+        put(f"{'JOINT' if open_joints else 'ROOT'} {skeleton.names[joint]}")
+        put("{")
+        positions = "" if open_joints else "Xposition Yposition Zposition "
+        open_joints.append(joint)
+        put("OFFSET " + _numbers(skeleton.offsets[joint] / unit))
+        put(f"CHANNELS {6 if positions else 3} {positions}Zrotation Yrotation Xrotation")
+    while open_joints:
+        close()
+    return lines
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(f"{value:.6f}" for value in values)
+
+
+def _motion_lines(clip: MotionClip, unit: float) -> list[str]:
+    angles = np.degrees(quat_to_euler(clip.rotations[:, _depth_first(clip.skeleton)], "ZYX"))
+    rows = np.concatenate((clip.root_positions / unit, angles.reshape(clip.num_frames, -1)), axis=1)
+    form = " ".join(["%.6f"] * rows.shape[1])
+    head = ["MOTION", f"Frames: {clip.num_frames}", f"Frame Time: {1.0 / clip.fps:.9f}"]
+    return head + [form % tuple(row) for row in rows.tolist()]

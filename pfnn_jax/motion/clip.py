@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.kinematics import quat_multiply, quat_slerp, quat_to_matrix
 from pfnn_jax.motion.skeleton import Skeleton
+
+ON_FRAME = 1e-6  # of a frame: a new frame this near to an old one is that frame
+FIT = 0.1  # share of a joint's bone lengths by which left and right may differ in real skeletons
+REFLECTIONS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0]])
+WORLD = REFLECTIONS[0]  # x to -x
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,3 +43,112 @@ class MotionClip:
     @property
     def num_frames(self) -> int:
         return len(self.root_positions)
+
+
+def cut(clip: MotionClip, start: int, stop: int) -> MotionClip:
+    """Frames start to stop (exclusive) of a clip.
+
+    Raises:
+        InputError: unless 0 <= start < stop <= number of frames.
+    """
+    if not 0 <= start < stop <= clip.num_frames:
+        rule = f"a cut lies within the clip's {clip.num_frames} frames and holds at least one"
+        raise InputError(clip.source or "clip", "cut", f"frames {start} to {stop}", rule)
+    return replace(clip, root_positions=clip.root_positions[start:stop], rotations=clip.rotations[start:stop])
+
+
+def resample(clip: MotionClip, fps: float) -> MotionClip:
+    """The clip at another frame rate, from its first frame to the last new frame within it.
+
+    Positions are linear and rotations follow the shorter great arc (slerp) between neighbouring frames; where a new
+    frame falls on an old one it is that frame exactly, so that 120 to 60 fps keeps every second frame.
+
+    Raises:
+        InputError: if the rate is not positive and finite.
+    """
+    if not (np.isfinite(fps) and fps > 0):
+        raise InputError(clip.source or "clip", "frame rate", fps, "frames per second must be positive and finite")
+    if abs(fps - clip.fps) <= ON_FRAME * fps or clip.num_frames < 2:
+        return replace(clip, fps=float(fps))
+    times = np.arange(int(np.floor((clip.num_frames - 1) * fps / clip.fps + ON_FRAME)) + 1) * (clip.fps / fps)
+    nearest = np.rint(times)
+    times = np.where(np.abs(times - nearest) <= ON_FRAME, nearest, times)
+    before = np.minimum(times.astype(int), clip.num_frames - 1)
+    after, fraction = np.minimum(before + 1, clip.num_frames - 1), times - before
+    between = np.flatnonzero(fraction > 0)
+    positions, rotations = clip.root_positions[before].copy(), clip.rotations[before].copy()
+    weight = fraction[between, None]
+    first, second = before[between], after[between]
+    positions[between] += weight * (clip.root_positions[second] - clip.root_positions[first])
+    rotations[between] = quat_slerp(clip.rotations[first], clip.rotations[second], weight)
+    return replace(clip, fps=float(fps), root_positions=positions, rotations=rotations)
+
+
+def mirror_clip(clip: MotionClip) -> MotionClip:
+    """The clip with left and right exchanged: reflected across the plane x = 0, on the same skeleton.
+
+    Each joint takes its partner's reflected rotation. A reflection is no rotation, so every joint also has a reflection
+    S of its own frame that takes its bones to its partner's bones: x to -x in skeletons whose zero pose is symmetric,
+    other axes where bones lie along local X as in the Bandai-Namco files. Where bones leave S open, it is the one that
+    keeps the mirrored pose closest to the clip's own. Bone lengths stay the skeleton's: if left and right differ, the
+    mirrored positions differ from the reflected ones by as much. Mirroring twice gives the clip back.
+    """
+    signs = _frame_reflections(clip)
+    partner, parents = clip.skeleton.mirror, clip.skeleton.parents
+    # local: S_parent r_partner S; the root's parent is the world, reflected across x
+    outer = np.where(parents[:, None] >= 0, signs[parents], WORLD)
+    rotations = _reflect(clip.rotations[:, partner], outer, signs)
+    return replace(clip, root_positions=clip.root_positions * WORLD, rotations=rotations, mirrored=not clip.mirrored)
+
+
+def _reflect(q: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """Quaternions [T, J, 4] of O R I for diagonal reflections outer and inner [J, 3] of signs with product -1.
+
+    With O = -A and I = -B for half turns (or identities) A and B about an axis, O R I = A R B.
+    """
+    return quat_multiply(quat_multiply(_half_turn(outer), q), _half_turn(inner))
+
+
+def _half_turn(signs: np.ndarray) -> np.ndarray:
+    """Quaternions [J, 4] of the rotation -S: a half turn about the axis that S reflects, or the identity."""
+    turn = np.concatenate((np.zeros((len(signs), 1)), (signs < 0).astype(float)), axis=1)
+    turn[np.all(signs < 0, axis=1)] = (1.0, 0.0, 0.0, 0.0)
+    return turn
+
+
+def _frame_reflections(clip: MotionClip) -> np.ndarray:
+    """[J, 3] signs of the reflection of each joint's frame, the same for both joints of a pair."""
+    skeleton = clip.skeleton
+    misfit, length = _bone_misfit(skeleton)
+    fits = misfit <= misfit.min(axis=1, keepdims=True) + FIT * length[:, None]
+    if np.all(fits[:, 0]):
+        return np.tile(WORLD, (skeleton.num_joints, 1))  # a symmetric zero pose: every frame mirrors as the world does
+    mean = quat_to_matrix(clip.rotations[:: max(1, clip.num_frames // 100)]).mean(axis=0)
+    chosen = np.zeros(skeleton.num_joints, dtype=int)
+    for joint in range(skeleton.num_joints):
+        partner, parent = skeleton.mirror[joint], skeleton.parents[joint]
+        if partner < joint:
+            chosen[joint] = chosen[partner]
+        elif parent < 0:  # only the upright axis is the same whichever way the clip heads
+            chosen[joint] = _best(fits[joint], (mean[joint][1] ** 2 * REFLECTIONS).sum(axis=1))
+        else:
+            mirrored = REFLECTIONS[chosen[parent]][:, None] * mean[partner]
+            closeness = [float(np.sum(mean[joint] * mirrored * signs)) for signs in REFLECTIONS]
+            chosen[joint] = _best(fits[joint], np.array(closeness))
+    return REFLECTIONS[chosen]
+
+
+def _best(fits: np.ndarray, closeness: np.ndarray) -> int:
+    return int(np.argmax(np.where(fits, closeness, -np.inf)))
+
+
+def _bone_misfit(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
+    """[J, 4] distance by which each reflection misses the partner's bones, and [J] length of a joint's bones."""
+    misfit, length = np.zeros((skeleton.num_joints, len(REFLECTIONS))), np.zeros(skeleton.num_joints)
+    for joint in range(1, skeleton.num_joints):
+        parent, partner = skeleton.parents[joint], skeleton.mirror[joint]
+        offset, other = skeleton.offsets[joint], skeleton.offsets[partner]
+        misfit[parent] += np.linalg.norm(REFLECTIONS * offset - other, axis=1)
+        length[parent] += np.linalg.norm(offset)
+    both = skeleton.mirror
+    return misfit + misfit[both], length + length[both]
