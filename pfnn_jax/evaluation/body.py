@@ -15,18 +15,23 @@ SHORTEST = 0.015  # metres; shorter bones only carry a rotation
 _RADII = {  # metres at both ends, by part and by how many bones away from the part's first joint
     "leg": ((0.078, 0.056), (0.056, 0.038), (0.042, 0.034), (0.034, 0.026)),
     "arm": ((0.048, 0.04), (0.04, 0.03), (0.034, 0.022), (0.016, 0.012)),
-    "head": ((0.085, 0.08),),
+    "head": ((0.08, 0.092),),
 }
-_TRUNK = 0.1
+_HEAD_SPAN = (0.3, 0.56)
+_TRUNK = 0.105
 _GIRDLE = 0.06
 _NECK = 0.05
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """One limb segment: a tapered capsule between two points of `body_points`, radii in metres.
+    """One limb segment: a tapered capsule on the line between two points of `body_points`.
 
-    `side` is `left`, `right` or `middle`.
+    Attributes:
+        start, end: indices of the points.
+        start_radius, end_radius: metres.
+        side: `left`, `right` or `middle`.
+        span: where on the line the capsule's centres lie; a head is rounder than the bone that carries it.
     """
 
     start: int
@@ -34,6 +39,7 @@ class Capsule:
     start_radius: float
     end_radius: float
     side: str
+    span: tuple[float, float] = (0.0, 1.0)
 
 
 def body_points(clip: MotionClip) -> np.ndarray:
@@ -57,8 +63,15 @@ def body_capsules(skeleton: Skeleton) -> list[Capsule]:
         if start >= 0 and np.linalg.norm(offset) > SHORTEST * scale:
             part, order, side = limbs.get(end, ("", 0, "middle"))
             first, second = _thickness(skeleton, part, order, start, end)
-            capsules.append(Capsule(start, end, first * scale, second * scale, side))
+            span = _HEAD_SPAN if part == "head" else (0.0, 1.0)
+            capsules.append(Capsule(start, end, first * scale, second * scale, side, span))
     return capsules
+
+
+def capsule_ends(points: np.ndarray, capsule: Capsule) -> tuple[np.ndarray, np.ndarray]:
+    """Centres [..., 3] of a capsule's two ends, from points [..., P, 3]."""
+    a, b = points[..., capsule.start, :], points[..., capsule.end, :]
+    return a + capsule.span[0] * (b - a), a + capsule.span[1] * (b - a)
 
 
 def _scale(skeleton: Skeleton) -> float:

@@ -18,10 +18,10 @@ from pfnn_jax.motion.synthetic_feet import Foot, Walk
 from pfnn_jax.motion.synthetic_skeleton import ANKLE_HEIGHT, SHIN, THIGH
 from pfnn_jax.motion.synthetic_styles import SyntheticStyle
 
-STRAIGHTEST = 0.992
-"""Longest distance from hip to ankle over the leg's length: about 14° of knee bend remain."""
+STRAIGHTEST = 0.996
+"""Longest distance from hip to ankle over the leg's length: about 10° of knee bend remain."""
 STANDING = ANKLE_HEIGHT + THIGH + SHIN + 0.03  # height of the hips over straight legs, metres
-SOFTNESS = 0.015  # metres over which the hips' own height gives way to what the legs can reach
+SOFTNESS = 0.03  # metres over which the hips' own height gives way to what the legs can reach
 GRAVITY = 9.81
 X, Y, Z = np.eye(3)
 

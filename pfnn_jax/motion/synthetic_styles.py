@@ -139,7 +139,7 @@ _PRETRAINING = (
     SyntheticStyle(
         "sneaking", speed=0.75, cadence=0.66, duty=0.65, step_width=0.13, swing_height=0.15, strike=-6, push_off=46,
         heel_off=0.52, knee_out=8, crouch=0.17, hip_bob=0.018, bob_delay=50, sway=0.045, hip_roll=3, hip_yaw=9, lean=25,
-        lean_bob=4, pelvis_pitch=10, twist=7, head_pitch=-3, head_bob=3, arm_raise=32, arm_swing=13, arm_lag=25,
+        lean_bob=4, pelvis_pitch=10, twist=7, head_pitch=-3, head_bob=3, arm_raise=44, arm_swing=13, arm_lag=25,
         arm_out=24, arm_in=10, elbow=84, elbow_swing=12, shrug=10, hunch=10, wrist=22, look=0.35,
     ),
 )  # fmt: skip
@@ -147,7 +147,7 @@ _PRETRAINING = (
 _UNSEEN = SyntheticStyle(
     "zombie", speed=0.8, cadence=0.7, duty=0.66, step_width=0.25, toe_out=10, swing_height=0.035, circumduction=0.05,
     strike=3, push_off=22, heel_off=0.68, knee_out=4, crouch=0.055, hip_bob=0.012, bob_delay=-15, sway=0.06, hip_roll=6,
-    hip_yaw=11, lean=18, lean_bob=2, pelvis_pitch=8, twist=9, trunk_roll=9, head_pitch=6, head_roll=8, arm_raise=72,
+    hip_yaw=11, lean=18, lean_bob=2, pelvis_pitch=8, twist=9, trunk_roll=9, head_pitch=6, head_roll=8, arm_raise=102,
     arm_swing=7, arm_lag=60, arm_out=14, arm_in=-4, elbow=16, elbow_swing=5, shrug=8, hunch=16, wrist=38, bank=0.4,
     look=0.1,
 )  # fmt: skip
