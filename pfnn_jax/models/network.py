@@ -71,7 +71,9 @@ def drop(key: jax.Array, rate: jax.Array, x: jax.Array) -> jax.Array:
     """Inverted dropout of x [...] at drop probability `rate` [], rounded to 1/65536 (half the random bits)."""
     threshold = jnp.round(rate * 65536.0)
     kept = jax.random.bits(key, x.shape, jnp.uint16).astype(x.dtype) >= threshold
-    return jnp.where(kept, x * (65536.0 / (65536.0 - threshold)), 0.0)
+    # At rate 1 nothing is kept: a scale of 1/0 would reach the gradient as NaN, though `where` hides it in the value.
+    scale = 65536.0 / jnp.maximum(65536.0 - threshold, 1.0)
+    return jnp.where(kept, x * scale, 0.0)
 
 
 def forward(

@@ -26,7 +26,7 @@ def catmull_rom_basis(phase: jax.Array, num_control_points: int = 4) -> jax.Arra
         num_control_points: K, at least 4: with fewer, a point would stand twice in one segment.
 
     Returns:
-        [K] coefficients of the phase's dtype.
+        [K] coefficients of the phase's dtype (a whole number counts as a float).
 
     Raises:
         ValueError: if there are fewer than 4 control points.
@@ -39,9 +39,9 @@ def catmull_rom_basis(phase: jax.Array, num_control_points: int = 4) -> jax.Arra
     segment = jnp.floor(turns)
     d = turns - segment
     powers = jnp.stack([jnp.ones_like(d), d, d**2, d**3])
-    local = jnp.asarray(_CATMULL_ROM, phase.dtype) @ powers
+    local = jnp.asarray(_CATMULL_ROM, turns.dtype) @ powers
     indices = (segment.astype(jnp.int32) + jnp.arange(-1, 3)) % num_control_points
-    return jnp.zeros(num_control_points, phase.dtype).at[indices].add(local)
+    return jnp.zeros(num_control_points, turns.dtype).at[indices].add(local)
 
 
 def evaluate_spline(points: jax.Array, phase: jax.Array) -> jax.Array:
