@@ -1,0 +1,165 @@
+"""When each foot comes down: alternating steps found from the speeds of the feet.
+
+A swing is a stretch in which one foot is much faster than the other; swings that alternate between the feet are
+steps, whatever their direction, with or without a flight phase. A foot comes down where, after its swing, heel and toe
+are both slow: the moment at which the foot is flat, which is where hand-made labels put it. The limits scale with the
+skeleton's legs and, in fast gaits, with the speed of the swing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.contacts import foot_joints, leg_length
+from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.skeleton import need_roles
+
+# speeds in leg lengths per second
+SWING = 0.6
+"""A foot this much faster than the other is swinging."""
+
+TOE_DOWN, HEEL_DOWN = 0.3, 0.5
+"""A foot is down when its toe and heel are slower than this."""
+
+SWING_SHARE = 0.08
+"""... or than this share of its swing's greatest speed."""
+
+MOVING = 0.25
+"""Below this speed of hips and feet the character stands."""
+
+MAX_HALF_CYCLE = 1.3
+"""Seconds between two contacts beyond which the character has paused."""
+
+MIN_CONTACTS = 3
+"""Contacts of the shortest run that is a gait: one whole cycle."""
+
+EXTENSION = 1.2
+"""Half cycles by which a run may go on beyond its first and last contact."""
+
+SPEED_SMOOTHING = 1 / 60  # seconds; the onset's sharpness
+SWING_SMOOTHING = 0.05  # seconds; bridges ripple within a swing
+
+
+@dataclass(frozen=True, eq=False)
+class StepRun:
+    """Alternating contacts without a pause.
+
+    Attributes:
+        times: [n] contacts in frames, fractional, increasing.
+        left_first: whether the first is the left foot's.
+        start, stop: frames over which the character moves, around the contacts.
+    """
+
+    times: np.ndarray
+    left_first: bool
+    start: int
+    stop: int
+
+
+def find_steps(clip: MotionClip) -> list[StepRun]:
+    """Runs of alternating steps.
+
+    Args:
+        clip: with roles on its skeleton.
+
+    Raises:
+        InputError: where there are no runs, or no roles.
+    """
+    roles = need_roles(clip.skeleton, clip.source)
+    positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    if clip.num_frames < 3:
+        raise InputError(clip.source, "frames", clip.num_frames, "steps need at least 3")
+    leg = leg_length(positions, roles)
+    joints = [*foot_joints(roles), roles.hips]
+    smooth = gaussian_filter1d(positions[:, joints], SPEED_SMOOTHING * clip.fps, axis=0, mode="nearest")
+    speed = np.linalg.norm(np.gradient(smooth, 1 / clip.fps, axis=0), axis=-1) / leg
+    contacts = _contacts(speed[:, :4].reshape(-1, 2, 2), clip.fps)
+    moving = gaussian_filter1d(speed.max(axis=1), SWING_SMOOTHING * clip.fps, mode="nearest") > MOVING
+    runs = _split(contacts, clip.fps)
+    if not runs:
+        raise InputError(clip.source, "phase", f"{len(contacts)} foot contacts in {clip.num_frames} frames",
+                         f"no steps: at least {MIN_CONTACTS} that alternate are needed")  # fmt: skip
+    return _bound(runs, moving)
+
+
+def _contacts(speed: np.ndarray, fps: float) -> list[tuple[float, int]]:
+    """(frame, foot) of every contact in time order; foot 0 is the left. speed is [T, foot, (heel, toe)]."""
+    mean = gaussian_filter1d(speed.mean(axis=-1), SWING_SMOOTHING * fps, axis=0, mode="nearest")
+    lead = mean[:, 0] - mean[:, 1]
+    found = []
+    swings = _swings(lead)
+    for index, (foot, start, stop) in enumerate(swings):
+        later = [s for f, s, _ in swings[index + 1 :] if f == foot]
+        limit = later[0] if later else len(lead)
+        peak = start + int(np.argmax(mean[start:stop, foot]))
+        top = SWING_SHARE * speed[peak, foot]
+        allowed = np.maximum([HEEL_DOWN, TOE_DOWN], top)
+        excess = (speed[peak:limit, foot] / allowed).max(axis=-1)
+        down = _first_below(excess, 1.0)
+        if down is not None:
+            found.append((peak + down, foot))
+    return sorted(found)
+
+
+def _swings(lead: np.ndarray) -> list[tuple[int, int, int]]:
+    """(foot, start, stop) of every stretch in which one foot leads; stretches of the same foot in a row are joined."""
+    side = np.where(lead > SWING, 1, np.where(lead < -SWING, 2, 0))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], side, [0]])))
+    swings: list[tuple[int, int, int]] = []
+    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        if side[start] == 0:
+            continue
+        foot = int(side[start]) - 1
+        if swings and swings[-1][0] == foot:
+            swings[-1] = (foot, swings[-1][1], int(stop))
+        else:
+            swings.append((foot, int(start), int(stop)))
+    return swings
+
+
+def _first_below(values: np.ndarray, limit: float) -> float | None:
+    """Fractional index at which values first fall below the limit."""
+    below = np.flatnonzero(values < limit)
+    if not len(below):
+        return None
+    i = int(below[0])
+    if i == 0:
+        return 0.0
+    return i - (limit - values[i]) / (values[i - 1] - values[i])
+
+
+def _split(contacts: list[tuple[float, int]], fps: float) -> list[tuple[np.ndarray, bool]]:
+    """Runs (times, left first) of alternating contacts without a pause between two of them."""
+    runs: list[list[tuple[float, int]]] = []
+    for time, foot in contacts:
+        last = runs[-1][-1] if runs else None
+        if last is None or last[1] == foot or time - last[0] > MAX_HALF_CYCLE * fps or time <= last[0]:
+            runs.append([])
+        runs[-1].append((time, foot))
+    return [(np.array([t for t, _ in run]), run[0][1] == 0) for run in runs if len(run) >= MIN_CONTACTS]
+
+
+def _bound(runs: list[tuple[np.ndarray, bool]], moving: np.ndarray) -> list[StepRun]:
+    """How far each run goes on beyond its contacts: while the character moves, and clear of its neighbours."""
+    bounded = []
+    for index, (times, left_first) in enumerate(runs):
+        # the half cycle beyond an end is of the same kind as the second from that end
+        earliest = times[0] - EXTENSION * (times[2] - times[1])
+        latest = times[-1] + EXTENSION * (times[-2] - times[-3])
+        if index > 0:
+            earliest = max(earliest, (times[0] + runs[index - 1][0][-1]) / 2)
+        if index + 1 < len(runs):
+            latest = min(latest, (times[-1] + runs[index + 1][0][0]) / 2)
+        first, last = int(np.ceil(times[0])), int(times[-1])
+        start, stop = first, last + 1
+        while start > max(0, earliest) and moving[start - 1]:
+            start -= 1
+        while stop <= min(len(moving) - 1, latest) and moving[stop]:
+            stop += 1
+        bounded.append(StepRun(times, left_first, start, stop))
+    return bounded

@@ -1,0 +1,80 @@
+"""Gait labels of layout `pfnn2017`: read from `.gait` files, or estimated from speed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from pfnn_jax.motion.layout import GAITS
+from pfnn_jax.motion.textfile import read_rows
+
+CROUCH = GAITS.index("crouch")
+
+FILE_COLUMNS = 8
+"""stand, walk, jog, run, crouch, jump, crawl, unknown."""
+
+GRAVITY = 9.81  # metres per second squared
+STAND_SPEED = 0.1
+"""Speed over sqrt(gravity × leg length) below which the character stands."""
+
+JOG_SPEED = 0.7
+"""Speed over sqrt(gravity × leg length) above which it jogs: people change gait at a Froude number of about 0.5."""
+
+FADE = 0.25  # half-width of the cross-fade around each limit, as a share of it
+SMOOTHING_SECONDS = 1 / 3  # speed swings within a step
+
+
+def read_gait(path: Path, num_frames: int | None = None) -> np.ndarray:
+    """Gait of every frame of a BVH file from the `.gait` file beside it.
+
+    Eight columns become six: jog + run, and crouch + crawl, are merged.
+
+    Args:
+        path: text file, one line of eight numbers for each frame.
+        num_frames: frames of the BVH file, where the count is to be checked.
+
+    Returns:
+        [T, 6] in the order of `layout.GAITS`.
+
+    Raises:
+        InputError: for another number of lines or columns, or a value outside [0, 1].
+    """
+    stand, walk, jog, run, crouch, jump, crawl, unknown = read_rows(path, FILE_COLUMNS, num_frames).T
+    return np.stack([stand, walk, jog + run, crouch + crawl, jump, unknown], axis=-1)
+
+
+def flat_crouch(gait: np.ndarray, head_height: np.ndarray) -> np.ndarray:
+    """Gait of motion on flat ground, where the authors measure crouching instead of labelling it.
+
+    Args:
+        gait: [T, 6].
+        head_height: [T] metres above the clip's origin.
+
+    Returns:
+        [T, 6] whose crouch is `1 - clip((head height - 0.8 m) / 0.5 m, 0, 1)`.
+    """
+    crouch = 1.0 - np.clip((head_height - 0.8) / 0.5, 0.0, 1.0)
+    return np.insert(np.delete(gait, CROUCH, axis=1), CROUCH, crouch, axis=1)
+
+
+def estimate_gait(root_positions: np.ndarray, leg: float, fps: float) -> np.ndarray:
+    """Gait from speed alone: stand, walk or jog, cross-faded linearly around each limit.
+
+    Args:
+        root_positions: [T, 2] metres on the ground.
+        leg: leg length, metres.
+        fps: frames per second.
+
+    Returns:
+        [T, 6] in the order of `layout.GAITS`; rows sum to 1; crouch, jump and bump are 0.
+    """
+    velocity = np.gradient(root_positions, 1 / fps, axis=0)
+    velocity = gaussian_filter1d(velocity, SMOOTHING_SECONDS * fps, axis=0, mode="nearest")
+    speed = np.linalg.norm(velocity, axis=-1) / np.sqrt(GRAVITY * leg)
+    moving, jogging = (
+        np.clip((speed - (1 - FADE) * limit) / (2 * FADE * limit), 0.0, 1.0) for limit in (STAND_SPEED, JOG_SPEED)
+    )
+    none = np.zeros_like(speed)
+    return np.stack([1 - moving, moving * (1 - jogging), moving * jogging, none, none, none], axis=-1)
