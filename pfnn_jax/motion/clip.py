@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,7 +99,18 @@ def mirror_clip(clip: MotionClip) -> MotionClip:
     # local: S_parent r_partner S; the root's parent is the world, reflected across x
     outer = np.where(parents[:, None] >= 0, signs[parents], WORLD)
     rotations = _reflect(clip.rotations[:, partner], outer, signs)
-    return replace(clip, root_positions=clip.root_positions * WORLD, rotations=rotations, mirrored=not clip.mirrored)
+    return replace(
+        clip,
+        root_positions=clip.root_positions * WORLD,
+        rotations=rotations,
+        mirrored=not clip.mirrored,
+        content=swap_sides(clip.content),
+    )
+
+
+def swap_sides(content: str) -> str:
+    """A content's name with its words left and right exchanged: walk-turn-left becomes walk-turn-right."""
+    return re.sub(r"left|right", lambda word: "right" if word[0] == "left" else "left", content)
 
 
 def _reflect(q: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
