@@ -1,9 +1,11 @@
 """When each foot comes down: alternating steps found from the speeds of the feet.
 
 A swing is a stretch in which one foot is much faster than the other; swings that alternate between the feet are
-steps, whatever their direction, with or without a flight phase. A foot comes down where, after its swing, heel and toe
-are both slow: the moment at which the foot is flat, which is where hand-made labels put it. The limits scale with the
-skeleton's legs and, in fast gaits, with the speed of the swing.
+steps, whatever their direction, with or without a flight phase. After its swing a foot is flat where heel and toe are
+both slow. If the other foot stands as well, until it leaves for its own swing, then the contact is timed halfway
+between: where the weight passes over, as labels made by hand have it. (Against those, foot flat alone is early in slow
+steps, and touch-down earlier still.) The limits scale with the skeleton's legs and, in fast gaits, with the speed of
+the swing.
 """
 
 from __future__ import annotations
@@ -23,11 +25,14 @@ from pfnn_jax.motion.skeleton import need_roles
 SWING = 0.6
 """A foot this much faster than the other is swinging."""
 
-TOE_DOWN, HEEL_DOWN = 0.3, 0.5
-"""A foot is down when its toe and heel are slower than this."""
+HEEL_DOWN, TOE_DOWN = 0.4, 0.2
+"""A foot is flat when its heel and toe are slower than this."""
 
 SWING_SHARE = 0.08
 """... or than this share of its swing's greatest speed."""
+
+TOE_OFF = 0.6
+"""A foot leaves the ground when its toe becomes faster than this."""
 
 MOVING = 0.25
 """Below this speed of hips and feet the character stands."""
@@ -90,20 +95,32 @@ def find_steps(clip: MotionClip) -> list[StepRun]:
 def _contacts(speed: np.ndarray, fps: float) -> list[tuple[float, int]]:
     """(frame, foot) of every contact in time order; foot 0 is the left. speed is [T, foot, (heel, toe)]."""
     mean = gaussian_filter1d(speed.mean(axis=-1), SWING_SMOOTHING * fps, axis=0, mode="nearest")
-    lead = mean[:, 0] - mean[:, 1]
+    swings = _swings(mean[:, 0] - mean[:, 1])
+    peaks = [start + int(np.argmax(mean[start:stop, foot])) for foot, start, stop in swings]
     found = []
-    swings = _swings(lead)
-    for index, (foot, start, stop) in enumerate(swings):
-        later = [s for f, s, _ in swings[index + 1 :] if f == foot]
-        limit = later[0] if later else len(lead)
-        peak = start + int(np.argmax(mean[start:stop, foot]))
-        top = SWING_SHARE * speed[peak, foot]
-        allowed = np.maximum([HEEL_DOWN, TOE_DOWN], top)
-        excess = (speed[peak:limit, foot] / allowed).max(axis=-1)
-        down = _first_below(excess, 1.0)
-        if down is not None:
-            found.append((peak + down, foot))
+    for index, (foot, _, _) in enumerate(swings):
+        # swings alternate: the next is the other foot's, the one after this foot's again
+        end = swings[index + 2][1] if index + 2 < len(swings) else len(speed)
+        flat = _foot_flat(speed[peaks[index] : end, foot])
+        if flat is None:
+            continue
+        time = peaks[index] + flat
+        if index + 1 < len(swings):
+            time += 0.5 * max(0.0, _toe_off(speed[: peaks[index + 1], 1 - foot, 1]) - time)
+        found.append((time, foot))
     return sorted(found)
+
+
+def _foot_flat(speed: np.ndarray) -> float | None:
+    """Fractional frame at which heel and toe [T, 2] are first slow after the peak of a swing, at frame 0."""
+    allowed = np.maximum([HEEL_DOWN, TOE_DOWN], SWING_SHARE * speed[0])
+    return _first_below((speed / allowed).max(axis=-1), 1.0)
+
+
+def _toe_off(speed: np.ndarray) -> float:
+    """Last frame before the peak of a swing, at the end of the array, at which the toe [T] is slow."""
+    slow = np.flatnonzero(speed < TOE_OFF)
+    return float(slow[-1]) if len(slow) else 0.0
 
 
 def _swings(lead: np.ndarray) -> list[tuple[int, int, int]]:

@@ -47,8 +47,9 @@ def label_phase(clip: MotionClip) -> PhaseLabels:
     """Phase of a clip from its foot contacts.
 
     Steps are found by `footsteps.find_steps`. Between two contacts the phase is linear in time. Before the first and
-    after the last contact it goes on at the rate of the nearest half cycle of the same foot for as long as the character still moves,
-    at most half a cycle: cutting there would lose a quarter of a short walk. Standing has no label.
+    after the last contact it goes on at the rate of the nearest half cycle of the same foot, for as long as the
+    character moves and over about half a cycle at most: cutting there would lose a quarter of a short walk, and more
+    than half of a short run. Standing has no label.
 
     Args:
         clip: with roles on its skeleton.
