@@ -8,6 +8,7 @@ there. A program killed at any moment therefore leaves its last completed save.
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import logging
 import math
@@ -20,6 +21,7 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from orbax.checkpoint import v1 as ocp
 
 from pfnn_jax.errors import InputError
@@ -132,7 +134,7 @@ def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]
         new.mkdir()
         _need_room(folder, new, sum(leaf.nbytes for leaf in jax.tree.leaves(arrays)))
         with _quiet():
-            ocp.save((new / TREE).absolute(), arrays)
+            ocp.save(str((new / TREE).absolute()), arrays)
         write_json(new / FILES, _sizes(new / TREE))
         write_json(new / note_name, note)
 
@@ -159,7 +161,7 @@ def load_record(folder: Path, abstract: Tree) -> Tree:
         return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=getattr(leaf, "sharding", None) or sharding)
 
     leaves = jax.tree.map(described, jax.eval_shape(lambda: abstract))
-    stored = (record / TREE).absolute()
+    stored = str((record / TREE).absolute())
     try:
         with _quiet():
             _compare(folder, _arrays(ocp.metadata(stored).metadata), _arrays(leaves))
@@ -174,6 +176,16 @@ def load_record(folder: Path, abstract: Tree) -> Tree:
 def read_note(folder: Path, note_name: str, rule: str) -> dict[str, Any]:
     """The note of the last completed `save_record`; `rule` as in `read_json`."""
     return read_json((locate(folder) or folder) / note_name, rule)
+
+
+def fingerprint(tree: Any) -> str:
+    """SHA-256 over the names, types, shapes and values of a tree of parameters, in hexadecimal."""
+    digest = hashlib.sha256()
+    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
+        array = np.ascontiguousarray(leaf)
+        digest.update(f"{jax.tree_util.keystr(path)} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.data)
+    return digest.hexdigest()
 
 
 def _need_room(target: Path, folder: Path, size: int) -> None:

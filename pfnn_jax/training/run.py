@@ -1,0 +1,331 @@
+"""The run directory: everything that training leaves and that generation needs.
+
+RUN/config.json     sizes, adapter, layout, skeleton, styles, settings, versions: enough to rebuild the run
+RUN/normaliser/     statistics of the pretraining data, reused by every later style
+RUN/shared/         style-agnostic parameters, with shared.json (their fingerprint)
+RUN/styles/NAME/    one style's adapter, with style.json (fingerprint of the shared parameters beside which it was
+                    trained, form of the adapter, source clip, settings, metrics)
+RUN/train_state/    optimiser state and step, with train_state.json, to resume exactly
+RUN/metrics.jsonl   one line for each interval of training
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DiagonalLayer, Layer
+from pfnn_jax.models.network import Network, NetworkConfig, init_network, num_parameters
+from pfnn_jax.motion.layout import LAYOUTS, FrameLayout
+from pfnn_jax.motion.normaliser import Normaliser, load_normaliser, save_normaliser
+from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
+from pfnn_jax.training.checkpoint import (
+    fingerprint,
+    load_record,
+    locate,
+    read_json,
+    read_note,
+    replacing,
+    save_record,
+    saved_names,
+    write_json,
+)
+
+State = TypeVar("State")
+
+_RUN_RULE = "must be a run directory, as `pfnn-jax pretrain` or `pfnn-jax import-released` writes it"
+_STYLE_NAME = re.compile(r"[^\W_][\w .+()-]{0,99}")
+
+
+def _versions() -> dict[str, str]:
+    return {"pfnn_jax": importlib.metadata.version("pfnn-jax"), "jax": jax.__version__}
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything needed to rebuild a run.
+
+    Attributes:
+        network: sizes of the shared network.
+        adapter: form of the adapters that pretraining learned; a later style may have another kind.
+        layout: name of the frame layout.
+        num_joints: J.
+        styles: names of the pretraining styles, in the order of the adapter bank.
+        skeleton: as `skeleton_to_json` returns it.
+        pretrain: settings of pretraining, or where the parameters came from.
+        versions: of pfnn_jax and jax at the time of writing.
+    """
+
+    network: NetworkConfig
+    adapter: AdapterConfig
+    layout: str
+    num_joints: int
+    styles: tuple[str, ...]
+    skeleton: Mapping[str, Any]
+    pretrain: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=_versions)
+
+    def __post_init__(self):
+        if self.layout not in LAYOUTS:
+            raise ValueError(f"RunConfig.layout must be one of {', '.join(LAYOUTS)}, got {self.layout!r}.")
+        layout = LAYOUTS[self.layout](self.num_joints)
+        sizes = (self.network.input_size, self.network.output_size)
+        if sizes != (layout.input_size, layout.output_size):
+            raise ValueError(
+                f"RunConfig.network must have {layout.input_size} inputs and {layout.output_size} outputs "
+                f"for layout {self.layout} with {self.num_joints} joints, got {sizes[0]} and {sizes[1]}."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A loaded run.
+
+    Attributes:
+        path: its directory.
+        config: as stored.
+        layout: what the network reads and writes.
+        skeleton: of the pretraining data.
+        normaliser: statistics of the pretraining data.
+        shared: style-agnostic parameters.
+        fingerprint: of `shared`, see `fingerprint`.
+    """
+
+    path: Path
+    config: RunConfig
+    layout: FrameLayout
+    skeleton: Skeleton
+    normaliser: Normaliser
+    shared: Network
+    fingerprint: str
+
+
+def create_run(path: str | Path, config: RunConfig, normaliser: Normaliser, overwrite: bool = False) -> Path:
+    """Makes a run directory that holds the configuration and the normaliser, complete or not at all.
+
+    Args:
+        path: the directory.
+        config: what to rebuild the run from.
+        normaliser: statistics of the pretraining data.
+        overwrite: replace an existing run, with everything in it.
+
+    Raises:
+        InputError: if the path exists and `overwrite` is not set; if it is no run (that is never replaced); if a
+            style's name cannot be a folder's; if the disk is full.
+    """
+    path = Path(path)
+    if path.exists() and not _is_empty_folder(path):
+        if not overwrite:
+            raise InputError(path, "output", "exists", "existing output is replaced only with --overwrite")
+        if not (path / "config.json").is_file():
+            raise InputError(path, "output", "exists and is no run", "only a run directory is replaced")
+    for name in config.styles:
+        check_style_name(name, path)
+    with replacing(path) as new:
+        save_normaliser(new / "normaliser", normaliser)
+        write_json(new / "config.json", asdict(config))
+    return path
+
+
+def load_config(path: str | Path) -> RunConfig:
+    """Reads RUN/config.json; the shared parameters need not exist yet.
+
+    Raises:
+        InputError: if it is absent or malformed, or a value breaks a rule.
+    """
+    file = (locate(Path(path)) or Path(path)) / "config.json"
+    data = read_json(file, _RUN_RULE)
+    try:
+        network, adapter = NetworkConfig(**data.pop("network")), AdapterConfig(**data.pop("adapter"))
+        return RunConfig(network=network, adapter=adapter, styles=tuple(data.pop("styles")), **data)
+    except KeyError as error:
+        raise InputError(file, "entry", f"{error.args[0]} is absent", _RUN_RULE) from error
+    except (TypeError, ValueError) as error:
+        raise InputError(file, "entries", str(error).removesuffix("."), _RUN_RULE) from error
+
+
+def load_run(path: str | Path, layout: str | None = None) -> Run:
+    """Loads a run as it was after its last completed save.
+
+    Args:
+        path: the run directory.
+        layout: name of the layout it must have been written by, or None for any.
+
+    Raises:
+        InputError: if it is no run, damaged, written by another layout, or its pretraining has saved nothing yet.
+    """
+    config = load_config(path)
+    path = locate(Path(path)) or Path(path)
+    if layout is not None and layout != config.layout:
+        raise InputError(path, "layout", config.layout, f"must be {layout}: layouts cannot be mixed")
+    normaliser = load_normaliser(path / "normaliser")
+    for statistics, size in ((normaliser.inputs, "input_size"), (normaliser.outputs, "output_size")):
+        if len(statistics.mean) != getattr(config.network, size):
+            rule = f"must equal {size} {getattr(config.network, size)} of config.json"
+            raise InputError(path / "normaliser", "columns", len(statistics.mean), rule)
+    if locate(path / "shared") is None:
+        raise InputError(path, "shared", "absent", "pretraining must have saved once; run it (again) to the end")
+    shared = load_record(path / "shared", _abstract(lambda: init_network(config.network, jax.random.key(0))))
+    return Run(
+        path=path,
+        config=config,
+        layout=LAYOUTS[config.layout](config.num_joints),
+        skeleton=skeleton_from_json(config.skeleton, path / "config.json"),
+        normaliser=normaliser,
+        shared=shared,
+        fingerprint=fingerprint(shared),
+    )
+
+
+def save_shared(path: str | Path, shared: Network) -> None:
+    """Saves the style-agnostic parameters; styles saved beside others are refused from then on."""
+    note = {"fingerprint": fingerprint(shared), "parameters": num_parameters(shared)}
+    save_record(Path(path) / "shared", shared, "shared.json", note)
+
+
+def save_style(path: str | Path, name: str, adapter: Layer, info: Mapping[str, Any], overwrite: bool = False) -> Path:
+    """Saves one style's adapter, tied to the run's shared parameters as they are on disk.
+
+    Args:
+        path: the run directory.
+        name: of the style and of its folder.
+        adapter: its parameters, of any kind; a CP adapter has the run's rank.
+        info: source clip, settings, metrics: whatever style.json should tell.
+        overwrite: replace a style of this name.
+
+    Returns:
+        The style's folder.
+
+    Raises:
+        InputError: if the name cannot be a folder's, the style exists, the adapter does not fit the run, or the disk
+            is full.
+    """
+    path = Path(path)
+    folder = path / "styles" / check_style_name(name, path)
+    if locate(folder) is not None and not overwrite:
+        raise InputError(folder, "output", "exists", "an existing style is replaced only with --overwrite")
+    config, form = load_config(path), adapter_form(adapter)
+    check_adapter(config, form, folder)
+    shapes = [leaf.shape for leaf in jax.tree.leaves(_abstract_adapter(config, form))]
+    if [leaf.shape for leaf in jax.tree.leaves(adapter)] != shapes:
+        raise InputError(folder, "adapter", num_parameters(adapter), f"must fit {config.network.hidden} hidden units")
+    note = {"name": name, "shared": shared_fingerprint(path), "adapter": asdict(form), "info": info}
+    save_record(folder, adapter, "style.json", note)
+    return folder
+
+
+def load_style(run: Run, name: str | None) -> Layer | None:
+    """One style's adapter, or None for style-agnostic motion where `name` is None.
+
+    Raises:
+        InputError: for an unknown style (listing those there are), and for one that was trained beside another
+            shared network or is a CP adapter of another rank.
+    """
+    if name is None:
+        return None
+    note, folder = style_note(run.path, name), run.path / "styles" / name
+    if note.get("shared") != run.fingerprint:
+        rule = f"must be {_short(run.fingerprint)}: style {name} was trained beside another shared network"
+        raise InputError(folder, "shared network", _short(note.get("shared")), rule)
+    try:
+        form = AdapterConfig(**note["adapter"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(folder / "style.json", "adapter", error, "must be a kind and a rank") from error
+    check_adapter(run.config, form, folder)
+    return load_record(folder, _abstract_adapter(run.config, form))
+
+
+def list_styles(path: str | Path) -> tuple[str, ...]:
+    """Names of the run's styles, sorted."""
+    return saved_names(Path(path) / "styles")
+
+
+def style_note(path: str | Path, name: str) -> dict[str, Any]:
+    """What style.json tells: `name`, `shared` (fingerprint), `adapter` (kind and rank) and `info`.
+
+    Raises:
+        InputError: for an unknown style, listing those there are.
+    """
+    names = list_styles(path)
+    if name not in names:
+        raise InputError(path, "style", name, f"must be one of {', '.join(names) or '(this run has no styles yet)'}")
+    return read_note(Path(path) / "styles" / name, "style.json", "must be a style saved by `pfnn-jax few-shot`")
+
+
+def check_style_name(name: str, source: str | Path) -> str:
+    """The name, if a folder can bear it on every system: letters, digits, and `_ . + - ( )` or spaces within."""
+    if not _STYLE_NAME.fullmatch(name) or name[-1] in " .":
+        rule = "a style's name is its folder's: a letter or digit, then letters, digits, spaces or _.+-(), 100 at most"
+        raise InputError(source, "style name", repr(name), rule)
+    return name
+
+
+def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) -> None:
+    """Refuses a CP adapter of another rank than the run's, where that has CP adapters; training asks this first."""
+    own = config.adapter
+    if form.kind == own.kind == "cp" and form.rank != own.rank:
+        raise InputError(source, "adapter rank", form.rank, f"must be {own.rank}, the rank of the run's adapters")
+
+
+def adapter_form(adapter: Layer) -> AdapterConfig:
+    """Kind and rank of an adapter's parameters."""
+    match adapter:
+        case CPLayer(d=d):
+            return AdapterConfig(kind="cp", rank=d.shape[-1])
+        case BlendedLayer():
+            return AdapterConfig(kind="full")
+        case DiagonalLayer():
+            return AdapterConfig(kind="diagonal")
+        case BiasLayer():
+            return AdapterConfig(kind="bias")
+
+
+def save_train_state(path: str | Path, state: Any, step: int) -> None:
+    """Saves the state of training; the last good one is replaced when this one is complete."""
+    save_record(Path(path) / "train_state", state, "train_state.json", {"step": int(step)})
+
+
+def load_train_state(path: str | Path, abstract_state: State) -> State | None:
+    """The last completely saved state as the types of `abstract_state`, or None where there is none.
+
+    Raises:
+        InputError: if it is damaged or of other shapes.
+    """
+    folder = Path(path) / "train_state"
+    return None if locate(folder) is None else load_record(folder, abstract_state)
+
+
+def train_step(path: str | Path) -> int | None:
+    """Step of the last completely saved state, or None where there is none."""
+    folder = Path(path) / "train_state"
+    return None if locate(folder) is None else int(read_note(folder, "train_state.json", _RUN_RULE)["step"])
+
+
+def shared_fingerprint(path: str | Path) -> str:
+    """Fingerprint of the shared parameters on disk, read from their note."""
+    return read_note(Path(path) / "shared", "shared.json", "the shared parameters must be saved first")["fingerprint"]
+
+
+def _abstract(make: Callable[[], State]) -> State:
+    return jax.eval_shape(make)
+
+
+def _abstract_adapter(config: RunConfig, form: AdapterConfig) -> Layer:
+    network = config.network
+    return _abstract(lambda: init_adapter(form, network.hidden, network.num_control_points, jax.random.key(0)))
+
+
+def _short(digest: object) -> str:
+    return str(digest)[:12]
+
+
+def _is_empty_folder(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())

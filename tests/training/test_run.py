@@ -1,0 +1,293 @@
+"""Laws of the run directory: it rebuilds itself, styles travel, whatever does not fit is refused in one sentence."""
+
+import dataclasses
+import json
+import shutil
+
+import jax
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.motion.layout import mason2018
+from pfnn_jax.motion.normaliser import Normaliser, Statistics
+from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
+from pfnn_jax.training import checkpoint
+from pfnn_jax.training.log import append_metrics, read_metrics, rewind_metrics
+from pfnn_jax.training.run import (
+    RunConfig,
+    adapter_form,
+    check_style_name,
+    create_run,
+    list_styles,
+    load_config,
+    load_run,
+    load_style,
+    load_train_state,
+    save_shared,
+    save_style,
+    save_train_state,
+    style_note,
+    train_step,
+)
+
+HIDDEN, JOINTS = 6, 3
+LAYOUT = mason2018(JOINTS)
+SKELETON = Skeleton(
+    names=("Hips", "Left", "Right"),
+    parents=np.array([-1, 0, 0]),
+    offsets=np.array([[0, 0.9, 0], [0.1, 0, 0], [-0.1, 0, 0]]),
+    end_sites=((1, np.array([0, 0, 0.2])),),
+    mirror=np.array([0, 2, 1]),
+)
+NORMALISER = Normaliser(
+    Statistics(np.full(LAYOUT.input_size, 0.5, np.float32), np.full(LAYOUT.input_size, 2.0, np.float32)),
+    Statistics(np.full(LAYOUT.output_size, 0.1, np.float32), np.full(LAYOUT.output_size, 3.0, np.float32)),
+)
+
+
+def make_config(**changes):
+    settings = {
+        "network": NetworkConfig(input_size=LAYOUT.input_size, output_size=LAYOUT.output_size, hidden=HIDDEN),
+        "adapter": AdapterConfig(rank=2),
+        "layout": "mason2018",
+        "num_joints": JOINTS,
+        "styles": ("angry", "old"),
+        "skeleton": skeleton_to_json(SKELETON),
+        "pretrain": {"learning_rate": 1e-4, "steps": 10},
+    }
+    return RunConfig(**{**settings, **changes})
+
+
+def make_adapter(kind="cp", rank=2, seed=1, hidden=HIDDEN):
+    return init_adapter(AdapterConfig(kind, rank), hidden, 4, jax.random.key(seed))
+
+
+def make_run(path, seed=0, **changes):
+    config = make_config(**changes)
+    create_run(path, config, NORMALISER)
+    save_shared(path, init_network(config.network, jax.random.key(seed)))
+    return path
+
+
+def assert_equal(a, b):
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    jax.tree.map(np.testing.assert_array_equal, a, b)
+
+
+def test_a_run_rebuilds_itself(tmp_path):
+    run = load_run(make_run(tmp_path / "run", seed=3), layout="mason2018")
+    assert run.config == make_config()
+    assert run.layout == LAYOUT
+    assert run.skeleton.names == SKELETON.names
+    np.testing.assert_array_equal(run.skeleton.offsets, SKELETON.offsets)
+    np.testing.assert_array_equal(run.normaliser.outputs.std, NORMALISER.outputs.std)
+    assert_equal(run.shared, init_network(run.config.network, jax.random.key(3)))
+    assert set(run.config.versions) == {"pfnn_jax", "jax"}
+
+
+def test_a_run_of_low_rank_networks_rebuilds_itself(tmp_path):
+    network = dataclasses.replace(make_config().network, rank=3)
+    run = load_run(make_run(tmp_path / "run", network=network))
+    assert_equal(run.shared, init_network(network, jax.random.key(0)))
+
+
+@pytest.mark.parametrize("kind", ["cp", "full", "diagonal", "bias"])
+def test_styles_of_every_kind_round_trip(tmp_path, kind):
+    path = make_run(tmp_path / "run")
+    save_style(path, "new style", make_adapter(kind), {"clip": "a.bvh", "error": np.float32(0.5)})
+    assert_equal(load_style(load_run(path), "new style"), make_adapter(kind))
+    assert list_styles(path) == ("new style",)
+    note = style_note(path, "new style")
+    assert note["info"] == {"clip": "a.bvh", "error": 0.5}
+    assert note["adapter"]["kind"] == kind == adapter_form(make_adapter(kind)).kind
+
+
+def test_no_style_is_no_adapter(tmp_path):
+    assert load_style(load_run(make_run(tmp_path / "run")), None) is None
+    assert list_styles(tmp_path / "run") == ()
+
+
+def test_saving_one_style_touches_only_its_folder(tmp_path):
+    path = make_run(tmp_path / "run")
+    save_style(path, "a", make_adapter(), {})
+
+    def contents():
+        return {f: f.read_bytes() for f in path.rglob("*") if f.is_file() and "styles/b" not in f.as_posix()}
+
+    before = contents()
+    save_style(path, "b", make_adapter(seed=2), {})
+    assert contents() == before
+
+
+def test_a_style_can_be_copied_to_another_run_of_the_same_shared_network(tmp_path):
+    first, second = make_run(tmp_path / "first"), make_run(tmp_path / "second")
+    save_style(first, "proud", make_adapter(), {})
+    shutil.copytree(first / "styles" / "proud", second / "styles" / "proud")
+    assert_equal(load_style(load_run(second), "proud"), make_adapter())
+
+
+def test_a_style_of_another_shared_network_is_refused_by_name(tmp_path):
+    first, second = make_run(tmp_path / "first"), make_run(tmp_path / "second", seed=1)
+    save_style(first, "proud", make_adapter(), {})
+    shutil.copytree(first / "styles" / "proud", second / "styles" / "proud")
+    with pytest.raises(InputError, match="styles/proud: shared network: .*style proud was trained beside another"):
+        load_style(load_run(second), "proud")
+
+
+def test_a_style_of_another_rank_is_refused(tmp_path):
+    first, second = make_run(tmp_path / "first"), make_run(tmp_path / "second", adapter=AdapterConfig(rank=3))
+    save_style(first, "proud", make_adapter(), {})
+    shutil.copytree(first / "styles" / "proud", second / "styles" / "proud")
+    with pytest.raises(InputError, match="styles/proud: adapter rank: 2; must be 3"):
+        load_style(load_run(second), "proud")
+    with pytest.raises(InputError, match="adapter rank: 2; must be 3"):
+        save_style(second, "old", make_adapter(), {})
+
+
+def test_a_style_whose_note_names_another_kind_is_refused(tmp_path):
+    path = make_run(tmp_path / "run")
+    note = save_style(path, "proud", make_adapter(), {}) / "style.json"
+    note.write_text(note.read_text().replace('"cp"', '"diagonal"'))
+    with pytest.raises(InputError, match="styles/proud: parameter weights: absent; must be float32"):
+        load_style(load_run(path), "proud")
+    note.write_text(note.read_text().replace('"diagonal"', '"cubic"'))
+    with pytest.raises(InputError, match="style.json: adapter: .*kind"):
+        load_style(load_run(path), "proud")
+
+
+def test_an_adapter_of_another_width_is_refused(tmp_path):
+    with pytest.raises(InputError, match="must fit 6 hidden units"):
+        save_style(make_run(tmp_path / "run"), "proud", make_adapter(hidden=8), {})
+
+
+def test_an_unknown_style_lists_the_known_ones(tmp_path):
+    path = make_run(tmp_path / "run")
+    with pytest.raises(InputError, match="style: proud; must be one of .*no styles yet"):
+        load_style(load_run(path), "proud")
+    for name in ("old", "angry"):
+        save_style(path, name, make_adapter(), {})
+    with pytest.raises(InputError, match="style: proud; must be one of angry, old"):
+        load_style(load_run(path), "proud")
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "a/b", "a\\b", ".hidden", "a\n", "a\0", "end.", "end ", "c:", "x" * 101]
+)
+def test_a_style_name_that_is_no_file_name_is_refused(tmp_path, name):
+    with pytest.raises(InputError, match="style name"):
+        save_style(make_run(tmp_path / "run"), name, make_adapter(), {})
+    with pytest.raises(InputError, match="style name"):
+        create_run(tmp_path / "other", make_config(styles=(name,)), NORMALISER)
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("name", ["angry", "masculinity-exaggerated_2", "Дед", "walk (slow)", "v1.2"])
+def test_ordinary_style_names_pass(name):
+    assert check_style_name(name, "run") == name
+
+
+def test_existing_output_is_refused_without_overwrite(tmp_path):
+    path = make_run(tmp_path / "run")
+    save_style(path, "old", make_adapter(), {})
+    with pytest.raises(InputError, match="run: output: exists"):
+        create_run(path, make_config(), NORMALISER)
+    with pytest.raises(InputError, match="styles/old: output: exists"):
+        save_style(path, "old", make_adapter(seed=2), {})
+    save_style(path, "old", make_adapter(seed=2), {}, overwrite=True)
+    assert_equal(load_style(load_run(path), "old"), make_adapter(seed=2))
+    create_run(path, make_config(), NORMALISER, overwrite=True)
+    assert list_styles(path) == ()
+
+
+def test_only_a_run_is_overwritten(tmp_path):
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "one.txt").write_text("dear")
+    with pytest.raises(InputError, match="exists and is no run"):
+        create_run(tmp_path / "letters", make_config(), NORMALISER, overwrite=True)
+    (tmp_path / "empty").mkdir()
+    create_run(tmp_path / "empty", make_config(), NORMALISER)
+    assert load_config(tmp_path / "empty") == make_config()
+
+
+def test_a_run_of_another_layout_is_refused(tmp_path):
+    with pytest.raises(InputError, match="layout: mason2018; must be pfnn2017"):
+        load_run(make_run(tmp_path / "run"), layout="pfnn2017")
+
+
+def test_no_run_and_no_pretraining_are_refused(tmp_path):
+    with pytest.raises(InputError, match="config.json: file: .*must be a run directory"):
+        load_run(tmp_path)
+    create_run(tmp_path / "run", make_config(), NORMALISER)
+    with pytest.raises(InputError, match="shared: absent; pretraining must have saved"):
+        load_run(tmp_path / "run")
+    with pytest.raises(InputError, match="shared.json: file: .*saved first"):
+        save_style(tmp_path / "run", "old", make_adapter(), {})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("layout", "mason2030", "layout must be one of mason2018, pfnn2017"),
+        ("num_joints", 4, "must have 72 inputs"),
+        ("network", {"input_size": 66, "output_size": 0}, "output_size"),
+        ("adapter", {"kind": "cp", "rank": 0}, "rank must be at least 1"),
+        ("colour", "red", "colour"),
+        ("styles", None, "iterable"),
+        ("skeleton", {"names": []}, "skeleton: no parents"),
+    ],
+)
+def test_a_wrong_configuration_names_the_file_and_the_rule(tmp_path, key, value, message):
+    path = make_run(tmp_path / "run")
+    data = json.loads((path / "config.json").read_text())
+    data[key] = value
+    (path / "config.json").write_text(json.dumps(data))
+    with pytest.raises(InputError, match=message) as error:
+        load_run(path)
+    assert "config.json" in str(error.value)
+
+
+def test_a_missing_entry_and_a_foreign_normaliser_are_refused(tmp_path):
+    path = make_run(tmp_path / "run")
+    for name in ("x_mean.npy", "x_std.npy"):
+        np.save(path / "normaliser" / name, np.ones(5, np.float32))
+    with pytest.raises(InputError, match="normaliser: columns: 5; must equal input_size 66"):
+        load_run(path)
+    (path / "config.json").write_text("{}")
+    with pytest.raises(InputError, match="network is absent"):
+        load_config(path)
+
+
+def test_training_state_keeps_the_last_good_save(tmp_path, monkeypatch):
+    path = make_run(tmp_path / "run")
+    assert load_train_state(path, {"a": np.zeros(2)}) is None
+    assert train_step(path) is None
+    save_train_state(path, {"a": np.full(2, 1.0, np.float32)}, 100)
+
+    def fail(*args):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint.ocp, "save", fail)
+        with pytest.raises(InputError, match="train_state: disk"):
+            save_train_state(path, {"a": np.full(2, 2.0, np.float32)}, 200)
+    state = load_train_state(path, {"a": np.zeros(2, np.float32)})
+    assert state is not None
+    np.testing.assert_array_equal(state["a"], np.full(2, 1.0, np.float32))
+    assert train_step(path) == 100
+
+
+def test_metrics_survive_a_kill_and_are_not_repeated(tmp_path):
+    for step in (1, 2, 3):
+        append_metrics(tmp_path, {"step": step, "loss": np.float32(0.5), "nan": float("nan")})
+    with (tmp_path / "metrics.jsonl").open("a") as file:
+        file.write('{"step": 4, "lo')
+    assert [record["step"] for record in read_metrics(tmp_path)] == [1, 2, 3]
+    rewind_metrics(tmp_path, step=2)
+    append_metrics(tmp_path, {"step": 3})
+    assert read_metrics(tmp_path) == [*({"step": s, "loss": 0.5, "nan": None} for s in (1, 2)), {"step": 3}]
+    (tmp_path / "metrics.jsonl").write_text('{"step": 1}\nnonsense\n')
+    with pytest.raises(InputError, match="metrics.jsonl: line 2"):
+        read_metrics(tmp_path)
