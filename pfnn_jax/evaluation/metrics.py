@@ -1,0 +1,262 @@
+"""Measures of generated locomotion that need no learned network. NumPy, on plain arrays.
+
+Positions are in metres, Y up, at `fps` frames per second. Feet are given as [T, F, 3], one entry for each joint that is
+judged (ankles, toes); `ground` is the height at which each of them rests when the foot stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pfnn_jax.motion.layout import FrameLayout
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "pose": ("joint_position", "joint_forward", "joint_up", "joint_rotation"),
+    "velocity": ("joint_velocity",),
+    "trajectory": tuple(f"trajectory_{kind}_{axis}" for kind in ("position", "direction") for axis in "xz"),
+    "root": ("root_velocity", "root_yaw_rate"),
+    "phase_change": ("phase_change",),
+    "contacts": ("contacts",),
+}
+"""Blocks of an output vector that are judged together."""
+
+
+def one_step_error(
+    y_true: np.ndarray, y_pred: np.ndarray, layout: FrameLayout, std: np.ndarray | float = 1.0
+) -> dict[str, float]:
+    """Normalised one-step error: mean over frames and columns of ((y_pred - y_true) / std)².
+
+    1 is the error of always answering the mean, where `std` is the spread of these very data.
+
+    Args:
+        y_true: [N, Dy] true outputs.
+        y_pred: [N, Dy] predicted outputs, in the same units.
+        layout: names the columns.
+        std: [Dy] standard deviations, or 1 where both are normalised already.
+
+    Returns:
+        `all` and each group of `GROUPS` that the layout has, no unit.
+
+    Source: test error of Mason et al. 2018, section 8, by groups of columns.
+    """
+    _same_shape(y_true, y_pred)
+    if y_true.shape[-1] != layout.output_size:
+        raise ValueError(f"y must have the {layout.output_size} columns of layout {layout.name}, got {y_true.shape[-1]}.")
+    columns = np.mean(((np.asarray(y_pred, float) - y_true) / std) ** 2, axis=0)
+    errors = {"all": float(columns.mean())}
+    for group, blocks in GROUPS.items():
+        own = [columns[layout.output_slice(block)] for block in blocks if layout.has_output(block)]
+        if own:
+            errors[group] = float(np.concatenate(own).mean())
+    return errors
+
+
+def bone_length_error(positions: np.ndarray, parents: np.ndarray, lengths: np.ndarray) -> float:
+    """Mean over frames and bones of | ‖p_joint - p_parent‖ - L |, metres.
+
+    Args:
+        positions: [T, J, 3] metres.
+        parents: [J] parent of each joint, -1 for the root, which has no bone.
+        lengths: [J] metres, true length of the bone from each joint's parent (the root's is not read).
+
+    Source: Mason et al. 2022, Eq. 5b.
+    """
+    parents = np.asarray(parents)
+    joints = np.flatnonzero(parents >= 0)
+    found = np.linalg.norm(positions[:, joints] - positions[:, parents[joints]], axis=-1)
+    return float(np.abs(found - np.asarray(lengths)[joints]).mean())
+
+
+def resting_heights(feet: np.ndarray, quantile: float = 0.1) -> np.ndarray:
+    """[F] metres: how high each foot joint is when it stands, as a low quantile of its height in real motion [T, F, 3]."""
+    return np.quantile(feet[..., 1], quantile, axis=0)
+
+
+def foot_skating(feet: np.ndarray, fps: float, ground: np.ndarray | float = 0.0, limit: float = 0.025) -> float:
+    """How fast feet slide while near the ground, m/s: mean over frames and feet of v_xz (2 - 2^clamp(h / H, 0, 1)).
+
+    A foot on the ground counts with its whole horizontal speed, one at height H or above not at all. Divide by `fps`
+    for the distance per frame that is published.
+
+    Args:
+        feet: [T, F, 3] metres.
+        fps: frames per second.
+        ground: [F] metres, resting heights; h is measured from them, as the mean of the two frames.
+        limit: H, metres.
+
+    Source: Zhang et al. 2018 (MANN), section 8; 0.033 m is found as H in later work.
+    """
+    speed = _horizontal_speed(feet, fps)
+    height = feet[..., 1] - ground
+    share = np.clip((height[1:] + height[:-1]) / (2 * limit), 0.0, 1.0)
+    return float((speed * (2.0 - 2.0**share)).mean())
+
+
+def skating_ratio(
+    feet: np.ndarray,
+    fps: float,
+    ground: np.ndarray | float = 0.0,
+    height_limit: float = 0.05,
+    speed_limit: float = 0.5,
+    window: int = 5,
+) -> float:
+    """Fraction of frames in which some foot joint slides.
+
+    It slides where it is lower than `height_limit` (metres over `ground`) in two adjacent frames and faster than
+    `speed_limit` (m/s, horizontally), both then and on average over `window` frames around it.
+
+    Args:
+        feet: [T, F, 3] metres, T at least 2.
+        fps: frames per second.
+        ground: [F] metres, resting heights.
+        height_limit: metres.
+        speed_limit: m/s.
+        window: frames of the average.
+
+    Source: Karunratanakul et al. 2023 (Guided Motion Diffusion), evaluation.
+    """
+    speed = _horizontal_speed(feet, fps)
+    low = (feet[..., 1] - ground) < height_limit
+    low = low[1:] & low[:-1]
+    half = window // 2
+    padded = np.pad(speed, ((half, window - 1 - half), (0, 0)), mode="edge")
+    average = np.lib.stride_tricks.sliding_window_view(padded, window, axis=0).mean(axis=-1)
+    return float((low & (speed > speed_limit) & (average > speed_limit)).any(axis=-1).mean())
+
+
+def contact_sliding(feet: np.ndarray, contacts: np.ndarray, fps: float) -> float:
+    """Mean horizontal speed of foot joints over steps between two frames that are both labelled contact, m/s.
+
+    Args:
+        feet: [T, F, 3] metres.
+        contacts: [T, F] bool.
+        fps: frames per second.
+
+    Returns:
+        m/s, or NaN where nothing is in contact for two frames.
+    """
+    both = contacts[1:] & contacts[:-1]
+    return float(_horizontal_speed(feet, fps)[both].mean()) if both.any() else float("nan")
+
+
+def jitter(positions: np.ndarray, fps: float) -> float:
+    """Mean over frames and joints of the third difference of position [T, J, 3], ‖Δ³p‖ fps³, in m/s³."""
+    return float(np.linalg.norm(np.diff(positions, n=3, axis=0), axis=-1).mean() * fps**3)
+
+
+@dataclass(frozen=True)
+class TrajectoryError:
+    """Distances from a path on the ground.
+
+    Attributes:
+        mean: metres, over all frames.
+        final: metres, in the last frame.
+        failed: fraction of frames farther away than the limit.
+    """
+
+    mean: float
+    final: float
+    failed: float
+
+
+def trajectory_error(achieved: np.ndarray, commanded: np.ndarray, limit: float = 0.5) -> TrajectoryError:
+    """Distance between where the root is and where it was commanded to be at that moment.
+
+    Args:
+        achieved: [T, 2] metres, x and z.
+        commanded: [T, 2] metres.
+        limit: metres, beyond which a frame has failed.
+
+    Source: Karunratanakul et al. 2023 (Guided Motion Diffusion), evaluation.
+    """
+    _same_shape(achieved, commanded)
+    return _summary(np.linalg.norm(achieved - commanded, axis=-1), limit)
+
+
+def path_error(achieved: np.ndarray, path: np.ndarray, limit: float = 0.5) -> TrajectoryError:
+    """Distance of the root from a path, wherever on it: blind to being early or late.
+
+    Args:
+        achieved: [T, 2] metres, x and z.
+        path: [M, 2] metres, M at least 2 points joined by straight lines.
+        limit: metres, beyond which a frame has failed.
+    """
+    start, along = path[:-1], np.diff(path, axis=0)
+    squared = np.maximum((along**2).sum(axis=-1), 1e-12)
+    distances = np.empty(len(achieved))
+    for rows in _chunks(len(achieved), len(along)):
+        away = achieved[rows, None] - start
+        share = np.clip((away * along).sum(axis=-1) / squared, 0.0, 1.0)
+        distances[rows] = np.linalg.norm(away - share[..., None] * along, axis=-1).min(axis=-1)
+    return _summary(distances, limit)
+
+
+def npss(true: np.ndarray, pred: np.ndarray) -> float:
+    """Normalised power spectrum similarity: how alike the frequencies of two sets of sequences are, 0 is the same.
+
+    For every sequence n and feature d the power spectrum over time is divided by its sum; the distance of the two
+    cumulated spectra (sum of absolute differences: an earth mover's distance in bins) is averaged over all n and d,
+    weighted by the true total power. Blind to shifts in time; features without power count nothing.
+
+    Args:
+        true: [N, T, D].
+        pred: [N, T, D].
+
+    Source: Gopalakrishnan et al. 2019, section 4.
+    """
+    _same_shape(true, pred)
+    power_true, power_pred = (np.abs(np.fft.fft(values, axis=1)) ** 2 for values in (true, pred))
+    total = power_true.sum(axis=1)
+    distance = np.abs(_cumulated(power_true) - _cumulated(power_pred)).sum(axis=1)
+    weight = total.sum()
+    return float((distance * total).sum() / weight) if weight > 0 else 0.0
+
+
+def _cumulated(power: np.ndarray) -> np.ndarray:
+    total = power.sum(axis=1, keepdims=True)
+    return np.cumsum(power / np.where(total > 0, total, 1.0), axis=1)
+
+
+def achieved_turn_rate(yaw: np.ndarray, fps: float) -> float:
+    """Mean turn rate over a clip, degrees per second, positive to the left, from root yaw [T] in radians (any wrap)."""
+    turned = np.unwrap(np.asarray(yaw, float))
+    return float(np.rad2deg(turned[-1] - turned[0]) * fps / (len(turned) - 1))
+
+
+def nearest_pose_distance(poses: np.ndarray, real: np.ndarray) -> np.ndarray:
+    """[N] metres: how far each pose is from the nearest real one, as root mean square over joints.
+
+    Args:
+        poses: [N, J, 3] metres, relative to the root's place and heading.
+        real: [M, J, 3] metres, likewise.
+
+    Memory stays below some tens of megabytes for any N and M.
+    """
+    num_joints = poses.shape[1]
+    queries, known = (np.asarray(p, float).reshape(len(p), -1) for p in (poses, real))
+    lengths = (known**2).sum(axis=-1)
+    distances = np.empty(len(queries))
+    for rows in _chunks(len(queries), len(known)):
+        nearest = np.argmin(lengths - 2.0 * queries[rows] @ known.T, axis=-1)
+        distances[rows] = np.linalg.norm(queries[rows] - known[nearest], axis=-1)
+    return distances / np.sqrt(num_joints)
+
+
+def _chunks(rows: int, width: int, entries: int = 2_000_000):
+    size = max(1, entries // max(1, width))
+    return (slice(start, start + size) for start in range(0, rows, size))
+
+
+def _horizontal_speed(points: np.ndarray, fps: float) -> np.ndarray:
+    return np.linalg.norm(np.diff(points[..., [0, 2]], axis=0), axis=-1) * fps
+
+
+def _summary(distances: np.ndarray, limit: float) -> TrajectoryError:
+    return TrajectoryError(float(distances.mean()), float(distances[-1]), float((distances > limit).mean()))
+
+
+def _same_shape(a: np.ndarray, b: np.ndarray) -> None:
+    if np.shape(a) != np.shape(b):
+        raise ValueError(f"Both arrays must have one shape, got {np.shape(a)} and {np.shape(b)}.")
