@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -128,16 +129,18 @@ def read_bvh(path: str | Path, *, unit: float | None = None, roles_file: str | P
     values = _parse_frames(path, numbers, first_line, frames, sum(len(joint.channels or ()) for joint in joints))
     positions, rotations = _channels(joints, values)
     names, parents, positions, rotations, end_sites = _fold(joints, positions, rotations)
-    offsets = np.median(positions, axis=0)
-    offsets[0] = 0.0
+    offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
-    pose = forward_kinematics(bare, np.zeros((1, 3)), rotations[:1])[0][0]
+
+    def pose() -> np.ndarray:
+        return forward_kinematics(bare, np.zeros((1, 3)), rotations[:1])[0][0]
+
     scale = _guess_unit(bare, pose) if unit is None else unit
     _require_rigid(path, bare, positions)
     skeleton = Skeleton(
         names, parents, offsets * scale, tuple((joint, site * scale) for joint, site in end_sites), bare.mirror
     )
-    skeleton = assign_roles(skeleton, None if roles_file is None else Path(roles_file), str(path), pose=pose * scale)
+    skeleton = assign_roles(skeleton, None if roles_file is None else Path(roles_file), str(path), pose=pose)
     return MotionClip(skeleton, _frame_rate(frame_time), positions[:, 0] * scale, rotations, source=str(path))
 
 
@@ -157,7 +160,7 @@ def _read_text(path: Path) -> str:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("latin-1")  # joint names in older encodings
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
 def _split(path: Path, text: str) -> tuple[str, int, float, int, str]:
@@ -354,6 +357,16 @@ def _fold(joints: list[_Joint], positions: np.ndarray, rotations: np.ndarray):
     return tuple(joint.name for joint in kept), parents, positions, rotations, end_sites
 
 
+def _rest_offsets(positions: np.ndarray) -> np.ndarray:
+    """[J, 3] offsets: a joint's constant position, the median where it varies, zero for the root."""
+    offsets = positions[0].copy()
+    varying = np.any(positions != offsets, axis=0)
+    varying[0] = False
+    offsets[varying] = np.median(positions[:, varying], axis=0)
+    offsets[0] = 0.0
+    return offsets
+
+
 def _require_rigid(path: Path, skeleton: Skeleton, positions: np.ndarray) -> None:
     stretch = np.abs(positions - skeleton.offsets).max(axis=(0, 2))
     stretch[0] = 0.0
@@ -363,7 +376,7 @@ def _require_rigid(path: Path, skeleton: Skeleton, positions: np.ndarray) -> Non
         raise InputError(path, f"joint {_short(skeleton.names[joint])}", f"moves by {stretch[joint]:.3g}", rule)
 
 
-def _guess_unit(skeleton: Skeleton, pose: np.ndarray) -> float:
+def _guess_unit(skeleton: Skeleton, pose: Callable[[], np.ndarray]) -> float:
     """Metres per file unit, from the length of a leg from hip to ankle.
 
     An adult's is 0.7 to 1 m, a child's of 1 m height 0.42 m. Without legs, three quarters of the longest chain.

@@ -116,9 +116,14 @@ def swap_sides(content: str) -> str:
 def _reflect(q: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
     """Quaternions [T, J, 4] of O R I for diagonal reflections outer and inner [J, 3] of signs with product -1.
 
-    With O = -A and I = -B for half turns (or identities) A and B about an axis, O R I = A R B.
+    With O = -A and I = -B for half turns (or identities) A and B about an axis, O R I = A R B: a permutation of the
+    quaternion's parts with signs, found by applying it to the unit quaternions.
     """
-    return quat_multiply(quat_multiply(_half_turn(outer), q), _half_turn(inner))
+    units = np.eye(4)[:, None]
+    images = quat_multiply(quat_multiply(_half_turn(outer), units), _half_turn(inner))  # [4, J, 4]
+    source = np.argmax(np.abs(images), axis=0)  # [J, 4] part of q that each part of the result comes from
+    sign = np.take_along_axis(images, source[None], axis=0)[0]
+    return np.take_along_axis(q, source[None], axis=-1) * sign
 
 
 def _half_turn(signs: np.ndarray) -> np.ndarray:

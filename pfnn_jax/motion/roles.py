@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -37,7 +38,7 @@ def find_roles(
     overrides: dict | None = None,
     source: str | Path = "skeleton",
     *,
-    pose: np.ndarray | None = None,
+    pose: Callable[[], np.ndarray] | None = None,
 ) -> Roles:
     """The part of each joint in walking, from names and, for parts that names do not give, from geometry.
 
@@ -50,7 +51,8 @@ def find_roles(
         skeleton: the joints; its own roles and mirror are not read.
         overrides: role -> joint name, or [heel, toe] names for the feet (one name stands for both).
         source: file to name in messages.
-        pose: [J, 3] joint positions of a standing pose for the geometry; None takes the pose of zero rotations.
+        pose: gives [J, 3] joint positions of a standing pose in any unit, called where names do not suffice; None takes
+            the pose of zero rotations.
 
     Returns:
         Joint indices.
@@ -63,7 +65,7 @@ def find_roles(
     found = dict(_deepest_hips(skeleton, {**named, **chosen}), **chosen)
     if any(role not in found for role in ROLE_NAMES):
         # sides found by geometry must not mix with sides found by names, so a pair is taken whole
-        measured = _roles_from_geometry(skeleton, _rest_pose(skeleton) if pose is None else pose)
+        measured = _roles_from_geometry(skeleton, _rest_pose(skeleton) if pose is None else pose())
         for part in ("hip", "foot", "shoulder", "hand"):
             pair = (f"left_{part}", f"right_{part}")
             if any(role not in found for role in pair) and all(role in measured for role in pair):
@@ -81,7 +83,7 @@ def assign_roles(
     roles_file: Path | None = None,
     source: str | Path = "skeleton",
     *,
-    pose: np.ndarray | None = None,
+    pose: Callable[[], np.ndarray] | None = None,
 ) -> Skeleton:
     """The skeleton with its left-right partners and roles filled in.
 
