@@ -45,8 +45,10 @@ class Capsule:
 def body_points(clip: MotionClip) -> np.ndarray:
     """World positions [T, J + E, 3] in metres of the joints, then of the End Sites."""
     positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
-    sites = [positions[:, joint] + quat_rotate(rotations[:, joint], offset) for joint, offset in clip.skeleton.end_sites]
-    return np.concatenate([positions, np.stack(sites, axis=1)], axis=1) if sites else positions
+    ends = [positions]
+    for joint, offset in clip.skeleton.end_sites:
+        ends.append((positions[:, joint] + quat_rotate(rotations[:, joint], offset))[:, None])
+    return np.concatenate(ends, axis=1)
 
 
 def body_capsules(skeleton: Skeleton) -> list[Capsule]:

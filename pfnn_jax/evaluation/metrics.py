@@ -43,7 +43,7 @@ def one_step_error(
     """
     _same_shape(y_true, y_pred)
     if y_true.shape[-1] != layout.output_size:
-        raise ValueError(f"y must have the {layout.output_size} columns of layout {layout.name}, got {y_true.shape[-1]}.")
+        raise ValueError(f"y needs the {layout.output_size} columns of layout {layout.name}, got {y_true.shape[-1]}.")
     columns = np.mean(((np.asarray(y_pred, float) - y_true) / std) ** 2, axis=0)
     errors = {"all": float(columns.mean())}
     for group, blocks in GROUPS.items():
@@ -70,7 +70,7 @@ def bone_length_error(positions: np.ndarray, parents: np.ndarray, lengths: np.nd
 
 
 def resting_heights(feet: np.ndarray, quantile: float = 0.1) -> np.ndarray:
-    """[F] metres: how high each foot joint is when it stands, as a low quantile of its height in real motion [T, F, 3]."""
+    """[F] metres: how high each foot joint is when it stands: a low quantile of its height in real motion [T, F, 3]."""
     return np.quantile(feet[..., 1], quantile, axis=0)
 
 

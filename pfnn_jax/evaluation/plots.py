@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 
 from pfnn_jax.evaluation.body import Capsule, body_capsules, body_points, capsule_ends
 from pfnn_jax.motion.clip import MotionClip
@@ -55,8 +55,12 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = 144) -> None:
     os.replace(temporary, path)
 
 
-def loss_curves(curves: Mapping[str, Sequence[float] | tuple[Sequence[float], Sequence[float]]], title: str = "Loss",
-                x_label: str = "step", logarithmic: bool = True) -> Figure:
+def loss_curves(
+    curves: Mapping[str, Sequence[float] | tuple[Sequence[float], Sequence[float]]],
+    title: str = "Loss",
+    x_label: str = "step",
+    logarithmic: bool = True,
+) -> Figure:
     """Losses over training, one line each, its name beside its end.
 
     Args:
@@ -78,8 +82,9 @@ def loss_curves(curves: Mapping[str, Sequence[float] | tuple[Sequence[float], Se
     return figure
 
 
-def error_bars(table: Mapping[str, Mapping[str, float | Sequence[float]]], title: str = "Error",
-               x_label: str = "") -> Figure:
+def error_bars(
+    table: Mapping[str, Mapping[str, float | Sequence[float]]], title: str = "Error", x_label: str = ""
+) -> Figure:
     """Errors by method, as horizontal bars grouped by measure, so that long names of methods can be read.
 
     Args:
@@ -128,17 +133,21 @@ def filmstrip(clip: MotionClip, moments: int = 8, title: str = "", span: tuple[i
     first, last = span if span is not None else (0, clip.num_frames - 1)
     frames = np.unique(np.linspace(first, last, moments).round().astype(int))
     points, capsules = body_points(clip), body_capsules(clip.skeleton)
-    root = points[:, 0][:, [0, 2]]
-    figure = _figure(1.25 * len(frames) + 0.4, 4.9)
-    side, top = figure.subplots(2, 1, height_ratios=(3.0, 2.0))
     heading = _headings(clip, points)
     height = float(np.ptp(points[frames][..., 1]))
+    spacing = 0.62 * height
+    path = _laid_out(points[:, 0][:, [0, 2]], heading, first, last)
+    width = 1.25 * len(frames) + 0.4
+    drop = float(np.clip(0.9 * width * np.ptp(path[0][:, 1]) / max(np.ptp(path[0][:, 0]), 0.1), 0.45, 2.4))
+    figure = _figure(width, 2.7 + drop)
+    side, top = figure.subplots(2, 1, height_ratios=(2.7, drop))
     for number, frame in enumerate(frames):
-        local = _to_view(points[frame] - [root[frame, 0], 0, root[frame, 1]], heading[frame])
-        draw_body(side, local + [0.62 * height * number, 0, 0], capsules)
-        side.annotate(f"{frame / clip.fps:.2f} s", (0.62 * height * number, -0.09 * height), ha="center", fontsize=8, color=MUTED)
-    _finish_strip(side, height, len(frames), title)
-    _draw_path(top, root, frames, first, last)
+        local = _to_view(points[frame] - [points[frame, 0, 0], 0, points[frame, 0, 2]], heading[frame])
+        draw_body(side, local + [spacing * number, 0, 0], capsules)
+        label = f"{number + 1}   {(frame - first) / clip.fps:.2f} s"
+        side.annotate(label, (spacing * number, -0.1 * height), ha="center", fontsize=8, color=MUTED)
+    _finish_strip(side, height, spacing * (len(frames) - 1), title)
+    _draw_path(top, *path, frames - first)
     return figure
 
 
@@ -189,23 +198,40 @@ def _to_view(points: np.ndarray, heading: float, turn: float = np.deg2rad(62)) -
     return np.stack([c * x - s * z, y, s * x + c * z], axis=-1)
 
 
-def _finish_strip(axes: Axes, height: float, count: int, title: str) -> None:
+def _finish_strip(axes: Axes, height: float, width: float, title: str) -> None:
     axes.axhline(0.0, color=GRID, linewidth=1.2, zorder=0)
-    axes.set_xlim(-0.45 * height, 0.62 * height * (count - 1) + 0.45 * height)
+    axes.set_xlim(-0.45 * height, width + 0.45 * height)
     axes.set_ylim(-0.16 * height, 1.08 * height)
     axes.set_aspect("equal")
     axes.axis("off")
     axes.set_title(title, loc="left", color=INK, fontsize=11, fontweight="bold")
 
 
-def _draw_path(axes: Axes, root: np.ndarray, frames: np.ndarray, first: int, last: int) -> None:
-    _style(axes, "", "metres")
-    path = root[first : last + 1]
-    if np.ptp(path[:, 1]) > np.ptp(path[:, 0]):  # the longer way lies across the page
-        root, path = root[:, ::-1], path[:, ::-1]
+def _laid_out(root: np.ndarray, heading: np.ndarray, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+    """Path [T, 2] and facing directions [T, 2] as on a page: seen from above, its longer way across."""
+    path = root[first : last + 1] * [-1.0, 1.0]  # from above, with +Z up the page, +X lies to the left
+    facing = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)[first : last + 1]
+    if np.ptp(path[:, 1]) > np.ptp(path[:, 0]):
+        quarter = np.array([[0.0, -1.0], [1.0, 0.0]])  # clockwise, so that ahead becomes right
+        path, facing = path @ quarter, facing @ quarter
+    return path, facing
+
+
+def _draw_path(axes: Axes, path: np.ndarray, facing: np.ndarray, frames: np.ndarray) -> None:
+    """The path from above, with an arrow where the body faces at each frame and a bar of one metre."""
     axes.plot(*path.T, color=SIDES["middle"], linewidth=1.5)
-    axes.plot(*root[frames].T, "o", color=SIDES["left"], markersize=6)
+    axes.quiver(
+        *path[frames].T, *facing[frames].T, color=SIDES["left"], angles="xy", scale=22, width=0.005, pivot="mid"
+    )
     for number, frame in enumerate(frames):
-        axes.annotate(str(number + 1), root[frame], textcoords="offset points", xytext=(0, 6), ha="center", fontsize=8, color=INK)
+        beside = 10.0 * np.array([-facing[frame, 1], facing[frame, 0]])
+        axes.annotate(
+            str(number + 1), path[frame], textcoords="offset points", xytext=beside, ha="center", va="center",
+            fontsize=8, color=INK,
+        )  # fmt: skip
+    left, low = path.min(axis=0) - [0.0, 0.45]
+    axes.plot([left, left + 1.0], [low, low], color=INK, linewidth=2.0, solid_capstyle="butt")
+    axes.annotate("1 m", (left + 1.1, low), va="center", fontsize=8, color=MUTED)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.08)
+    axes.margins(0.06)
+    axes.axis("off")

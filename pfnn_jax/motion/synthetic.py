@@ -66,7 +66,7 @@ def synthesise(
     style = _style(style)
     turn_rate, speed = _schedules(turn_rate, speed)
     rng = np.random.default_rng(seed)
-    pad = int(np.ceil(2.5 * fps / (0.45 * style.cadence)))  # so that every step in view has a whole one before and after
+    pad = int(np.ceil(2.5 * fps / (0.45 * style.cadence)))  # every step in view has a whole one before and after
     plan = plan_walk(style, _padded(turn_rate, pad), _padded(speed, pad), fps, rng.uniform(0, 2 * np.pi))
     plan = _from_origin(plan, pad)
     wobble = Wobble(len(plan.phase), fps, rng)
@@ -92,7 +92,8 @@ def _schedules(turn_rate: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np
     turn_rate, speed = np.asarray(turn_rate, float), np.asarray(speed, float)
     if turn_rate.ndim != 1 or turn_rate.shape != speed.shape or len(speed) < 2:
         raise ValueError(
-            f"turn_rate and speed must be equally long vectors of at least 2 frames, got {turn_rate.shape} and {speed.shape}."
+            "turn_rate and speed must be equally long vectors of at least 2 frames, "
+            f"got {turn_rate.shape} and {speed.shape}."
         )
     if not (np.isfinite(turn_rate).all() and np.isfinite(speed).all() and speed.min() >= 0):
         raise ValueError("turn_rate and speed must be finite, and speed not negative.")

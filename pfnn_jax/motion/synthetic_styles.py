@@ -104,19 +104,19 @@ class SyntheticStyle:
 _PRETRAINING = (
     SyntheticStyle("neutral"),
     SyntheticStyle(
-        "proud", speed=1.3, cadence=0.88, strike=20, lean=-7, pelvis_pitch=-2, head_pitch=-9, arm_raise=-9, arm_swing=27,
-        arm_out=16, elbow=16, shrug=4, hunch=-14, twist=8, toe_out=11, hip_bob=0.02, swing_height=0.06,
+        "proud", speed=1.3, cadence=0.88, strike=20, lean=-7, pelvis_pitch=-2, head_pitch=-9, arm_raise=-9,
+        arm_swing=27, arm_out=16, elbow=16, shrug=4, hunch=-14, twist=8, toe_out=11, hip_bob=0.02, swing_height=0.06,
     ),
     SyntheticStyle(
         "old", speed=0.7, cadence=0.84, duty=0.68, step_width=0.21, toe_out=15, swing_height=0.028, strike=5,
-        push_off=17, heel_off=0.72, knee_out=10, crouch=0.075, hip_bob=0.007, sway=0.035, hip_roll=2, hip_yaw=3, lean=26,
-        pelvis_pitch=12, twist=3, trunk_roll=3, head_pitch=12, arm_raise=16, arm_swing=7, arm_out=15, arm_in=38,
+        push_off=17, heel_off=0.72, knee_out=10, crouch=0.075, hip_bob=0.007, sway=0.035, hip_roll=2, hip_yaw=3,
+        lean=26, pelvis_pitch=12, twist=3, trunk_roll=3, head_pitch=12, arm_raise=16, arm_swing=7, arm_out=15, arm_in=38,
         elbow=62, elbow_swing=4, hunch=14, shrug=5, bank=0.4, look=0.15,
     ),
     SyntheticStyle(
         "angry", speed=1.55, cadence=1.14, duty=0.58, step_width=0.2, swing_height=0.065, strike=11, push_off=42,
-        crouch=0.045, hip_bob=0.026, bob_delay=8, lean=15, lean_bob=3, pelvis_pitch=6, twist=12, head_pitch=13, head_bob=3,
-        arm_raise=4, arm_swing=30, arm_lag=4, arm_out=21, arm_in=25, elbow=58, elbow_swing=14, shrug=9, hunch=12,
+        crouch=0.045, hip_bob=0.026, bob_delay=8, lean=15, lean_bob=3, pelvis_pitch=6, twist=12, head_pitch=13,
+        head_bob=3, arm_raise=4, arm_swing=30, arm_lag=4, arm_out=21, arm_in=25, elbow=58, elbow_swing=14, shrug=9, hunch=12,
     ),
     SyntheticStyle(
         "depressed", speed=0.85, cadence=0.74, duty=0.66, step_width=0.14, swing_height=0.03, strike=8, push_off=27,
@@ -127,8 +127,8 @@ _PRETRAINING = (
     SyntheticStyle(
         "childlike", speed=1.3, cadence=1.24, duty=0.57, step_width=0.15, toe_out=2, swing_height=0.12, strike=12,
         push_off=52, crouch=0.02, hip_bob=0.042, bob_delay=30, sway=0.03, hip_roll=6, hip_yaw=10, lean=2, lean_bob=3,
-        twist=11, trunk_roll=5, head_pitch=-5, head_bob=4, head_roll=7, arm_raise=12, arm_swing=42, arm_lag=18, arm_out=27,
-        elbow=34, elbow_swing=22, shrug=5, look=0.4,
+        twist=11, trunk_roll=5, head_pitch=-5, head_bob=4, head_roll=7, arm_raise=12, arm_swing=42, arm_lag=18,
+        arm_out=27, elbow=34, elbow_swing=22, shrug=5, look=0.4,
     ),
     SyntheticStyle(
         "strutting", speed=1.1, cadence=0.79, duty=0.62, step_width=0.07, toe_out=9, swing_height=0.07,

@@ -144,9 +144,7 @@ def test_styles_are_far_apart_compared_with_their_irregularity():
     poses = {style: mean_pose(style, 0) for style in synthetic.STYLES}
     within = max(np.linalg.norm(mean_pose(s, 1) - poses[s], axis=-1).mean() for s in ("neutral", "zombie"))
     names = list(poses)
-    between = [
-        np.linalg.norm(poses[a] - poses[b], axis=-1).mean() for i, a in enumerate(names) for b in names[i + 1 :]
-    ]
+    between = [np.linalg.norm(poses[a] - poses[b], axis=-1).mean() for i, a in enumerate(names) for b in names[i + 1 :]]
     assert min(between) > 2.0 * within
 
 
