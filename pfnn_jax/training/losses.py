@@ -30,5 +30,10 @@ def l1_penalty(parameters, norm: PenaltyNorm = "mean") -> jax.Array:
     """
     leaves = jax.tree.leaves(parameters)
     if norm == "sum":
-        return sum((jnp.sum(jnp.abs(leaf)) for leaf in leaves), start=jnp.zeros(()))
-    return sum((jnp.mean(jnp.abs(leaf)) for leaf in leaves), start=jnp.zeros(())) / len(leaves)
+        return sum((jnp.sum(_absolute(leaf)) for leaf in leaves), start=jnp.zeros(()))
+    return sum((jnp.mean(_absolute(leaf)) for leaf in leaves), start=jnp.zeros(())) / len(leaves)
+
+
+def _absolute(values: jax.Array) -> jax.Array:
+    # The gradient of `jnp.abs` at 0 is 1, which would push biases that start at zero.
+    return values * jnp.sign(values)
