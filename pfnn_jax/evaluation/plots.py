@@ -32,7 +32,7 @@ def _style(axes: Axes, title: str = "", x: str = "", y: str = "") -> None:
     axes.set_title(title, loc="left", color=INK, fontsize=11, fontweight="bold")
     axes.set_xlabel(x, color=MUTED, fontsize=9)
     axes.set_ylabel(y, color=MUTED, fontsize=9)
-    axes.tick_params(colors=MUTED, labelsize=8.5, length=0)
+    axes.tick_params(which="both", colors=MUTED, labelsize=8.5, length=0)
     axes.set_axisbelow(True)
     axes.grid(True, color=GRID, linewidth=0.8)
     for side, spine in axes.spines.items():
@@ -114,7 +114,7 @@ def error_bars(
     axes.invert_yaxis()
     axes.margins(x=0.12)
     if len(measures) > 1:
-        axes.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="lower right")
+        axes.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)
     return figure
 
 
@@ -218,12 +218,11 @@ def _laid_out(root: np.ndarray, heading: np.ndarray, first: int, last: int) -> t
 
 
 def _draw_path(axes: Axes, path: np.ndarray, facing: np.ndarray, frames: np.ndarray) -> None:
-    """The path from above, with an arrow where the body faces at each frame and a bar of one metre."""
+    """The path from above, a triangle pointing where the body faces at each frame, and a bar of one metre."""
     axes.plot(*path.T, color=SIDES["middle"], linewidth=1.5)
-    axes.quiver(
-        *path[frames].T, *facing[frames].T, color=SIDES["left"], angles="xy", scale=22, width=0.005, pivot="mid"
-    )
     for number, frame in enumerate(frames):
+        angle = np.rad2deg(np.arctan2(-facing[frame, 0], facing[frame, 1]))
+        axes.plot(*path[frame], marker=(3, 0, angle), color=SIDES["left"], markersize=9, markeredgecolor="white")
         beside = 10.0 * np.array([-facing[frame, 1], facing[frame, 0]])
         axes.annotate(
             str(number + 1), path[frame], textcoords="offset points", xytext=beside, ha="center", va="center",

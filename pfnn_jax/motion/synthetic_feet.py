@@ -69,7 +69,7 @@ def plan_walk(style: SyntheticStyle, turn_rate: np.ndarray, speed: np.ndarray, f
     """Integrate turn rate [T] (rad/s) and speed [T] (m/s) to a path, and the cadence they ask for to a phase.
 
     Cadence grows with the square root of speed, as people's does, never below 0.45 of the natural one, and faster
-    where the body would travel further than `LONGEST_STANCE` over one foot. `start` is the first frame's phase, radians.
+    where the body would travel further than `LONGEST_STANCE` over one foot. `start`: phase of the first frame, radians.
     """
     ratio = np.maximum(speed, 0.0) / style.speed
     cadence = style.cadence * np.maximum(np.sqrt(ratio), 0.45)

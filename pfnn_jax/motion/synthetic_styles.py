@@ -110,13 +110,14 @@ _PRETRAINING = (
     SyntheticStyle(
         "old", speed=0.7, cadence=0.84, duty=0.68, step_width=0.21, toe_out=15, swing_height=0.028, strike=5,
         push_off=17, heel_off=0.72, knee_out=10, crouch=0.075, hip_bob=0.007, sway=0.035, hip_roll=2, hip_yaw=3,
-        lean=26, pelvis_pitch=12, twist=3, trunk_roll=3, head_pitch=12, arm_raise=16, arm_swing=7, arm_out=15, arm_in=38,
-        elbow=62, elbow_swing=4, hunch=14, shrug=5, bank=0.4, look=0.15,
+        lean=26, pelvis_pitch=12, twist=3, trunk_roll=3, head_pitch=12, arm_raise=16, arm_swing=7, arm_out=15,
+        arm_in=38, elbow=62, elbow_swing=4, hunch=14, shrug=5, bank=0.4, look=0.15,
     ),
     SyntheticStyle(
         "angry", speed=1.55, cadence=1.14, duty=0.58, step_width=0.2, swing_height=0.065, strike=11, push_off=42,
         crouch=0.045, hip_bob=0.026, bob_delay=8, lean=15, lean_bob=3, pelvis_pitch=6, twist=12, head_pitch=13,
-        head_bob=3, arm_raise=4, arm_swing=30, arm_lag=4, arm_out=21, arm_in=25, elbow=58, elbow_swing=14, shrug=9, hunch=12,
+        head_bob=3, arm_raise=4, arm_swing=30, arm_lag=4, arm_out=21, arm_in=25, elbow=58, elbow_swing=14,
+        shrug=9, hunch=12,
     ),
     SyntheticStyle(
         "depressed", speed=0.85, cadence=0.74, duty=0.66, step_width=0.14, swing_height=0.03, strike=8, push_off=27,
