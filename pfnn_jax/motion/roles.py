@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.motion.limbs import chain_up, rest_pose, roles_from_geometry
 from pfnn_jax.motion.skeleton import Roles, Skeleton
 
 ROLE_NAMES = tuple(field.name for field in fields(Roles))
@@ -52,7 +53,7 @@ def find_roles(
         overrides: role -> joint name, or [heel, toe] names for the feet (one name stands for both).
         source: file to name in messages.
         pose: gives [J, 3] joint positions of a standing pose in any unit, called where names do not suffice; None takes
-            the pose of zero rotations.
+            the pose of zero rotations. Without toe joints left is +X.
 
     Returns:
         Joint indices.
@@ -65,7 +66,7 @@ def find_roles(
     found = dict(_deepest_hips(skeleton, {**named, **chosen}), **chosen)
     if any(role not in found for role in ROLE_NAMES):
         # sides found by geometry must not mix with sides found by names, so a pair is taken whole
-        measured = _roles_from_geometry(skeleton, _rest_pose(skeleton) if pose is None else pose())
+        measured = roles_from_geometry(skeleton, rest_pose(skeleton) if pose is None else pose())
         for part in ("hip", "foot", "shoulder", "hand"):
             pair = (f"left_{part}", f"right_{part}")
             if any(role not in found for role in pair) and all(role in measured for role in pair):
@@ -126,12 +127,17 @@ def find_mirror(names: tuple[str, ...], parents: np.ndarray | None = None, roles
         for left, right in ((roles.left_hip, roles.right_hip), (roles.left_shoulder, roles.right_shoulder)):
             _pair_upwards(mirror, parents, left, right)
             _pair_downwards(mirror, parents, left, right)
+    for joint in range(1, len(names)) if parents is not None else ():
+        partner = mirror[joint]
+        if parents is not None and parents[partner] != mirror[parents[joint]] and partner != joint:
+            mirror[joint], mirror[partner] = joint, partner  # partners hang from partners
     return mirror
 
 
 def is_hips_name(name: str) -> bool:
     """Whether a joint's name says that it is the hips."""
-    return _words(name)[-1:] in [[word] for word in HIPS[:2]]
+    words = [word for word in _words(name) if not word.isdigit()]
+    return bool(words) and words[-1] in ("hips", "pelvis")
 
 
 def leg_length(skeleton: Skeleton, roles: Roles) -> float:
@@ -143,27 +149,11 @@ def leg_length(skeleton: Skeleton, roles: Roles) -> float:
     lengths = np.linalg.norm(skeleton.offsets, axis=-1)
     total = 0.0
     for hip, (ankle, _) in ((roles.left_hip, roles.left_foot), (roles.right_hip, roles.right_foot)):
-        chain = _chain(skeleton.parents, ankle)
+        chain = chain_up(skeleton.parents, ankle)
         if hip not in chain:
             raise ValueError(f"{skeleton.names[ankle]} does not lie below {skeleton.names[hip]}.")
         total += float(lengths[chain[: chain.index(hip)]].sum())
     return total / 2
-
-
-def longest_chain(skeleton: Skeleton) -> float:
-    """Length of the longest run of bones from the root to an end, End Sites left out, in the skeleton's unit."""
-    reach = np.zeros(skeleton.num_joints)
-    for joint in range(1, skeleton.num_joints):
-        reach[joint] = reach[skeleton.parents[joint]] + np.linalg.norm(skeleton.offsets[joint])
-    return float(reach.max())
-
-
-def _chain(parents: np.ndarray, joint: int) -> list[int]:
-    """The joint and all above it, up to the root."""
-    chain = [int(joint)]
-    while parents[chain[-1]] >= 0:
-        chain.append(int(parents[chain[-1]]))
-    return chain
 
 
 def _words(name: str) -> list[str]:
@@ -176,8 +166,8 @@ def _words(name: str) -> list[str]:
 def _sides(names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     """(side, part) of each joint: side is left, right or empty, part the remaining words joined."""
     words = [_words(name) for name in names]
-    prefix = words[-1][:1]
-    if len(names) > 2 and sum(w[:1] == prefix for w in words) >= 0.8 * len(names):
+    while len(names) > 2 and words[-1] and sum(w[:1] == words[-1][:1] for w in words) >= 0.8 * len(names):
+        prefix = words[-1][:1]
         words = [w[1:] if w[:1] == prefix else w for w in words]  # Bip01, mixamorig_, CC_Base
     whole = {"".join(w) for w in words}
     sides = []
@@ -207,7 +197,7 @@ def _roles_from_names(names: tuple[str, ...], parents: tuple[int, ...]) -> dict:
     for joint, (side, part) in enumerate(_sides(names)):
         first.setdefault((side, re.sub(r"\d+$", "", part) if part not in HEAD else part), joint)
 
-    def pair(part: str, beside: dict | None = None) -> tuple[int, int] | None:
+    def pair(part: str, beside: tuple[int, int] | None = None) -> tuple[int, int] | None:
         for word in PARTS[part]:
             found = first.get(("left", word)), first.get(("right", word))
             if found[0] is not None and found[1] is not None and found != beside:
@@ -220,7 +210,7 @@ def _roles_from_names(names: tuple[str, ...], parents: tuple[int, ...]) -> dict:
             roles[f"left_{role}"], roles[f"right_{role}"] = found
     if heels := pair("heel"):
         toes = pair("toe", heels) or heels
-        below = all(heel in _chain(np.array(parents), toe) for heel, toe in zip(heels, toes, strict=True))
+        below = all(heel in chain_up(np.array(parents), toe) for heel, toe in zip(heels, toes, strict=True))
         toes = toes if below else heels
         roles["left_foot"], roles["right_foot"] = (heels[0], toes[0]), (heels[1], toes[1])
     for role, words in (("hips", HIPS), ("head", HEAD)):
@@ -233,66 +223,11 @@ def _deepest_hips(skeleton: Skeleton, roles: dict) -> dict:
     """Roles with the hips at the joint that both legs hang from, where the name is missing or not above them."""
     if "left_hip" not in roles or "right_hip" not in roles:
         return roles
-    left, right = (_chain(skeleton.parents, roles[f"{side}_hip"]) for side in ("left", "right"))
+    left, right = (chain_up(skeleton.parents, roles[f"{side}_hip"]) for side in ("left", "right"))
     common = [joint for joint in left if joint in right]
     if roles.get("hips") not in common and common:
         roles = {**roles, "hips": common[0]}
     return roles
-
-
-def _rest_pose(skeleton: Skeleton) -> np.ndarray:
-    """[J, 3] positions with all rotations zero."""
-    pose = np.zeros((skeleton.num_joints, 3))
-    for joint in range(1, skeleton.num_joints):
-        pose[joint] = pose[skeleton.parents[joint]] + skeleton.offsets[joint]
-    return pose
-
-
-def _roles_from_geometry(skeleton: Skeleton, pose: np.ndarray) -> dict:
-    """The roles that a standing pose [J, 3] gives; empty where it has no two legs."""
-    parents = skeleton.parents
-    ends = [joint for joint in range(skeleton.num_joints) if joint not in set(parents.tolist())]
-    ends.sort(key=lambda joint: pose[joint, 1])
-    legs = _two_limbs(parents, pose, ends)
-    if legs is None:
-        return {}
-    hips, legs = legs
-    forward = sum(pose[leg[3]] - pose[leg[2]] for leg in legs) * np.array([1.0, 0.0, 1.0])
-    side = np.array([forward[2], 0.0, -forward[0]])  # Y x forward
-    side = side if np.linalg.norm(side) > 0 else np.array([1.0, 0.0, 0.0])
-    right, left = sorted(legs, key=lambda leg: float(pose[leg[0]] @ side))
-    roles: dict = {"hips": hips, "left_hip": left[0], "right_hip": right[0]}
-    roles["left_foot"], roles["right_foot"] = left[2:], right[2:]
-    ends = [joint for joint in ends if not {left[0], right[0]} & set(_chain(parents, joint))]
-    if ends:
-        roles["head"] = max(ends, key=lambda joint: pose[joint, 1])
-    arms = _two_limbs(parents, pose, sorted(ends, key=lambda j: -abs(float((pose[j] - pose[hips]) @ side))))
-    if arms is not None:
-        right, left = sorted(arms[1], key=lambda arm: float(pose[arm[2]] @ side))
-        roles.update(left_shoulder=left[0], right_shoulder=right[0], left_hand=left[2], right_hand=right[2])
-    return roles
-
-
-def _two_limbs(parents: np.ndarray, pose: np.ndarray, ends: list[int]) -> tuple[int, list[tuple]] | None:
-    """The joint where the first end's chain parts from another's, and both limbs, trying ends in order."""
-    for other in ends[1:]:
-        first, second = _chain(parents, ends[0]), _chain(parents, other)
-        fork = next(joint for joint in first if joint in second)
-        limbs = [_limb(pose, chain[: chain.index(fork)][::-1]) for chain in (first, second)]
-        if limbs[0] is not None and limbs[1] is not None:
-            return fork, [limb for limb in limbs if limb is not None]
-    return None
-
-
-def _limb(pose: np.ndarray, chain: list[int]) -> tuple[int, int, int, int] | None:
-    """(upper, middle, lower, tip) of a chain given from the body outwards, by its two longest successive bones."""
-    kept = [j for i, j in enumerate(chain) if i == 0 or np.linalg.norm(pose[j] - pose[chain[i - 1]]) > 1e-6]
-    if len(kept) < 3:
-        return None
-    bones = np.linalg.norm(np.diff(pose[kept], axis=0), axis=-1)
-    start = int(np.argmax(np.minimum(bones[:-1], bones[1:])))
-    lower = start + 2
-    return kept[start], kept[start + 1], kept[lower], kept[min(lower + 1, len(kept) - 1)]
 
 
 def _pair_upwards(mirror: np.ndarray, parents: np.ndarray, left: int, right: int) -> None:
@@ -315,7 +250,7 @@ def _consistent(skeleton: Skeleton, roles: Roles, source: str | Path) -> Roles:
     """The roles, refused where a leg does not hang from the hips or an ankle not from its leg."""
     limbs = (("left_hip", roles.left_hip, roles.left_foot), ("right_hip", roles.right_hip, roles.right_foot))
     for role, hip, (heel, toe) in limbs:
-        above = _chain(skeleton.parents, toe)
+        above = chain_up(skeleton.parents, toe)
         if not (heel in above and hip in above and hip != heel and roles.hips in above):
             found = f"{role} {skeleton.names[hip]}, foot {skeleton.names[heel]} {skeleton.names[toe]}"
             raise InputError(source, "skeleton", found, "hips, upper leg, ankle and toe lie on one chain")
@@ -347,14 +282,16 @@ def _read_overrides(skeleton: Skeleton, overrides: dict, source: str | Path) -> 
     chosen: dict = {}
     for role, value in overrides.items():
         if role not in ROLE_NAMES:
-            raise InputError(source, "role", role, f"known roles are {', '.join(ROLE_NAMES)}")
+            raise InputError(source, "role", ascii(role), f"known roles are {', '.join(ROLE_NAMES)}")
         names = [value] if isinstance(value, str) else value
         if not isinstance(names, list) or len(names) not in ((1, 2) if role in FEET else (1,)):
             rule = "a role names one joint, a foot one joint or [heel, toe]"
-            raise InputError(source, f"role {role}", value, rule)
+            raise InputError(source, f"role {role}", ascii(value), rule)
         for name in names:
             if name not in skeleton.names:
-                raise InputError(source, f"role {role}", name, f"no such joint; there are {_listed(skeleton.names)}")
+                raise InputError(
+                    source, f"role {role}", ascii(name), f"no such joint; there are {_listed(skeleton.names)}"
+                )
         joints = [skeleton.names.index(name) for name in names]
         chosen[role] = (joints[0], joints[-1]) if role in FEET else joints[0]
     return chosen

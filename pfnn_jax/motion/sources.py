@@ -105,7 +105,8 @@ def list_clips(folder: str | Path, kind: str = "auto") -> list[ClipFile]:
         return [_single(folder)]
     if not folder.is_dir():
         raise InputError(folder, "folder", "absent", "must be a folder of BVH files or a BVH file")
-    clips = KINDS[find_kind(folder) if kind == "auto" else kind](folder)
+    kind = find_kind(folder) if kind == "auto" else kind
+    clips = KINDS[kind](folder)
     if not clips:
         raise InputError(folder, "folder", "no clips", f"kind {kind} finds no BVH file here")
     for clip in clips:
@@ -179,15 +180,14 @@ def _match(pattern: re.Pattern, path: Path, rule: str) -> re.Match:
 
 
 def _bandai_file(path: Path) -> ClipFile:
-    _, content, style, _ = _match(BANDAI, path, "dataset-N_CONTENT_STYLE_ID").groups()
-    if path.stem in BANDAI_MISLABELLED:
-        content = swap_sides(content)
-    return ClipFile(path, style, content, unit=CENTIMETRE)
+    found = _match(BANDAI, path, "dataset-N_CONTENT_STYLE_ID")
+    content = swap_sides(found[2]) if path.stem in BANDAI_MISLABELLED else found[2]
+    return ClipFile(path, found[3], content, unit=CENTIMETRE)
 
 
 def _xia_file(path: Path) -> ClipFile:
-    style, content, _ = _match(XIA, path, "STYLE_CONTENT_TAKE").groups()
-    return ClipFile(path, style, XIA_CONTENTS.get(content, content), unit=CMU)
+    found = _match(XIA, path, "STYLE_CONTENT_TAKE")
+    return ClipFile(path, found[1], XIA_CONTENTS.get(found[2], found[2]), unit=CMU)
 
 
 def _single(path: Path) -> ClipFile:
