@@ -9,6 +9,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.contacts import foot_joints, leg_length, slow_feet
+from pfnn_jax.motion.footsteps import NoGaitError
 from pfnn_jax.motion.gait import estimate_gait
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -89,8 +90,8 @@ def clip_features(
         gait: [T, 6] for `pfnn2017`; None estimates it from speed.
 
     Raises:
-        InputError: for another frame rate or number of joints or frames, a clip shorter than half a second, values
-            that are not finite, or no labelled pair of frames.
+        NoGaitError: for a clip shorter than half a second, without steps, or without two labelled frames in a row.
+        InputError: for another frame rate or number of joints or frames, or values that are not finite.
     """
     _check_clip(clip, layout)
     labels = label_phase(clip) if labels is None else labels
@@ -100,7 +101,7 @@ def clip_features(
     usable[0] = False
     frames = np.flatnonzero(usable)
     if not len(frames):
-        raise InputError(clip.source, "phase", "no two frames in a row are labelled", "a clip must hold steps")
+        raise NoGaitError(clip.source, "phase", "no two frames in a row are labelled", "a clip must hold steps")
     local = _localise(clip)
     ground = _ground(clip, local.world_positions) if layout.has_input("terrain_height") else 0.0
     x = _fill(layout.inputs, len(frames), lambda name: _input(name, clip, layout, local, frames, ground, gait))
@@ -169,8 +170,8 @@ def _check_clip(clip: MotionClip, layout: FrameLayout) -> None:
                          f"layout {layout.name} was made for {layout.num_joints}")  # fmt: skip
     least = round(EXTRAPOLATION_SECONDS * layout.fps)
     if clip.num_frames < least:
-        raise InputError(clip.source, "frames", clip.num_frames,
-                         f"one trajectory window needs at least {least}")  # fmt: skip
+        raise NoGaitError(clip.source, "frames", clip.num_frames,
+                          f"one trajectory window needs at least {least}")  # fmt: skip
     for name, values in (("root position", clip.root_positions), ("rotation", clip.rotations)):
         bad = ~np.isfinite(values)
         if bad.any():

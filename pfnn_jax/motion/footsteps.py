@@ -41,13 +41,20 @@ MAX_HALF_CYCLE = 1.3
 """Seconds between two contacts beyond which the character has paused."""
 
 MIN_CONTACTS = 3
-"""Contacts of the shortest run that is a gait: one whole cycle."""
+"""Contacts of the shortest run that is a gait whatever the hips do: one whole cycle."""
+
+MIN_TRAVEL = 0.5
+"""Leg lengths that the hips travel between two contacts where these are all there is, as in takes of one cycle."""
 
 EXTENSION = 1.2
 """Half cycles by which a run may go on beyond its first and last contact."""
 
 SPEED_SMOOTHING = 1 / 60  # seconds; the onset's sharpness
 SWING_SMOOTHING = 0.05  # seconds; bridges ripple within a swing
+
+
+class NoGaitError(InputError):
+    """A clip that is sound but has no gait to learn from: no steps, or too short. One such in many is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,23 +80,35 @@ def find_steps(clip: MotionClip) -> list[StepRun]:
         clip: with roles on its skeleton.
 
     Raises:
-        InputError: where there are no runs, or no roles.
+        NoGaitError: where there are no runs.
+        InputError: where the skeleton has no roles.
     """
     roles = need_roles(clip.skeleton, clip.source)
     positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     if clip.num_frames < 3:
-        raise InputError(clip.source, "frames", clip.num_frames, "steps need at least 3")
+        raise NoGaitError(clip.source, "frames", clip.num_frames, "steps need at least 3")
     leg = leg_length(positions, roles)
     joints = [*foot_joints(roles), roles.hips]
     smooth = gaussian_filter1d(positions[:, joints], SPEED_SMOOTHING * clip.fps, axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(smooth, 1 / clip.fps, axis=0), axis=-1) / leg
     contacts = _contacts(speed[:, :4].reshape(-1, 2, 2), clip.fps)
     moving = gaussian_filter1d(speed.max(axis=1), SWING_SMOOTHING * clip.fps, mode="nearest") > MOVING
-    runs = _split(contacts, clip.fps)
+    hips = positions[:, roles.hips][:, [0, 2]] / leg
+    runs = [run for run in _split(contacts, clip.fps) if _is_gait(run[0], hips)]
     if not runs:
-        raise InputError(clip.source, "phase", f"{len(contacts)} foot contacts in {clip.num_frames} frames",
-                         f"no steps: at least {MIN_CONTACTS} that alternate are needed")  # fmt: skip
+        raise NoGaitError(clip.source, "phase", f"{len(contacts)} foot contacts in {clip.num_frames} frames",
+                         "no steps: feet must come down in turn while the character travels")  # fmt: skip
     return _bound(runs, moving)
+
+
+def half_cycles(times: np.ndarray) -> tuple[float, float]:
+    """Frames of the half cycle before the first contact and of the one after the last.
+
+    A step with the left foot may last longer than one with the right: each is taken as long as the nearest half cycle
+    of the same foot, which is the second from that end; the only one, where there are but two contacts.
+    """
+    lengths = np.diff(times)
+    return (lengths[1], lengths[-2]) if len(lengths) > 1 else (lengths[0], lengths[0])
 
 
 def _contacts(speed: np.ndarray, fps: float) -> list[tuple[float, int]]:
@@ -158,16 +177,22 @@ def _split(contacts: list[tuple[float, int]], fps: float) -> list[tuple[np.ndarr
         if last is None or last[1] == foot or time - last[0] > MAX_HALF_CYCLE * fps or time <= last[0]:
             runs.append([])
         runs[-1].append((time, foot))
-    return [(np.array([t for t, _ in run]), run[0][1] == 0) for run in runs if len(run) >= MIN_CONTACTS]
+    return [(np.array([t for t, _ in run]), run[0][1] == 0) for run in runs]
+
+
+def _is_gait(times: np.ndarray, hips: np.ndarray) -> bool:
+    if len(times) != 2:
+        return len(times) >= MIN_CONTACTS
+    first, last = (hips[min(int(time), len(hips) - 1)] for time in times)
+    return bool(np.linalg.norm(last - first) > MIN_TRAVEL)
 
 
 def _bound(runs: list[tuple[np.ndarray, bool]], moving: np.ndarray) -> list[StepRun]:
     """How far each run goes on beyond its contacts: while the character moves, and clear of its neighbours."""
     bounded = []
     for index, (times, left_first) in enumerate(runs):
-        # the half cycle beyond an end is of the same kind as the second from that end
-        earliest = times[0] - EXTENSION * (times[2] - times[1])
-        latest = times[-1] + EXTENSION * (times[-2] - times[-3])
+        before, after = half_cycles(times)
+        earliest, latest = times[0] - EXTENSION * before, times[-1] + EXTENSION * after
         if index > 0:
             earliest = max(earliest, (times[0] + runs[index - 1][0][-1]) / 2)
         if index + 1 < len(runs):

@@ -59,6 +59,12 @@ def flat_crouch(gait: np.ndarray, head_height: np.ndarray) -> np.ndarray:
     return np.insert(np.delete(gait, CROUCH, axis=1), CROUCH, crouch, axis=1)
 
 
+def resample_gait(gait: np.ndarray, fps_from: float, fps_to: float, num_frames: int) -> np.ndarray:
+    """Gait [num_frames, 6] at another frame rate, linear between frames; frame k stands at k / fps_to seconds."""
+    source = np.arange(num_frames) * (fps_from / fps_to)
+    return np.stack([np.interp(source, np.arange(len(gait)), column) for column in gait.T], axis=-1)
+
+
 def estimate_gait(root_positions: np.ndarray, leg: float, fps: float) -> np.ndarray:
     """Gait from speed alone: stand, walk or jog, cross-faded linearly around each limit.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.footsteps import find_steps
+from pfnn_jax.motion.footsteps import find_steps, half_cycles
 from pfnn_jax.motion.textfile import read_rows
 from pfnn_jax.motion.trajectory import wrap_angle
 
@@ -55,7 +55,8 @@ def label_phase(clip: MotionClip) -> PhaseLabels:
         clip: with roles on its skeleton.
 
     Raises:
-        InputError: where there are no alternating steps, or no roles.
+        NoGaitError: where there are no alternating steps.
+        InputError: where the skeleton has no roles.
     """
     runs = find_steps(clip)
     unwrapped = np.full(clip.num_frames, np.nan)
@@ -160,12 +161,9 @@ def resample_phase(labels: PhaseLabels, fps_from: float, fps_to: float, num_fram
 
 
 def _extend(frames: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Linear interpolation that goes on beyond both ends.
-
-    A step with the left foot may last longer than one with the right, so the half cycle before the first contact
-    takes the rate of the second one after it, which is of the same foot; likewise at the end.
-    """
-    first, last = 1 / (times[2] - times[1]), 1 / (times[-2] - times[-3])
+    """Linear interpolation that goes on beyond both ends at the rate of `half_cycles`."""
+    before, after = half_cycles(times)
+    first, last = 1 / before, 1 / after
     inside = np.interp(frames, times, values)
     inside = np.where(frames < times[0], values[0] + (frames - times[0]) * first, inside)
     return np.where(frames > times[-1], values[-1] + (frames - times[-1]) * last, inside)
