@@ -145,8 +145,12 @@ def load_dataset(path: Path) -> Dataset:
     normaliser = load_normaliser(path / "normaliser")
     sizes = len(normaliser.inputs.mean), len(normaliser.outputs.mean)
     if sizes != (layout.input_size, layout.output_size):
-        raise InputError(path / "normaliser", "arrays", f"{sizes[0]} inputs and {sizes[1]} outputs",
-                         f"layout {layout.name} has {layout.input_size} and {layout.output_size}")  # fmt: skip
+        raise InputError(
+            path / "normaliser",
+            "arrays",
+            f"{sizes[0]} inputs and {sizes[1]} outputs",
+            f"layout {layout.name} has {layout.input_size} and {layout.output_size}",
+        )
     return Dataset(
         path=path,
         layout=layout,

@@ -137,8 +137,12 @@ def clip_from_outputs(
     """
     y = np.asarray(y, np.float64)
     if y.ndim != 2 or y.shape[1] != layout.output_size or skeleton.num_joints != layout.num_joints:
-        raise InputError("outputs", "array", f"shape {y.shape} on {skeleton.num_joints} joints",
-                         f"layout {layout.name} has {layout.output_size} columns for {layout.num_joints}")  # fmt: skip
+        raise InputError(
+            "outputs",
+            "array",
+            f"shape {y.shape} on {skeleton.num_joints} joints",
+            f"layout {layout.name} has {layout.output_size} columns for {layout.num_joints}",
+        )
     require_finite(y, layout.outputs, "outputs", "y")
     yaw = np.asarray(root_yaw, np.float64)
     hips = y[:, layout.output_slice("joint_position")][:, :3] * layout.length_unit
@@ -166,12 +170,15 @@ def _check_clip(clip: MotionClip, layout: FrameLayout) -> None:
     if abs(clip.fps - layout.fps) > 0.01:
         raise InputError(clip.source, "frame rate", f"{clip.fps:g} fps", f"layout {layout.name} needs {layout.fps:g}")
     if clip.skeleton.num_joints != layout.num_joints:
-        raise InputError(clip.source, "skeleton", f"{clip.skeleton.num_joints} joints",
-                         f"layout {layout.name} was made for {layout.num_joints}")  # fmt: skip
+        raise InputError(
+            clip.source,
+            "skeleton",
+            f"{clip.skeleton.num_joints} joints",
+            f"layout {layout.name} was made for {layout.num_joints}",
+        )
     least = round(EXTRAPOLATION_SECONDS * layout.fps)
     if clip.num_frames < least:
-        raise NoGaitError(clip.source, "frames", clip.num_frames,
-                          f"one trajectory window needs at least {least}")  # fmt: skip
+        raise NoGaitError(clip.source, "frames", clip.num_frames, f"one trajectory window needs at least {least}")
     for name, values in (("root position", clip.root_positions), ("rotation", clip.rotations)):
         bad = ~np.isfinite(values)
         if bad.any():

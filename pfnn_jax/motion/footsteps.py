@@ -96,8 +96,12 @@ def find_steps(clip: MotionClip) -> list[StepRun]:
     hips = positions[:, roles.hips][:, [0, 2]] / leg
     runs = [run for run in _split(contacts, clip.fps) if _is_gait(run[0], hips)]
     if not runs:
-        raise NoGaitError(clip.source, "phase", f"{len(contacts)} foot contacts in {clip.num_frames} frames",
-                         "no steps: feet must come down in turn while the character travels")  # fmt: skip
+        raise NoGaitError(
+            clip.source,
+            "phase",
+            f"{len(contacts)} foot contacts in {clip.num_frames} frames",
+            "no steps: feet must come down in turn while the character travels",
+        )
     return _bound(runs, moving)
 
 

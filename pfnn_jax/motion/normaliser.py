@@ -94,8 +94,12 @@ def load_normaliser(folder: Path) -> Normaliser:
     for side in "xy":
         mean, std = found[f"{side}_mean.npy"], found[f"{side}_std.npy"]
         if mean.shape != std.shape or not (std > 0).all():
-            raise InputError(folder / f"{side}_std.npy", "array", f"shape {std.shape}, least {std.min(initial=np.inf)}",
-                             f"deviations are positive, one for each of {len(mean)} means")  # fmt: skip
+            raise InputError(
+                folder / f"{side}_std.npy",
+                "array",
+                f"shape {std.shape}, least {std.min(initial=np.inf)}",
+                f"deviations are positive, one for each of {len(mean)} means",
+            )
     return Normaliser(
         Statistics(found["x_mean.npy"], found["x_std.npy"]), Statistics(found["y_mean.npy"], found["y_std.npy"])
     )

@@ -73,12 +73,20 @@ def same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path) -> No
     """
     if other.num_joints != skeleton.num_joints:
         extra = sorted(set(other.names) ^ set(skeleton.names))
-        raise InputError(source, "skeleton", f"{other.num_joints} joints, {extra[:1]} differs",
-                         f"all clips share one skeleton, of {skeleton.num_joints} joints")  # fmt: skip
+        raise InputError(
+            source,
+            "skeleton",
+            f"{other.num_joints} joints, {extra[:1]} differs",
+            f"all clips share one skeleton, of {skeleton.num_joints} joints",
+        )
     for joint, (name, wanted) in enumerate(zip(other.names, skeleton.names, strict=True)):
         if name != wanted or other.parents[joint] != skeleton.parents[joint]:
-            raise InputError(source, f"joint {joint}", f"{name} under joint {other.parents[joint]}",
-                             f"all clips share one skeleton, here {wanted} under {skeleton.parents[joint]}")  # fmt: skip
+            raise InputError(
+                source,
+                f"joint {joint}",
+                f"{name} under joint {other.parents[joint]}",
+                f"all clips share one skeleton, here {wanted} under {skeleton.parents[joint]}",
+            )
 
 
 def write_dataset(
