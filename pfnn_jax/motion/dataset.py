@@ -21,9 +21,8 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.layout import LAYOUTS, FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser, load_normaliser
-from pfnn_jax.motion.preparation import ARRAYS, FORMAT, PrepareConfig, Progress, write_dataset
+from pfnn_jax.motion.preparation import ARRAYS, FORMAT, PrepareConfig, Progress, Source, write_dataset
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
-from pfnn_jax.motion.sources import ClipFile
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +81,7 @@ class Dataset:
 
 
 def prepare(
-    clip_files: Sequence[ClipFile],
+    clips: Sequence[Source],
     out: Path,
     config: PrepareConfig,
     *,
@@ -98,12 +97,12 @@ def prepare(
     come with their mirrored twins. The folder appears whole or not at all.
 
     Args:
-        clip_files: as `sources.list_clips` returns them.
+        clips: files as `sources.list_clips` returns them, or labelled clips in memory, or both.
         out: folder to make.
         config: layout, mirroring, statistics, seed.
         roles_file: JSON naming the joints' roles.
         overwrite: replace an existing folder.
-        progress: called with (clips done, clips in all, file name) after each clip.
+        progress: called with (clips done, clips in all, name) after each clip.
 
     Raises:
         InputError: for no clips, a style of which nothing remains, skeletons that differ, bad files, an existing
@@ -112,12 +111,12 @@ def prepare(
     out = Path(out)
     if out.exists() and not overwrite:
         raise InputError(out, "folder", "exists", "overwriting must be asked for")
-    if not clip_files:
+    if not clips:
         raise InputError(out, "clips", "none", "a dataset needs at least one clip")
     work = out.with_name(f".{out.name}.{os.getpid()}")
     try:
         work.mkdir(parents=True)
-        write_dataset(clip_files, work, config, roles_file, progress)
+        write_dataset(clips, work, config, roles_file, progress)
         _swap(work, out)
     except OSError as error:
         raise InputError(out, "folder", error, "must be writable, with space for the dataset") from error

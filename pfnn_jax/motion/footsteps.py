@@ -31,6 +31,9 @@ HEEL_DOWN, TOE_DOWN = 0.4, 0.2
 SWING_SHARE = 0.08
 """... or than this share of its swing's greatest speed."""
 
+PASSING = 0.5
+"""Share of the double support after which the weight passes over: the best on clips with labels made by hand."""
+
 TOE_OFF = 0.6
 """A foot leaves the ground when its toe becomes faster than this."""
 
@@ -129,7 +132,7 @@ def _contacts(speed: np.ndarray, fps: float) -> list[tuple[float, int]]:
             continue
         time = peaks[index] + flat
         if index + 1 < len(swings):
-            time += 0.5 * max(0.0, _toe_off(speed[: peaks[index + 1], 1 - foot, 1]) - time)
+            time += PASSING * max(0.0, _toe_off(speed[: peaks[index + 1], 1 - foot, 1]) - time)
         found.append((time, foot))
     return sorted(found)
 

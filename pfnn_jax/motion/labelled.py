@@ -24,11 +24,13 @@ class LabelledClip:
         clip: T frames.
         labels: of the T frames.
         gait: [T, 6], or None where no `.gait` file lies beside the BVH file.
+        symmetric: whether the clip's style may be mirrored.
     """
 
     clip: MotionClip
     labels: PhaseLabels
-    gait: np.ndarray | None
+    gait: np.ndarray | None = None
+    symmetric: bool = True
 
 
 def load_labelled(clip_file: ClipFile, fps: float = 60.0, roles_file: Path | None = None) -> LabelledClip:
@@ -59,4 +61,4 @@ def load_labelled(clip_file: ClipFile, fps: float = 60.0, roles_file: Path | Non
         gait = resample_gait(read_gait(gait_file, whole.num_frames)[start:stop], part.fps, fps, clip.num_frames)
         positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
         gait = flat_crouch(gait, positions[:, roles.head, 1])
-    return LabelledClip(clip, labels, gait)
+    return LabelledClip(clip, labels, gait, clip_file.symmetric)

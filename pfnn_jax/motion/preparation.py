@@ -28,8 +28,11 @@ FORMAT = 1
 ARRAYS = ("x", "y", "phase", "clip", "frame")
 """Arrays of a style's folder."""
 
+Source = ClipFile | LabelledClip
+"""A clip on disk, or one in memory with its labels."""
+
 Progress = Callable[[int, int, str], None]
-"""Called with (clips done, clips in all, file name)."""
+"""Called with (clips done, clips in all, name of the clip)."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ def same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path) -> No
 
 
 def write_dataset(
-    clip_files: Sequence[ClipFile],
+    clips: Sequence[Source],
     folder: Path,
     config: PrepareConfig,
     roles_file: Path | None,
@@ -99,7 +102,7 @@ def write_dataset(
     """Writes a dataset into an existing empty folder; `dataset.json` comes last.
 
     Args:
-        clip_files: at least one.
+        clips: at least one.
         folder: to fill.
         config: layout, mirroring, statistics, seed.
         roles_file: JSON naming the joints' roles.
@@ -109,10 +112,10 @@ def write_dataset(
         InputError: for a style of which nothing remains, skeletons that differ, or bad files.
         OSError: if the folder cannot be written.
     """
-    builder = _Builder(folder, config, roles_file, progress, len(clip_files))
-    by_style: dict[str, list[ClipFile]] = {}
-    for clip_file in clip_files:
-        by_style.setdefault(clip_file.style, []).append(clip_file)
+    builder = _Builder(folder, config, roles_file, progress, len(clips))
+    by_style: dict[str, list[Source]] = {}
+    for source in clips:
+        by_style.setdefault(_style(source), []).append(source)
     for style in sorted(by_style):
         builder.add_style(style, by_style[style])
     builder.finish()
@@ -133,44 +136,46 @@ class _Builder:
         self.plain: dict[str, int] = {}  # rows of each style that are not mirrored; they come first
         self.rows: dict[str, int] = {}
 
-    def add_style(self, style: str, files: Sequence[ClipFile]) -> None:
+    def add_style(self, style: str, sources: Sequence[Source]) -> None:
         """Reads the clips of a style and writes all of its rows."""
         plain: list[tuple[Features, int]] = []
         mirrored: list[tuple[Features, int]] = []
-        for file in files:
+        for source in sources:
             try:
-                self._add_clip(file, plain, mirrored)
+                self._add_clip(source, plain, mirrored)
             except NoGaitError as error:
-                self.skipped.append({"file": str(file.path), "style": style, "reason": f"{error.value}; {error.rule}"})
+                self.skipped.append({"file": _name(source), "style": style, "reason": f"{error.value}; {error.rule}"})
             self.done += 1
             if self.progress is not None:
-                self.progress(self.done, self.total, file.path.name)
+                self.progress(self.done, self.total, Path(_name(source)).name)
         if not plain:
             reason = next(s["reason"] for s in reversed(self.skipped) if s["style"] == style)
-            raise InputError(files[0].path, f"style {style}", f"{len(files)} clips, none of use", reason)
+            raise InputError(_name(sources[0]), f"style {style}", f"{len(sources)} clips, none of use", reason)
         self.plain[style] = sum(len(features.frames) for features, _ in plain)
         self.rows[style] = self.plain[style] + sum(len(features.frames) for features, _ in mirrored)
         _save_rows(self.folder / style, plain + mirrored)
 
-    def _add_clip(self, file: ClipFile, plain: list, mirrored: list) -> None:
-        take = load_labelled(file, self.config.fps, self.roles_file)
+    def _add_clip(self, source: Source, plain: list, mirrored: list) -> None:
+        on_disk = isinstance(source, ClipFile)
+        take = load_labelled(source, self.config.fps, self.roles_file) if on_disk else source
         layout = self._check(take.clip)
-        plain.append((self._features(take, layout), self._register(file, take, False)))
-        if self.config.mirror and file.symmetric:
+        plain.append((self._features(take, layout), self._register(_name(source), take)))
+        if self.config.mirror and take.symmetric:
             twin = replace(take, clip=mirror_clip(take.clip), labels=mirror_phase(take.labels))
-            mirrored.append((self._features(twin, layout), self._register(file, twin, True)))
+            mirrored.append((self._features(twin, layout), self._register(_name(source), twin)))
 
     def _features(self, take: LabelledClip, layout: FrameLayout) -> Features:
         return clip_features(take.clip, layout, take.labels, take.gait)
 
-    def _register(self, file: ClipFile, take: LabelledClip, mirrored: bool) -> int:
+    def _register(self, file: str, take: LabelledClip) -> int:
+        clip = take.clip
         self.clips.append(
             {
-                "file": str(file.path),
-                "style": file.style,
-                "content": file.content,
-                "mirrored": mirrored,
-                "frames": take.clip.num_frames,
+                "file": file,
+                "style": clip.style,
+                "content": clip.content,
+                "mirrored": clip.mirrored,
+                "frames": clip.num_frames,
             }
         )
         return len(self.clips) - 1
@@ -208,6 +213,14 @@ class _Builder:
             "versions": {"pfnn_jax": version("pfnn-jax"), "numpy": version("numpy")},
         }
         (self.folder / "dataset.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+
+def _style(source: Source) -> str:
+    return source.style if isinstance(source, ClipFile) else source.clip.style
+
+
+def _name(source: Source) -> str:
+    return str(source.path) if isinstance(source, ClipFile) else source.clip.source
 
 
 def _choose(rng: np.random.Generator, plain: int, rows: int, wanted: int) -> np.ndarray:

@@ -111,8 +111,13 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         offsets=np.array(data["offsets"], np.float64).reshape(joints, 3),
         end_sites=tuple((int(joint), np.array(offset, np.float64)) for joint, offset in data["end_sites"]),
         mirror=np.array(data["mirror"], np.int64),
-        roles=None if roles is None else Roles(**{k: tuple(v) if isinstance(v, list) else v for k, v in roles.items()}),
+        roles=None if roles is None else _roles(roles),
     )
+
+
+def _roles(data: Mapping[str, Any]) -> Roles:
+    joints: dict[str, Any] = {name: tuple(role) if isinstance(role, list) else role for name, role in data.items()}
+    return Roles(**joints)
 
 
 def _plain(role: Any) -> Any:
