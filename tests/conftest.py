@@ -13,6 +13,8 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 # Read by JAX when it is first imported, so that tests of `motion` need not import it: broadcasting between arrays of
 # different rank is an error unless written out.
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
+# Tests compile much and compute little: without LLVM's optimisations they take half the time.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 # The first example of a property compiles, which takes longer than hypothesis allows. On continuous integration the
 # same examples are drawn every time.
