@@ -172,7 +172,7 @@ def _bvh_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix.lower() == ".bvh" and path.is_file())
 
 
-def _match(pattern: re.Pattern, path: Path, rule: str) -> re.Match:
+def _match(pattern: re.Pattern[str], path: Path, rule: str) -> re.Match[str]:
     found = pattern.fullmatch(path.stem)
     if found is None:
         raise InputError(path, "file name", path.name, f"files of this kind are named {rule}.bvh")

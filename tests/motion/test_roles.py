@@ -1,0 +1,178 @@
+"""Joint roles from names in eight conventions, from geometry, and from a user's file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw
+from pfnn_jax.motion.roles import assign_roles, find_mirror, find_roles, is_hips_name, leg_length
+from pfnn_jax.motion.skeleton import Roles, Skeleton
+from tests.motion.skeletons import MIRROR, NAMES, OFFSETS, PARENTS, body
+
+EXPECTED = Roles(
+    hips=0,
+    left_hip=12,
+    right_hip=16,
+    left_shoulder=5,
+    right_shoulder=9,
+    left_foot=(14, 15),
+    right_foot=(18, 19),
+    left_hand=7,
+    right_hand=11,
+    head=3,
+)
+
+
+def sided(trunk: str, arm: str, leg: str, left: str, right: str, form: str) -> tuple[str, ...]:
+    """Joint names in the order of the body, from the parts' names, the sides' marks and a form."""
+    arms = [[form.format(side=side, part=part) for part in arm.split()] for side in (left, right)]
+    legs = [[form.format(side=side, part=part) for part in leg.split()] for side in (left, right)]
+    return (*trunk.split("|"), *arms[0], *arms[1], *legs[0], *legs[1])
+
+
+CONVENTIONS = {
+    "cmu": sided(
+        "Hips|Spine|Neck1|Head",
+        *("Shoulder Arm ForeArm Hand", "UpLeg Leg Foot ToeBase", "Left", "Right", "{side}{part}"),
+    ),
+    "100style": sided(
+        "Hips|Chest|Neck|Head",
+        *("Collar Shoulder Elbow Wrist", "Hip Knee Ankle Toe", "Left", "Right", "{side}{part}"),
+    ),
+    "bandai": sided(
+        "Hips|Spine|Neck|Head",
+        *("Shoulder UpperArm LowerArm Hand", "UpperLeg LowerLeg Foot Toes", "L", "R", "{part}_{side}"),
+    ),
+    "mixamo": sided(
+        "mixamorig:Hips|mixamorig:Spine|mixamorig:Neck|mixamorig:Head",
+        *("Shoulder Arm ForeArm Hand", "UpLeg Leg Foot ToeBase", "Left", "Right", "mixamorig:{side}{part}"),
+    ),
+    "biped": sided(
+        "Bip01 Pelvis|Bip01 Spine|Bip01 Neck|Bip01 Head",
+        *("Clavicle UpperArm Forearm Hand", "Thigh Calf Foot Toe0", "L", "R", "Bip01 {side} {part}"),
+    ),
+    "unreal": sided(
+        "pelvis|spine_01|neck_01|head",
+        *("clavicle upperarm lowerarm hand", "thigh calf foot ball", "l", "r", "{part}_{side}"),
+    ),
+    "blender": sided(
+        "hips|spine|neck|head",
+        *("shoulder upper_arm forearm hand", "thigh shin foot toe", "L", "R", "{part}.{side}"),
+    ),
+    "smpl": sided(
+        "Pelvis|Spine1|Neck|Head",
+        *("Collar Shoulder Elbow Wrist", "Hip Knee Ankle Foot", "L", "R", "{side}_{part}"),
+    ),
+    "lower-case": sided(
+        "root|lowerback|neck|head",
+        *("clavicle humerus radius wrist", "femur tibia foot toes", "l", "r", "{side}{part}"),
+    ),
+}
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_names_give_roles_and_partners(convention):
+    # offsets of zero: nothing but the names can tell
+    skeleton = replace(body(CONVENTIONS[convention]), offsets=np.zeros_like(OFFSETS))
+    assert find_roles(skeleton) == EXPECTED
+    np.testing.assert_array_equal(find_mirror(skeleton.names, skeleton.parents), MIRROR)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.5, np.pi, -2.0])
+def test_geometry_gives_roles_where_names_say_nothing(yaw):
+    skeleton = body(tuple(f"joint{chr(97 + joint)}" for joint in range(len(NAMES))))
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (1, len(NAMES), 1))
+    turns[:, 0] = quat_from_yaw(yaw)
+    pose = forward_kinematics(skeleton, np.zeros((1, 3)), turns)[0][0]
+    found = assign_roles(skeleton, pose=lambda: pose)
+    assert found.roles == EXPECTED
+    np.testing.assert_array_equal(found.mirror, MIRROR)
+
+
+def test_geometry_passes_over_duplicates_of_zero_length():
+    names = ("a", "b", "c", "d", "e", "f", "g", "h", "i", "j", "k", "m", "n", "o", "p", "q", "s", "t", "u", "v")
+    parents, offsets = np.insert(PARENTS, 12, 0), np.insert(OFFSETS, 12, 0.0, axis=0)
+    parents = np.where(parents >= 12, parents + 1, parents)
+    parents[13] = 12  # the left thigh hangs from a duplicate of the hips, as under LHipJoint
+    skeleton = Skeleton((*names[:12], "dummy", *names[12:]), parents, offsets, (), np.arange(21))
+    roles = find_roles(skeleton)
+    assert (roles.left_hip, roles.left_foot, roles.right_hip) == (13, (15, 16), 17)
+
+
+def test_a_foot_without_toes_is_the_ankle_twice():
+    kept = [joint for joint in range(len(NAMES)) if NAMES[joint] not in ("l_toe", "r_toe")]
+    parents = np.array([kept.index(parent) if parent >= 0 else -1 for parent in PARENTS[kept]])
+    names = tuple(NAMES[joint] for joint in kept)
+    roles = find_roles(Skeleton(names, parents, OFFSETS[kept], (), np.arange(len(kept))))
+    assert roles.left_foot == (names.index("l_foot"),) * 2
+
+
+def test_a_named_pelvis_beside_the_legs_gives_way_to_the_joint_above_them():
+    names = tuple("body" if name == "hips" else "hips" if name == "spine" else name for name in NAMES)
+    assert find_roles(body(names)).hips == 0
+
+
+def test_leg_length_is_hip_to_ankle():
+    skeleton = body()
+    assert leg_length(skeleton, EXPECTED) == pytest.approx(0.42 + np.hypot(0.42, 0.02))
+
+
+@pytest.mark.parametrize("name", ["Hips", "mixamorig:Hips", "Bip01 Pelvis", "CC_Base_Pelvis_01"])
+def test_hips_are_known_by_name(name):
+    assert is_hips_name(name) and not is_hips_name("joint_Root")
+
+
+def test_a_roles_file_overrides_names(tmp_path):
+    file = tmp_path / "roles.json"
+    file.write_text(json.dumps({"head": "neck", "left_foot": "l_foot", "right_foot": ["r_foot", "r_toe"]}))
+    roles = assign_roles(body(), file).roles
+    assert roles is not None
+    assert (roles.head, roles.left_foot, roles.right_foot, roles.hips) == (2, (14, 14), (18, 19), 0)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ('{"tail": "hips"}', "role: 'tail'; known roles are hips, left_hip"),
+        ('{"hips": "Tail"}', "role hips: 'Tail'; no such joint; there are hips, spine"),
+        ('{"hips": 3}', "role hips: 3; a role names one joint"),
+        ('{"hips": ["hips", "spine"]}', "a role names one joint"),
+        ('{"left_foot": []}', "a role names one joint"),
+        ('{"left_foot": [{}, "l_toe"]}', "role left_foot: {}; no such joint"),
+        ('{"left_foot": ["head", "l_toe"]}', "lie on one chain"),
+        ('{"left_hip": "r_thigh", "left_foot": "r_foot"}', "left and right must be different"),
+        ("[]", "file: list; must be a JSON object"),
+        ("{", "must be a JSON object"),
+        ("\xff\xfe", "must be a JSON object"),
+    ],
+)
+def test_a_bad_roles_file_is_refused_by_name(tmp_path, content, message):
+    file = tmp_path / "roles.json"
+    file.write_bytes(content.encode("latin-1"))
+    with pytest.raises(InputError) as error:
+        assign_roles(body(), file)
+    assert message in str(error.value) and str(error.value).startswith(str(file)) and "\n" not in str(error.value)
+
+
+def test_an_absent_roles_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="must be a readable JSON file"):
+        assign_roles(body(), tmp_path / "none.json")
+
+
+def test_a_skeleton_without_legs_has_no_roles():
+    chain = Skeleton(("a", "b", "c"), np.array([-1, 0, 1]), np.eye(3), (), np.arange(3))
+    assert assign_roles(chain).roles is None
+    with pytest.raises(InputError, match="toy.bvh: skeleton: joints a, b, c; needs a joint for hips, left_hip"):
+        find_roles(chain, source="toy.bvh")
+
+
+def test_partners_hang_from_partners():
+    # a left prop without a right one, and a pair whose parents are no pair
+    names = ("hips", "l_arm", "r_arm", "l_prop", "l_strap", "r_strap")
+    mirror = find_mirror(names, np.array([-1, 0, 0, 1, 1, 1]))
+    np.testing.assert_array_equal(mirror, [0, 2, 1, 3, 4, 5])
