@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
+import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
@@ -315,7 +316,8 @@ def shared_fingerprint(path: str | Path) -> str:
 
 
 def _abstract(make: Callable[[], State]) -> State:
-    return jax.eval_shape(make)
+    """The shapes of what `make` makes; parameters are float32 on disk, also where the program runs in float64."""
+    return jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, np.float32), jax.eval_shape(make))
 
 
 def _abstract_adapter(config: RunConfig, form: AdapterConfig) -> Layer:
