@@ -70,7 +70,8 @@ def player_html(tracks: Sequence[Track], *, fps: float = 30.0, start: float = 0.
         f'<div class="panes">{panes}</div>'
         '<div class="controls"><button type="button" class="play">Play</button>'
         '<input type="range" min="0" max="1000" step="any" value="0" aria-label="time"><output></output>'
-        f'<select aria-label="speed">{options}</select><button type="button" class="reset">Reset view</button></div></div>'
+        f'<select aria-label="speed">{options}</select>'
+        '<button type="button" class="reset">Reset view</button></div></div>'
     )
 
 

@@ -137,14 +137,18 @@ def _section(section: Section) -> str:
 def _picture(caption: str, figure: Figure) -> str:
     data = base64.b64encode(png_bytes(figure)).decode("ascii")
     below = f"<figcaption>{html.escape(caption)}</figcaption>" if caption else ""
-    return f'<figure class="picture"><img alt="{html.escape(caption)}" src="data:image/png;base64,{data}">{below}</figure>'
+    return (
+        f'<figure class="picture"><img alt="{html.escape(caption)}" src="data:image/png;base64,{data}">{below}</figure>'
+    )
 
 
 def _table(table: Table) -> str:
     best = {column: _smallest(table, number) for number, column in enumerate(table.columns) if column in table.best}
     head = "".join(f"<th>{html.escape(column)}</th>" for column in table.columns)
     rows = "".join(
-        "<tr>" + "".join(_cell(cell, best.get(column)) for column, cell in zip(table.columns, row, strict=True)) + "</tr>"
+        "<tr>"
+        + "".join(_cell(cell, best.get(column)) for column, cell in zip(table.columns, row, strict=True))
+        + "</tr>"
         for row in table.rows
     )
     note = f'<p class="note">{html.escape(table.note)}</p>' if table.note else ""

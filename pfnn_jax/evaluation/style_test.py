@@ -1,0 +1,169 @@
+"""How well a style was learned: one-step errors on takes it never saw, and the motion made with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.evaluation.metrics import (
+    achieved_turn_rate,
+    bone_length_error,
+    foot_skating,
+    jitter,
+    nearest_pose_distance,
+    one_step_error,
+    resting_heights,
+    skating_ratio,
+)
+from pfnn_jax.motion.features import Features
+from pfnn_jax.motion.layout import FrameLayout
+from pfnn_jax.motion.skeleton import Skeleton, need_roles
+from pfnn_jax.runtime.predictor import Predictor, evaluate
+from pfnn_jax.runtime.rollout import locked_rollout
+from pfnn_jax.runtime.turning import TURN_RATE, mean_speed, walk_circles
+
+
+@dataclass(frozen=True, eq=False)
+class Takes:
+    """Rows of several takes, one after another, in layout units.
+
+    Attributes:
+        rows: x, y, phase and frames of all takes.
+        take: [N] index of each row's take.
+        names: of the takes.
+    """
+
+    rows: Features
+    take: np.ndarray
+    names: tuple[str, ...]
+
+
+def join_takes(parts: Sequence[Features], names: Sequence[str]) -> Takes:
+    """Takes from the features of each."""
+    rows = Features(*(np.concatenate([getattr(p, field) for p in parts]) for field in ("x", "y", "phase", "frames")))
+    return Takes(rows, np.repeat(np.arange(len(parts)), [len(p.x) for p in parts]), tuple(names))
+
+
+@jax.jit
+def predict_rows(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Array:
+    """Outputs [N, Dy] of rows x [N, Dx] at phases [N], in layout units."""
+    return jax.vmap(partial(evaluate, predictor))(x, phase)
+
+
+def is_turning(y: np.ndarray, layout: FrameLayout, degrees_per_second: float = 20.0) -> np.ndarray:
+    """[N] whether the root turns faster than a rate in the true outputs y [N, Dy]."""
+    rate = y[:, layout.output_slice("root_yaw_rate")][:, 0] * layout.yaw_unit / layout.time_unit
+    return np.abs(np.rad2deg(rate)) > degrees_per_second
+
+
+def pose_and_velocity_error(y: np.ndarray, predicted: np.ndarray, layout: FrameLayout, std: np.ndarray) -> np.ndarray:
+    """[N] mean squared normalised error of each row's joint positions and velocities."""
+    columns = np.r_[layout.output_slice("joint_position"), layout.output_slice("joint_velocity")]
+    return np.mean(((predicted - y)[:, columns] / std[columns]) ** 2, axis=1)
+
+
+def one_step_test(predictor: Predictor, takes: Takes, layout: FrameLayout, std: np.ndarray) -> dict[str, Any]:
+    """One-step errors on takes: by group of columns, on the turning frames alone, and per take.
+
+    Args:
+        predictor: the network and style.
+        takes: true rows.
+        layout: of the rows.
+        std: [Dy] by which errors are divided: one for all methods that are compared.
+
+    Returns:
+        `all` and the groups of `one_step_error`; `pose_velocity` (positions and velocities together) over all frames,
+        `pose_velocity_turning` over those above 20°/s (None where there are none), and `per_take`: name -> error.
+    """
+    y = takes.rows.y
+    predicted = np.asarray(predict_rows(predictor, takes.rows.x, takes.rows.phase))
+    errors = pose_and_velocity_error(y, predicted, layout, std)
+    turning = is_turning(y, layout)
+    per_take = np.bincount(takes.take, errors) / np.bincount(takes.take)
+    return {
+        **one_step_error(y, predicted, layout, std),
+        "pose_velocity": float(errors.mean()),
+        "pose_velocity_turning": float(errors[turning].mean()) if turning.any() else None,
+        "per_take": dict(zip(takes.names, per_take.tolist(), strict=True)),
+    }
+
+
+def locked_test(
+    predictor: Predictor, takes: Takes, layout: FrameLayout, std: np.ndarray, num_frames: int, most: int = 12
+) -> float:
+    """Pose-and-velocity error of rollouts with root, trajectory and phase locked to the truth.
+
+    Args:
+        predictor, takes, layout, std: as for `one_step_test`.
+        num_frames: length of each rollout; takes with fewer consecutive rows are left out.
+        most: takes used at most.
+
+    Returns:
+        Mean over takes and frames, infinite if a rollout is not finite; NaN if no take is long enough.
+    """
+    starts = [np.flatnonzero(takes.take == index) for index in range(len(takes.names))]
+    windows = [rows[:num_frames] for rows in starts if len(rows) >= num_frames][:most]
+    windows = [rows for rows in windows if takes.rows.frames[rows[-1]] - takes.rows.frames[rows[0]] == num_frames - 1]
+    if not windows:
+        return float("nan")
+    rows = np.stack(windows)
+    run = partial(locked_rollout, evaluate, predictor, layout)
+    outputs = np.asarray(jax.vmap(run)(jnp.asarray(takes.rows.x[rows]), jnp.asarray(takes.rows.phase[rows])))
+    errors = [pose_and_velocity_error(takes.rows.y[r], o, layout, std) for r, o in zip(rows, outputs, strict=True)]
+    error = float(np.mean(errors))
+    return error if np.isfinite(error) else float("inf")
+
+
+def circle_test(
+    predictor: Predictor, clip: Features, turning: Features, layout: FrameLayout, skeleton: Skeleton, seconds: float
+) -> dict[str, float]:
+    """A walk on a circle to either side at 45°/s, begun in the clip's first pose.
+
+    Args:
+        predictor: the network and style.
+        clip: rows of the adaptation clip: first pose and speed.
+        turning: real rows of the style while it turns, as many as there are.
+        layout, skeleton: of the rows.
+        seconds: length of each walk.
+
+    Returns:
+        `turn_rate` (achieved over commanded, mean of both sides), `nearest_turning_pose` (metres), `skating` (m/s),
+        `skating_ratio`, `bone_error` (metres) and `jitter` (m/s³); all infinite if the walk is not finite.
+    """
+    speed = max(mean_speed(clip.y, layout), 0.3)
+    frames = walk_circles(predictor, layout, clip.x[0], float(clip.phase[0]), speed, seconds)
+    if not np.isfinite(np.asarray(frames.outputs)).all():
+        names = ("turn_rate", "nearest_turning_pose", "skating", "skating_ratio", "bone_error", "jitter")
+        return dict.fromkeys(names, float("inf"))
+    pose, settle = layout.output_slice("joint_position"), round(layout.fps)
+    real = _poses(turning.y[:, pose], layout)
+    lengths = np.linalg.norm(skeleton.offsets, axis=-1)
+    roles = need_roles(skeleton)
+    feet = [*roles.left_foot, *roles.right_foot]
+    sides = []
+    for side in range(2):
+        outputs, joints = np.asarray(frames.outputs[side])[settle:], np.asarray(frames.joint_positions[side])[settle:]
+        rate = achieved_turn_rate(np.asarray(frames.root_yaw[side])[settle:], layout.fps)
+        ground = resting_heights(real[:, feet])
+        sides.append(
+            {
+                "turn_rate": rate / np.rad2deg(TURN_RATE) * (1.0 if side == 0 else -1.0),
+                "nearest_turning_pose": float(nearest_pose_distance(_poses(outputs[:, pose], layout), real).mean()),
+                "skating": foot_skating(joints[:, feet], layout.fps, ground),
+                "skating_ratio": skating_ratio(joints[:, feet], layout.fps, ground),
+                "bone_error": bone_length_error(joints, skeleton.parents, lengths),
+                "jitter": jitter(joints, layout.fps),
+            }
+        )
+    return {name: float(np.mean([side[name] for side in sides])) for name in sides[0]}
+
+
+def _poses(rows: np.ndarray, layout: FrameLayout) -> np.ndarray:
+    """[N, J, 3] metres relative to the root."""
+    return rows.reshape(len(rows), layout.num_joints, 3) * layout.length_unit
