@@ -18,7 +18,7 @@ pytest: .venv/.installed
 	$(BIN)/python -m pytest -n $(WORKERS) --nbmake tests notebooks
 
 docs: .venv/.installed
-	$(BIN)/mkdocs build --strict --quiet --site-dir site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site
 
 demo: .venv/.installed
 	$(BIN)/pfnn-jax demo --out demo
