@@ -29,6 +29,7 @@ from pfnn_jax.motion.skeleton import Skeleton
 
 STRETCH = 0.02  # bones may vary by this share of the longest limb and still count as rigid
 METRE, CENTIMETRE, MILLIMETRE, INCH, CMU = 1.0, 0.01, 0.001, 0.0254, 0.056444
+POSES = 30  # enough to tell left from right in a walk or a run
 RATE_STEP = 2e-4  # relative: frame times are printed to few decimals, 0.008333 means 120 fps
 
 
@@ -60,15 +61,16 @@ def read_bvh(path: str | Path, *, unit: float | None = None, roles_file: str | P
     offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
 
-    def pose() -> np.ndarray:
-        return forward_kinematics(bare, np.zeros((1, 3)), rotations[:1])[0][0]
+    def poses() -> np.ndarray:
+        some = rotations[:: max(1, len(rotations) // POSES)]
+        return forward_kinematics(bare, np.zeros((len(some), 3)), some)[0]
 
-    scale = _guess_unit(bare, pose) if unit is None else unit
+    scale = _guess_unit(bare, poses) if unit is None else unit
     _require_rigid(path, bare, positions)
     skeleton = Skeleton(
         names, parents, offsets * scale, tuple((joint, site * scale) for joint, site in end_sites), bare.mirror
     )
-    skeleton = assign_roles(skeleton, None if roles_file is None else Path(roles_file), str(path), pose=pose)
+    skeleton = assign_roles(skeleton, None if roles_file is None else Path(roles_file), str(path), poses=poses)
     return MotionClip(skeleton, _frame_rate(text.frame_time), positions[:, 0] * scale, rotations, source=str(path))
 
 
@@ -141,13 +143,13 @@ def _require_rigid(path: Path, skeleton: Skeleton, positions: np.ndarray) -> Non
         raise InputError(path, f"joint {shorten(skeleton.names[joint])}", f"moves by {stretch[joint]:.3g}", rule)
 
 
-def _guess_unit(skeleton: Skeleton, pose: Callable[[], np.ndarray]) -> float:
+def _guess_unit(skeleton: Skeleton, poses: Callable[[], np.ndarray]) -> float:
     """Metres per file unit, from the length of a leg from hip to ankle.
 
     An adult's is 0.7 to 1 m, a child's of 1 m height 0.42 m. Without legs, three quarters of the longest chain.
     """
     try:
-        leg = leg_length(skeleton, find_roles(skeleton, pose=pose))
+        leg = leg_length(skeleton, find_roles(skeleton, poses=poses))
     except InputError:
         leg = 0.75 * longest_chain(skeleton)
     for longest, unit in ((3.0, METRE), (22.0, CMU), (40.0, INCH), (300.0, CENTIMETRE)):

@@ -131,7 +131,12 @@ def _read_text(path: Path) -> str:
 def _split(path: Path, text: str) -> tuple[str, int, float, int, str]:
     """(hierarchy text, number of frames, frame time in seconds, line number of the first frame, rows of numbers)."""
     if not re.match(r"\s*HIERARCHY\b", text, re.IGNORECASE):
-        raise InputError(path, "line 1", shorten(text[:40].strip() or "empty file"), "a BVH file starts with HIERARCHY")
+        raise InputError(
+            path,
+            "line 1",
+            shorten(text.strip()[:80].split("\n")[0] or "empty file"),
+            "a BVH file starts with HIERARCHY",
+        )
     motion = re.search(r"^[ \t]*MOTION[ \t]*$|(?<=\})\s*MOTION\b", text, re.IGNORECASE | re.MULTILINE)
     if motion is None:
         raise InputError(path, f"line {text.count(chr(10)) + 1}", "end of file", "MOTION must follow the hierarchy")

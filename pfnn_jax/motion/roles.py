@@ -39,12 +39,12 @@ def find_roles(
     overrides: dict | None = None,
     source: str | Path = "skeleton",
     *,
-    pose: Callable[[], np.ndarray] | None = None,
+    poses: Callable[[], np.ndarray] | None = None,
 ) -> Roles:
     """The part of each joint in walking, from names and, for parts that names do not give, from geometry.
 
     Geometry: the legs are the two chains that reach lowest, the arms those that reach farthest to the sides, the head
-    the highest end; a leg or arm is the run of three joints with the longest two bones, so duplicates of zero length
+    the highest end; a leg or arm is the last run of three joints with two long bones, so duplicates of zero length
     are passed over. Left is +X when the toes point to +Z. A foot without a toe joint is (ankle, ankle): both contacts
     are then the ankle's.
 
@@ -52,7 +52,7 @@ def find_roles(
         skeleton: the joints; its own roles and mirror are not read.
         overrides: role -> joint name, or [heel, toe] names for the feet (one name stands for both).
         source: file to name in messages.
-        pose: gives [J, 3] joint positions of a standing pose in any unit, called where names do not suffice; None takes
+        poses: gives [N, J, 3] joint positions of some poses in any unit, called where names do not suffice; None takes
             the pose of zero rotations. Without toe joints left is +X.
 
     Returns:
@@ -66,7 +66,7 @@ def find_roles(
     found = dict(_deepest_hips(skeleton, {**named, **chosen}), **chosen)
     if any(role not in found for role in ROLE_NAMES):
         # sides found by geometry must not mix with sides found by names, so a pair is taken whole
-        measured = roles_from_geometry(skeleton, rest_pose(skeleton) if pose is None else pose())
+        measured = roles_from_geometry(skeleton, rest_pose(skeleton)[None] if poses is None else poses())
         for part in ("hip", "foot", "shoulder", "hand"):
             pair = (f"left_{part}", f"right_{part}")
             if any(role not in found for role in pair) and all(role in measured for role in pair):
@@ -84,7 +84,7 @@ def assign_roles(
     roles_file: Path | None = None,
     source: str | Path = "skeleton",
     *,
-    pose: Callable[[], np.ndarray] | None = None,
+    poses: Callable[[], np.ndarray] | None = None,
 ) -> Skeleton:
     """The skeleton with its left-right partners and roles filled in.
 
@@ -95,17 +95,17 @@ def assign_roles(
         roles_file: JSON object from role to joint name, feet as [heel, toe], as
             `{"hips": "Pelvis", "left_foot": ["Ankle_L", "Ball_L"]}`. Roles not named in it are found as usual.
         source: file to name in messages.
-        pose: as in `find_roles`.
+        poses: as in `find_roles`.
 
     Raises:
         InputError: if the roles file is not such a JSON object, or names no role, no joint or an impossible one.
     """
     roles = None
     if roles_file is not None:
-        roles = find_roles(skeleton, _read_json(Path(roles_file)), roles_file, pose=pose)
+        roles = find_roles(skeleton, _read_json(Path(roles_file)), roles_file, poses=poses)
     else:
         try:
-            roles = find_roles(skeleton, None, source, pose=pose)
+            roles = find_roles(skeleton, None, source, poses=poses)
         except InputError:
             roles = None
     return replace(skeleton, mirror=find_mirror(skeleton.names, skeleton.parents, roles), roles=roles)

@@ -88,8 +88,8 @@ def test_geometry_gives_roles_where_names_say_nothing(yaw):
     skeleton = body(tuple(f"joint{chr(97 + joint)}" for joint in range(len(NAMES))))
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (1, len(NAMES), 1))
     turns[:, 0] = quat_from_yaw(yaw)
-    pose = forward_kinematics(skeleton, np.zeros((1, 3)), turns)[0][0]
-    found = assign_roles(skeleton, pose=lambda: pose)
+    pose = forward_kinematics(skeleton, np.zeros((1, 3)), turns)[0]
+    found = assign_roles(skeleton, poses=lambda: pose)
     assert found.roles == EXPECTED
     np.testing.assert_array_equal(found.mirror, MIRROR)
 
