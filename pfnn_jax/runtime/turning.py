@@ -1,0 +1,108 @@
+"""Does a style survive turns? Rollouts on circles to both sides, by which few-shot learning chooses its setting."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.models.network import Network
+from pfnn_jax.motion.layout import FrameLayout
+from pfnn_jax.motion.normaliser import Normaliser
+from pfnn_jax.runtime.paths import circle
+from pfnn_jax.runtime.predictor import Predictor, evaluate
+from pfnn_jax.runtime.rollout import Frames, Stability, follow_path, make_track, stability
+from pfnn_jax.runtime.state import initial_state
+from pfnn_jax.training.few_shot import assemble
+
+TURN_RATE = np.deg2rad(45.0)
+"""Radians per second of the circles: a brisk turn, a full circle in 8 seconds."""
+
+SECONDS = 4.0
+"""Length of each rollout: half a circle, and several steps in which to go wrong."""
+
+PEAK_RATIO = 3.0
+"""A pose further from the mean than this many times the clip's own peak (mean squared, normalised) has fallen apart."""
+
+LEAST_TURN = 0.5
+"""Share of the commanded turn rate that must be achieved, and that it may be exceeded by."""
+
+
+def predictor_of(trained: Any, shared: Network, normaliser: Normaliser) -> Predictor:
+    """A predictor from few-shot training's result: an adapter beside `shared`, or a whole network."""
+    network, adapter = assemble(trained, shared)
+    inputs, outputs = normaliser.inputs, normaliser.outputs
+    statistics = (inputs.mean, inputs.std, outputs.mean, outputs.std)
+    return Predictor(network, adapter, *(jnp.asarray(value, jnp.float32) for value in statistics))
+
+
+def mean_speed(y: np.ndarray, layout: FrameLayout) -> float:
+    """Metres per second along the ground, mean over rows y [N, Dy] in layout units."""
+    velocity = y[:, layout.output_slice("root_velocity")]
+    return float(np.linalg.norm(velocity, axis=1).mean()) * layout.length_unit / layout.time_unit
+
+
+def walk_circles(
+    predictor: Predictor, layout: FrameLayout, x: np.ndarray, phase: float, speed: float, seconds: float
+) -> Frames:
+    """Rollouts on two circles at `TURN_RATE`, left and right, from the pose of a real row.
+
+    Args:
+        predictor: the network and style.
+        layout: of its rows.
+        x: [Dx] a row of the style, in layout units.
+        phase: [] radians of that row.
+        speed: metres per second.
+        seconds: length of the rollouts.
+
+    Returns:
+        Frames with a leading axis of 2: turning left, then right.
+    """
+    paths = [circle(turn_rate=sign * float(TURN_RATE), speed=speed) for sign in (1.0, -1.0)]
+    tracks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(make_track(path, speed, 256) for path in paths))
+    points = jnp.asarray(np.stack([path.points[0] for path in paths]), jnp.float32)
+    yaws = jnp.asarray([path.start_yaw for path in paths], jnp.float32)
+    num_frames = round(seconds * layout.fps)
+
+    def one(track, point, yaw):
+        state = initial_state(layout, jnp.asarray(x), jnp.float32(phase), point, yaw)
+        return follow_path(evaluate, predictor, layout, state, track, num_frames)
+
+    return jax.vmap(one)(tracks, points, yaws)
+
+
+def is_sound(found: Stability, allowed_peak: float) -> np.ndarray:
+    """Whether rollouts at `TURN_RATE` (any leading axes) stayed finite and whole, and turned as asked."""
+    turned = np.abs(np.asarray(found.turn_rate)) / TURN_RATE
+    return (
+        np.asarray(found.finite)
+        & (np.asarray(found.pose_peak) <= allowed_peak)
+        & (np.abs(turned - 1.0) <= 1.0 - LEAST_TURN)
+    )
+
+
+def make_stability_check(
+    shared: Network, normaliser: Normaliser, layout: FrameLayout, x: np.ndarray, y: np.ndarray, phase: np.ndarray
+) -> Callable[[Any], bool]:
+    """A judge of trained parameters for `choose`: do both circles stay sound?
+
+    Args:
+        shared, normaliser, layout: of the run.
+        x, y, phase: [N, ...] rows of the clip, in layout units: its first row starts the rollouts, its speed is
+            asked for, and its own range of poses is the measure of what is whole.
+    """
+    pose = layout.output_slice("joint_position")
+    own = np.mean(normaliser.outputs.apply(y)[:, pose] ** 2, axis=1).max()
+    speed = max(mean_speed(y, layout), 0.3)
+    mean, std = (jnp.asarray(value, jnp.float32) for value in (normaliser.outputs.mean, normaliser.outputs.std))
+
+    def is_stable(trained: Any) -> bool:
+        predictor = predictor_of(trained, shared, normaliser)
+        frames = walk_circles(predictor, layout, x[0], float(phase[0]), speed, SECONDS)
+        found = jax.vmap(lambda one: stability(layout, one, mean, std))(frames)
+        return bool(is_sound(found, PEAK_RATIO * own).all())
+
+    return is_stable

@@ -1,0 +1,123 @@
+"""Pretraining on disk: from a prepared dataset to a run directory, killed and resumed at any moment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.dataset import Dataset, stack
+from pfnn_jax.motion.skeleton import skeleton_to_json
+from pfnn_jax.training.batches import Batch
+from pfnn_jax.training.pretraining import PretrainConfig, Progress, init_state, train
+from pfnn_jax.training.run import (
+    Run,
+    RunConfig,
+    append_metrics,
+    create_run,
+    load_config,
+    load_run,
+    load_train_state,
+    rewind_metrics,
+    save_shared,
+    save_style,
+    save_train_state,
+)
+from pfnn_jax.training.steps import PretrainState
+
+
+def pretrain(
+    dataset: Dataset,
+    out: str | Path,
+    config: PretrainConfig,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda progress: None,
+) -> Run:
+    """Trains a shared network and an adapter per style, and writes them as a run.
+
+    The training state is saved every `config.save_every` steps; the shared parameters and the styles are written
+    once, at the end. A run killed before resumes from its last complete state and repeats the rest bit for bit.
+
+    Args:
+        dataset: prepared motion of all styles.
+        out: the run directory.
+        config: how to train.
+        resume: go on with the run in `out`, which must have been started with the same settings.
+        overwrite: replace an existing run.
+        on_progress: called after every dispatch.
+
+    Raises:
+        InputError: if `out` exists (without `resume` or `overwrite`), or holds other settings than asked.
+        TrainingError: when a loss is not finite; the last good state stays.
+    """
+    out = Path(out)
+    run_config = run_config_of(dataset, config)
+    data = Batch(*stack(dataset))
+    state = init_state(config, dataset.layout.input_size, dataset.layout.output_size, len(dataset.styles))
+    if resume:
+        state = _resumed(out, run_config, state)
+    else:
+        create_run(out, run_config, dataset.normaliser, overwrite)
+
+    def on_dispatch(state: PretrainState, progress: Progress) -> None:
+        append_metrics(out, progress._asdict())
+        if progress.step % config.save_every < config.steps_per_dispatch or progress.step == progress.steps:
+            save_train_state(out, state, progress.step)
+        on_progress(progress)
+
+    state = train(state, data, config, dataset.styles, on_dispatch=on_dispatch)
+    _save_result(out, state, dataset)
+    return load_run(out)
+
+
+def run_config_of(dataset: Dataset, config: PretrainConfig) -> RunConfig:
+    """The configuration that a run of this dataset carries."""
+    layout = dataset.layout
+    return RunConfig(
+        network=config.network(layout.input_size, layout.output_size),
+        adapter=config.adapter,
+        layout=layout.name,
+        num_joints=layout.num_joints,
+        styles=tuple(dataset.styles),
+        skeleton=skeleton_to_json(dataset.skeleton),
+        pretrain={**asdict(config), "dataset": str(dataset.path), "frames_per_style": dataset.frames_per_style},
+    )
+
+
+def _resumed(out: Path, wanted: RunConfig, state: PretrainState) -> PretrainState:
+    """The last saved state of the run in `out`, or the fresh one if it was killed before its first save."""
+    found, asked = _plain(load_config(out)), _plain(wanted)
+    for name in sorted(asked.keys() - {"versions"}):
+        if found[name] != asked[name]:
+            value = f"{_differing(found[name], asked[name])} differs from what was asked"
+            raise InputError(out, name, value, "a run is resumed with the settings it began with")
+    loaded = load_train_state(out, jax.eval_shape(lambda: state))
+    rewind_metrics(out, 0 if loaded is None else int(loaded.step))
+    return state if loaded is None else loaded
+
+
+def _plain(config: RunConfig) -> dict[str, Any]:
+    return json.loads(json.dumps(asdict(config)))
+
+
+def _differing(old: Any, new: Any) -> str:
+    """The entries in which two values differ, with the old ones."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        return ", ".join(f"{key} {old.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key))
+    return str(old)
+
+
+def _save_result(out: Path, state: PretrainState, dataset: Dataset) -> None:
+    save_shared(out, state.shared)
+    for index, style in enumerate(dataset.styles):
+        adapter = jax.tree.map(lambda leaf, i=index: np.asarray(leaf[i]), state.bank)
+        info = {"source": str(dataset.path), "frames": dataset.frames_per_style, "steps": int(state.step)}
+        save_style(out, style, adapter, info, overwrite=True)
