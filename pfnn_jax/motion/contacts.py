@@ -20,8 +20,7 @@ GROUND_PERCENTILE = 5.0  # a foot part rests for far more than this share of any
 
 
 def leg_length(positions: np.ndarray, roles: Roles) -> float:
-    """Longest distance from hip to ankle in the clip, metres: the median over frames of thigh and shank would need
-    the knee, which is no role, and a leg is nearly straight once in every stride.
+    """Longest distance from hip to ankle in the clip, metres: a leg is nearly straight once in every stride.
 
     Args:
         positions: [T, J, 3] metres.

@@ -109,7 +109,7 @@ def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> Non
     """Writes a `.phase` file, six decimals of a cycle to a line; frames without a label are 0.
 
     A labelled 0 beside a frame without a label, or at an end of the file, is written as 1: reading gives every label
-    back.
+    back. Only a gap of a single frame cannot be told from a contact, and is widened by a frame.
 
     Args:
         path: text file.
@@ -122,9 +122,11 @@ def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> Non
     path = Path(path)
     if path.exists() and not overwrite:
         raise InputError(path, "file", "exists", "overwriting must be asked for")
-    values = np.round(np.where(labels.labelled, labels.phase / CYCLE, 0.0), 6)
+    labelled = labels.labelled.copy()
+    labelled[[stop for start, stop in _runs(~labels.labelled) if stop - start == 1 and stop < len(labelled)]] = False
+    values = np.round(np.where(labelled, labels.phase / CYCLE, 0.0), 6)
     zero = np.concatenate([[True], values == 0, [True]])
-    values[labels.labelled & zero[1:-1] & (zero[:-2] | zero[2:])] = 1.0
+    values[labelled & zero[1:-1] & (zero[:-2] | zero[2:])] = 1.0
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         temporary.write_text("".join(f"{value:.6f}\n" for value in values), encoding="utf-8")

@@ -1,0 +1,115 @@
+"""Normaliser: exact statistics, grouped averages by the authors' rule, round trips, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.layout import mason2018, pfnn2017
+from pfnn_jax.motion.normaliser import CHUNK, Statistics, fit_normaliser, load_normaliser, save_normaliser
+
+FLOAT32 = 1e-6  # relative; one rounding of each statistic to float32
+LAYOUT = mason2018(2)
+
+
+@pytest.fixture
+def rows() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    x = rng.normal(3.0, rng.uniform(0.1, 5.0, LAYOUT.input_size), (500, LAYOUT.input_size))
+    y = rng.normal(-1.0, rng.uniform(0.1, 5.0, LAYOUT.output_size), (500, LAYOUT.output_size))
+    return x.astype(np.float32), y.astype(np.float32)
+
+
+def test_normalised_rows_have_zero_mean_and_unit_deviation(rows):
+    normaliser = fit_normaliser(*rows, LAYOUT)
+    z = normaliser.inputs.apply(rows[0].astype(np.float64))
+    np.testing.assert_allclose(z.mean(axis=0), 0.0, atol=1e-5)
+    np.testing.assert_allclose(z.std(axis=0), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(normaliser.outputs.std, rows[1].astype(np.float64).std(axis=0), rtol=FLOAT32)
+
+
+def test_invert_undoes_apply_and_constant_columns_stay_finite(rows):
+    x, y = rows
+    x[:, 6] = 1.0  # as the direction of the present sample
+    normaliser = fit_normaliser(x, y, LAYOUT)
+    assert normaliser.inputs.std[6] == 1.0
+    np.testing.assert_allclose(normaliser.inputs.invert(normaliser.inputs.apply(x)), x, rtol=1e-5, atol=1e-5)
+
+
+def test_rounding_of_a_constant_column_does_not_count_as_deviation(rows):
+    x, y = rows
+    x[:, 6] = 1.0 + 1e-7 * np.sign(x[:, 0])
+    assert fit_normaliser(x, y, LAYOUT).inputs.std[6] == 1.0
+
+
+def test_several_arrays_and_several_chunks_count_as_one(rows):
+    x, y = rows
+    x, y = np.tile(x, (CHUNK // 250, 1)), np.tile(y, (CHUNK // 250, 1))
+    whole = fit_normaliser(x, y, LAYOUT)
+    parts = fit_normaliser([x[:300], x[300:]], [y[:300], y[300:]], LAYOUT)
+    np.testing.assert_allclose(parts.inputs.mean, whole.inputs.mean, rtol=1e-5)
+    np.testing.assert_allclose(parts.outputs.std, whole.outputs.std, rtol=FLOAT32)
+
+
+def test_grouped_deviations_are_block_averages_with_joint_inputs_divided_by_a_tenth(rows):
+    plain, grouped = (fit_normaliser(*rows, LAYOUT, grouped=g) for g in (False, True))
+    for block, weight in (("trajectory_position_x", 1.0), ("joint_position", 0.1), ("joint_velocity", 0.1)):
+        at = LAYOUT.input_slice(block)
+        np.testing.assert_allclose(grouped.inputs.std[at], plain.inputs.std[at].mean() / weight, rtol=1e-5)
+    for block in ("joint_position", "joint_velocity", "joint_up", "root_velocity"):
+        at = LAYOUT.output_slice(block)
+        np.testing.assert_allclose(grouped.outputs.std[at], plain.outputs.std[at].mean(), rtol=1e-5)
+    both = np.r_[LAYOUT.output_slice("trajectory_position_x"), LAYOUT.output_slice("trajectory_position_z")]
+    np.testing.assert_allclose(grouped.outputs.std[both], plain.outputs.std[both].mean(), rtol=1e-5)
+    np.testing.assert_array_equal(grouped.inputs.mean, plain.inputs.mean)
+
+
+def test_grouped_blocks_are_those_of_the_published_statistics(reference):
+    """The released PFNN's deviations are constant over exactly the blocks averaged here."""
+    layout = pfnn2017()
+    std = np.fromfile(reference / "pfnn" / "Ystd.bin", "<f4")
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=(50, layout.input_size)).astype(np.float32)
+    y = (rng.normal(size=(50, layout.output_size)) * std).astype(np.float32)
+    ours = fit_normaliser(x, y, layout, grouped=True).outputs.std
+    for block, _ in layout.outputs:
+        at = layout.output_slice(block)
+        assert len(set(std[at].tolist())) == len(set(ours[at].tolist())) == 1
+
+
+def test_saving_and_loading_is_exact(rows, tmp_path):
+    normaliser = fit_normaliser(*rows, LAYOUT)
+    save_normaliser(tmp_path / "n", normaliser)
+    loaded = load_normaliser(tmp_path / "n")
+    for side in ("inputs", "outputs"):
+        for field in dataclasses.fields(Statistics):
+            wanted = getattr(getattr(normaliser, side), field.name)
+            np.testing.assert_array_equal(getattr(getattr(loaded, side), field.name), wanted)
+
+
+def test_non_finite_rows_are_refused_by_block(rows):
+    x, y = rows
+    y[17, LAYOUT.output_slice("joint_up")][2] = np.nan
+    with pytest.raises(InputError, match="y row 17, joint_up: nan; every value must be finite"):
+        fit_normaliser(x, y, LAYOUT)
+
+
+def test_wrong_width_and_no_rows_are_refused(rows):
+    x, y = rows
+    with pytest.raises(InputError, match="layout mason2018 has 60 columns"):
+        fit_normaliser(x[:, :-1], y, LAYOUT)
+    with pytest.raises(InputError, match="at least one row"):
+        fit_normaliser(x[:0], y[:0], LAYOUT)
+
+
+def test_damaged_files_are_refused(rows, tmp_path):
+    save_normaliser(tmp_path, fit_normaliser(*rows, LAYOUT))
+    np.save(tmp_path / "x_std.npy", np.zeros(LAYOUT.input_size, np.float32))
+    with pytest.raises(InputError, match="x_std.npy.*deviations are positive"):
+        load_normaliser(tmp_path)
+    (tmp_path / "y_mean.npy").write_bytes(b"no array")
+    with pytest.raises(InputError, match="y_mean.npy"):
+        load_normaliser(tmp_path)
