@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -18,15 +18,28 @@ from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.trajectory import to_local
 from pfnn_jax.runtime.controller import Command, ControllerConfig
-from pfnn_jax.runtime.lookup import evaluate_lookup, make_lookup
+from pfnn_jax.runtime.lookup import table_phase
 from pfnn_jax.runtime.paths import Path
-from pfnn_jax.runtime.predictor import evaluate, make_predictor
+from pfnn_jax.runtime.predictor import Predictor, evaluate, make_predictor
 from pfnn_jax.runtime.rollout import EvaluateFn, Frames, follow_path, make_track, rollout
 from pfnn_jax.runtime.state import CharacterState, initial_state, place_state
 from pfnn_jax.training.run import Run, style_note
 
 Mode = Literal["cubic", "nearest50", "constant50"]
 """The exact spline, or a table of 50 slices read at the nearest one, or truncated as the published demo does."""
+
+
+def _nearest50(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Array:
+    return evaluate(predictor, x, table_phase(phase, "nearest50"))
+
+
+def _constant50(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Array:
+    return evaluate(predictor, x, table_phase(phase, "constant50"))
+
+
+EVALUATORS: dict[Mode, EvaluateFn] = {"cubic": evaluate, "nearest50": _nearest50, "constant50": _constant50}
+"""How `rollout` and `follow_path` evaluate a `Predictor` in each mode. A scan needs no table: it blends the network at
+the table's phase, which is the same to rounding and gathers nothing."""
 
 RUN_IN_FRAMES = 60
 """Frames of straight walking before a path begins: the mean pose is no pose, and takes a few steps to become one."""
@@ -70,28 +83,20 @@ def generate(
     Raises:
         InputError: for an unknown style or mode, a speed or a time that is not above 0, or motion that is not finite.
     """
-    if mode not in get_args(Mode):
-        raise InputError(run.path, "mode", mode, f"must be {', '.join(get_args(Mode))}")
+    if mode not in EVALUATORS:
+        raise InputError(run.path, "mode", mode, f"must be {', '.join(EVALUATORS)}")
     speed = default_speed(run, style) if speed is None else speed
     seconds = path.length / max(speed, 1e-6) if seconds is None else seconds
     for name, value in (("speed", speed), ("seconds", seconds)):
         if not (math.isfinite(value) and value > 0.0):
             raise InputError(run.path, name, value, "must be above 0")
-    evaluate_fn, params = network_of(run, style, mode)
+    evaluate_fn, params = EVALUATORS[mode], make_predictor(run, style)
     num_frames = max(round(seconds * run.layout.fps), 2)
     state = walking_state(evaluate_fn, params, run.layout, run.normaliser, speed, config=config)
     state = place_state(state, jnp.asarray(path.points[0], jnp.float32), jnp.float32(path.start_yaw))
     frames = follow_path(evaluate_fn, params, run.layout, state, make_track(path, speed), num_frames, config=config)
     clip = clip_from_frames(run.skeleton, run.layout, frames)
     return Generated(replace(clip, style=style or "agnostic", content="generated", source=str(run.path)), frames)
-
-
-def network_of(run: Run, style: str | None, mode: Mode) -> tuple[EvaluateFn, Any]:
-    """The function and the parameters by which `rollout` evaluates a run's network in a style."""
-    predictor = make_predictor(run, style)
-    if mode == "cubic":
-        return evaluate, predictor
-    return evaluate_lookup, make_lookup(predictor, mode=mode)
 
 
 def default_speed(run: Run, style: str | None) -> float:
