@@ -111,8 +111,8 @@ def _track_data(track: Track, fps: float) -> dict[str, Any]:
     if track.phase is not None:
         data["phase"] = [round(float(value), 2) for value in track.phase[frames]]
     if track.contacts is not None:
-        stands = track.contacts[frames].reshape(len(frames), 2, 2).any(axis=-1)
-        data["contacts"] = [_runs(stands[:, foot]) for foot in range(2)]
+        on = track.contacts[frames]
+        data["contacts"] = [_runs(on[:, 0] | on[:, 1]), _runs(on[:, 2] | on[:, 3])]
     return data
 
 

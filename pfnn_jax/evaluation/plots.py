@@ -142,7 +142,7 @@ def filmstrip(clip: MotionClip, moments: int = 8, title: str = "", span: tuple[i
     figure = _figure(width, 2.7 + drop)
     side, top = figure.subplots(2, 1, height_ratios=(2.7, drop))
     for number, frame in enumerate(frames):
-        local = _to_view(points[frame] - [points[frame, 0, 0], 0, points[frame, 0, 2]], heading[frame])
+        local = _to_view(points[frame] - [points[frame, 0, 0], 0, points[frame, 0, 2]], float(heading[frame]))
         draw_body(side, local + [spacing * number, 0, 0], capsules)
         label = f"{number + 1}   {(frame - first) / clip.fps:.2f} s"
         side.annotate(label, (spacing * number, -0.1 * height), ha="center", fontsize=8, color=MUTED)
@@ -223,10 +223,10 @@ def _draw_path(axes: Axes, path: np.ndarray, facing: np.ndarray, frames: np.ndar
     for number, frame in enumerate(frames):
         angle = np.rad2deg(np.arctan2(-facing[frame, 0], facing[frame, 1]))
         axes.plot(*path[frame], marker=(3, 0, angle), color=SIDES["left"], markersize=9, markeredgecolor="white")
-        beside = 10.0 * np.array([-facing[frame, 1], facing[frame, 0]])
+        (x, y), (ahead_x, ahead_y) = path[frame].tolist(), facing[frame].tolist()
         axes.annotate(
-            str(number + 1), path[frame], textcoords="offset points", xytext=beside, ha="center", va="center",
-            fontsize=8, color=INK,
+            str(number + 1), (x, y), textcoords="offset points", xytext=(-10 * ahead_y, 10 * ahead_x), ha="center",
+            va="center", fontsize=8, color=INK,
         )  # fmt: skip
     left, low = path.min(axis=0) - [0.0, 0.45]
     axes.plot([left, left + 1.0], [low, low], color=INK, linewidth=2.0, solid_capstyle="butt")

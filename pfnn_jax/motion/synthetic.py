@@ -145,7 +145,8 @@ def mixed_schedule(
         turn.append(np.full(length, rate))
         speed.append(np.full(length, min(style.speed * rng.uniform(0.7, 1.25), 1.8)))
         frames += length
-    return tuple(_smooth(np.concatenate(part)[:num_frames], fps) for part in (turn, speed))
+    turn_rate, speeds = (_smooth(np.concatenate(part)[:num_frames], fps) for part in (turn, speed))
+    return turn_rate, speeds
 
 
 def _smooth(schedule: np.ndarray, fps: float) -> np.ndarray:

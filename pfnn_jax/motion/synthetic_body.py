@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 
 from pfnn_jax.motion.kinematics import (
     quat_conjugate,
@@ -21,7 +22,8 @@ from pfnn_jax.motion.synthetic_styles import SyntheticStyle
 STRAIGHTEST = 0.996
 """Longest distance from hip to ankle over the leg's length: about 10° of knee bend remain."""
 STANDING = ANKLE_HEIGHT + THIGH + SHIN + 0.03  # height of the hips over straight legs, metres
-SOFTNESS = 0.03  # metres over which the hips' own height gives way to what the legs can reach
+GIVE = 0.18  # seconds over which knees give way where a leg would come to its end: nobody falls on stiff legs
+SOFTNESS = 0.02  # metres over which the hips' own height gives way to what the legs can reach
 GRAVITY = 9.81
 X, Y, Z = np.eye(3)
 
@@ -146,15 +148,23 @@ def _hips(
     hips[:, [0, 2]] += walk.position
     bob = style.hip_bob * np.clip(walk.vigour, 0.3, 1.3) * np.cos(2 * (walk.phase - np.deg2rad(style.bob_delay)))
     height = STANDING - style.crouch - style.hip_bob - bob + wobble(0.002)
-    reach = STRAIGHTEST * (THIGH + SHIN)
+    reach, highest = STRAIGHTEST * (THIGH + SHIN), np.full(len(height), STANDING)
     for name, foot in zip(("LeftUpLeg", "RightUpLeg"), feet, strict=True):
         arm = quat_rotate(pelvis, skeleton.offsets[skeleton.names.index(name)])
         flat = foot.ankle - hips - arm
         rise = np.sqrt(np.maximum(reach**2 - flat[:, 0] ** 2 - flat[:, 2] ** 2, 0.0))
-        highest = foot.ankle[:, 1] + rise - arm[:, 1]
-        height = (height + highest - np.sqrt((height - highest) ** 2 + SOFTNESS**2)) / 2  # a smooth minimum
-    hips[:, 1] = height
+        highest = np.minimum(highest, foot.ankle[:, 1] + rise - arm[:, 1])
+    highest = _rounded_below(highest, walk.fps)
+    hips[:, 1] = (height + highest - np.sqrt((height - highest) ** 2 + SOFTNESS**2)) / 2  # a smooth minimum
     return hips
+
+
+def _rounded_below(limit: np.ndarray, fps: float) -> np.ndarray:
+    """A curve without corners that nowhere exceeds `limit` [T]: its running minimum, averaged over as long a window."""
+    width = max(3, round(GIVE * fps) | 1)
+    window = np.hanning(width + 2)[1:-1]
+    lowest = np.pad(minimum_filter1d(limit, width), width // 2, mode="edge")
+    return np.convolve(lowest, window / window.sum(), mode="valid")
 
 
 def _leg(pelvis: np.ndarray, socket: np.ndarray, foot: Foot, yaw: np.ndarray, outward: float) -> np.ndarray:

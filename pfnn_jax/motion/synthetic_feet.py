@@ -15,11 +15,11 @@ from pfnn_jax.motion.kinematics import quat_from_yaw, quat_rotate
 from pfnn_jax.motion.synthetic_skeleton import ANKLE_HEIGHT
 from pfnn_jax.motion.synthetic_styles import SyntheticStyle
 
-ROLL = 0.16
+ROLL = 0.12
 """Fraction of the stance that the sole takes to come down after contact."""
 LONGEST_STANCE = 0.86
 """Metres the body travels over a standing foot; a faster walk raises its cadence, so that no leg is overstretched."""
-SET_BACK = 0.05
+SET_BACK = 0.06
 """Metres by which a plant lies behind the middle of its stance: the ankle of a foot that rolls off comes forward."""
 TOE = np.array([0.0, -0.065, 0.14])  # from ankle to toe joint, as in the skeleton
 PLANT_SCATTER = 0.008  # metres: people do not step on a line
@@ -125,7 +125,7 @@ def place_foot(style: SyntheticStyle, walk: Walk, left: bool, rng: np.random.Gen
     before, share = number - number[0], smoothstep(swing)
     yaw = yaws[before] + share * (yaws[before + 1] - yaws[before])
     ground = spots[before] + share[:, None] * (spots[before + 1] - spots[before])
-    bump = swing**2 * (1 - swing) ** 3 / 0.03456  # highest at 0.4, 1 there
+    bump = 16 * swing**2 * (1 - swing) ** 2
     vigour = np.clip(walk.vigour, 0.25, 1.25)
     pitch = np.deg2rad(foot_pitch(style, stance, swing)) * vigour
     pivot = np.where(stance >= style.heel_off, 1 - share, 0.0)  # 1: about the toe joint, 0: about the ankle
