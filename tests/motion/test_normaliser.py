@@ -24,7 +24,7 @@ def rows() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_normalised_rows_have_zero_mean_and_unit_deviation(rows):
-    normaliser = fit_normaliser(*rows, LAYOUT)
+    normaliser = fit_normaliser(rows[0], rows[1], LAYOUT)
     z = normaliser.inputs.apply(rows[0].astype(np.float64))
     np.testing.assert_allclose(z.mean(axis=0), 0.0, atol=1e-5)
     np.testing.assert_allclose(z.std(axis=0), 1.0, rtol=1e-5)
@@ -55,7 +55,7 @@ def test_several_arrays_and_several_chunks_count_as_one(rows):
 
 
 def test_grouped_deviations_are_block_averages_with_joint_inputs_divided_by_a_tenth(rows):
-    plain, grouped = (fit_normaliser(*rows, LAYOUT, grouped=g) for g in (False, True))
+    plain, grouped = (fit_normaliser(rows[0], rows[1], LAYOUT, grouped=g) for g in (False, True))
     for block, weight in (("trajectory_position_x", 1.0), ("joint_position", 0.1), ("joint_velocity", 0.1)):
         at = LAYOUT.input_slice(block)
         np.testing.assert_allclose(grouped.inputs.std[at], plain.inputs.std[at].mean() / weight, rtol=1e-5)
@@ -81,7 +81,7 @@ def test_grouped_blocks_are_those_of_the_published_statistics(reference):
 
 
 def test_saving_and_loading_is_exact(rows, tmp_path):
-    normaliser = fit_normaliser(*rows, LAYOUT)
+    normaliser = fit_normaliser(rows[0], rows[1], LAYOUT)
     save_normaliser(tmp_path / "n", normaliser)
     loaded = load_normaliser(tmp_path / "n")
     for side in ("inputs", "outputs"):
@@ -106,7 +106,7 @@ def test_wrong_width_and_no_rows_are_refused(rows):
 
 
 def test_damaged_files_are_refused(rows, tmp_path):
-    save_normaliser(tmp_path, fit_normaliser(*rows, LAYOUT))
+    save_normaliser(tmp_path, fit_normaliser(rows[0], rows[1], LAYOUT))
     np.save(tmp_path / "x_std.npy", np.zeros(LAYOUT.input_size, np.float32))
     with pytest.raises(InputError, match="x_std.npy.*deviations are positive"):
         load_normaliser(tmp_path)
