@@ -6,6 +6,7 @@ A quaternion turns vectors by `v' = q v q*`; a product `a b` applies b first. Ri
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pfnn_jax.motion.skeleton import Skeleton
 
@@ -13,7 +14,7 @@ AXES = {"X": 0, "Y": 1, "Z": 2}
 SMALL = 1e-12  # below this a length carries no direction
 
 
-def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def quat_multiply(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     """Hamilton product [..., 4]: the rotation b followed by the rotation a."""
     aw, ax, ay, az = _parts(a)
     bw, bx, by, bz = _parts(b)
@@ -25,12 +26,12 @@ def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return q
 
 
-def quat_conjugate(q: np.ndarray) -> np.ndarray:
+def quat_conjugate(q: ArrayLike) -> np.ndarray:
     """Inverse rotation [..., 4] of a unit quaternion."""
     return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
 
 
-def quat_rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+def quat_rotate(q: ArrayLike, v: ArrayLike) -> np.ndarray:
     """Vectors v [..., 3] turned by unit quaternions q [..., 4]."""
     w, qx, qy, qz = _parts(q)
     x, y, z = _parts(v)
@@ -42,14 +43,14 @@ def quat_rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     return turned
 
 
-def quat_normalise(q: np.ndarray) -> np.ndarray:
+def quat_normalise(q: ArrayLike) -> np.ndarray:
     """q [..., 4] at unit length; a zero quaternion becomes the identity."""
     q = np.asarray(q, dtype=float)
     length = np.linalg.norm(q, axis=-1, keepdims=True)
     return np.where(length > SMALL, q / np.maximum(length, SMALL), [1.0, 0.0, 0.0, 0.0])
 
 
-def quat_from_axis_angle(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+def quat_from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> np.ndarray:
     """Rotation [..., 4] by `angle` [...] radians about `axis` [..., 3] (any length; zero gives the identity)."""
     axis, half = np.asarray(axis, dtype=float), np.asarray(angle, dtype=float)[..., None] / 2
     length = np.linalg.norm(axis, axis=-1, keepdims=True)
@@ -58,7 +59,7 @@ def quat_from_axis_angle(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.concatenate((np.broadcast_to(w, v.shape[:-1] + (1,)), v), axis=-1)
 
 
-def quat_from_euler(angles: np.ndarray, order: str) -> np.ndarray:
+def quat_from_euler(angles: ArrayLike, order: str) -> np.ndarray:
     """Rotation [..., 4] from `angles` [..., 3] radians in the order in which a BVH file lists its channels.
 
     "ZYX" means R = Rz Ry Rx: the last listed axis turns first about fixed axes.
@@ -81,7 +82,7 @@ def quat_from_euler(angles: np.ndarray, order: str) -> np.ndarray:
     return q
 
 
-def quat_to_euler(q: np.ndarray, order: str) -> np.ndarray:
+def quat_to_euler(q: ArrayLike, order: str) -> np.ndarray:
     """Angles [..., 3] radians, one per letter of `order`, with `quat_from_euler(angles, order)` = ±q.
 
     The middle angle lies in [-π/2, π/2]; at its ends (gimbal lock) the last angle is 0.
@@ -99,7 +100,7 @@ def quat_to_euler(q: np.ndarray, order: str) -> np.ndarray:
     return np.stack((np.where(locked, a_locked, a), b, np.where(locked, 0.0, c)), axis=-1)
 
 
-def quat_to_matrix(q: np.ndarray) -> np.ndarray:
+def quat_to_matrix(q: ArrayLike) -> np.ndarray:
     """Rotation matrices [..., 3, 3] of unit quaternions q [..., 4]."""
     w, x, y, z = _parts(q)
     rows = (
@@ -110,7 +111,7 @@ def quat_to_matrix(q: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def quat_from_matrix(m: np.ndarray) -> np.ndarray:
+def quat_from_matrix(m: ArrayLike) -> np.ndarray:
     """Unit quaternions [..., 4] with w ≥ 0 of rotation matrices m [..., 3, 3]."""
     m = np.asarray(m, dtype=float)
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
@@ -131,7 +132,7 @@ def quat_from_matrix(m: np.ndarray) -> np.ndarray:
     return np.where(q[..., :1] < 0, -q, q)
 
 
-def quat_log(q: np.ndarray) -> np.ndarray:
+def quat_log(q: ArrayLike) -> np.ndarray:
     """Half-angle logarithm [..., 3] of unit quaternions: axis times half of the angle, with w ≥ 0 taken first.
 
     Source: Holden et al. 2017, joint rotations of the released layout.
@@ -144,14 +145,14 @@ def quat_log(q: np.ndarray) -> np.ndarray:
     return q[..., 1:] * scale
 
 
-def quat_exp(v: np.ndarray) -> np.ndarray:
+def quat_exp(v: ArrayLike) -> np.ndarray:
     """Unit quaternions [..., 4] of half-angle vectors v [..., 3]; the inverse of `quat_log`."""
     v = np.asarray(v, dtype=float)
     half = np.linalg.norm(v, axis=-1, keepdims=True)
     return np.concatenate((np.cos(half), v * np.sinc(half / np.pi)), axis=-1)
 
 
-def quat_slerp(a: np.ndarray, b: np.ndarray, t: np.ndarray | float) -> np.ndarray:
+def quat_slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> np.ndarray:
     """Rotation [..., 4] at fraction t [...] of the shorter great arc from a to b (both [..., 4], unit)."""
     a, b, t = np.asarray(a, dtype=float), np.asarray(b, dtype=float), np.asarray(t, dtype=float)[..., None]
     dot = np.sum(a * b, axis=-1, keepdims=True)
@@ -165,7 +166,7 @@ def quat_slerp(a: np.ndarray, b: np.ndarray, t: np.ndarray | float) -> np.ndarra
     return quat_normalise(wa * a + wb * sign * b)
 
 
-def quat_between(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def quat_between(u: ArrayLike, v: ArrayLike) -> np.ndarray:
     """Shortest rotation [..., 4] taking the direction of u [..., 3] to that of v [..., 3].
 
     Opposite directions turn half a circle about some axis across u.
@@ -180,14 +181,14 @@ def quat_between(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return quat_normalise(np.where(dot < -1.0 + 1e-9, half_turn, q))
 
 
-def quat_from_yaw(yaw: np.ndarray) -> np.ndarray:
+def quat_from_yaw(yaw: ArrayLike) -> np.ndarray:
     """Rotation [..., 4] by yaw [...] radians about +Y; takes +Z to (sin yaw, 0, cos yaw)."""
     half = np.asarray(yaw, dtype=float) / 2
     zero = np.zeros_like(half)
     return np.stack((np.cos(half), zero, np.sin(half), zero), axis=-1)
 
 
-def quat_from_forward_up(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
+def quat_from_forward_up(forward: ArrayLike, up: ArrayLike) -> np.ndarray:
     """Rotation [..., 4] whose local +Z is `forward` [..., 3] and whose local +Y is `up` [..., 3] made orthogonal.
 
     Both need not be unit or orthogonal, as a network's outputs are not; `forward` keeps its direction.
@@ -233,7 +234,7 @@ def _parity(i: int, j: int) -> float:
     return 1.0 if j == (i + 1) % 3 else -1.0
 
 
-def _parts(v: np.ndarray) -> list[np.ndarray]:
+def _parts(v: ArrayLike) -> list[np.ndarray]:
     """The components of v [..., N] as N arrays [...]; indexing costs less than moving the axis."""
     v = np.asarray(v)
     return [v[..., i] for i in range(v.shape[-1])]

@@ -69,7 +69,8 @@ def roles_from_geometry(skeleton: Skeleton, poses: np.ndarray) -> dict:
 
 def _left(poses: np.ndarray, legs: list[tuple]) -> np.ndarray:
     """[N, 3] horizontal direction to the left of where the toes point, as long as they do; +X if there are no toes."""
-    forward = sum(poses[:, leg[3]] - poses[:, leg[2]] for leg in legs)
+    (_, _, *one), (_, _, *other) = legs
+    forward = poses[:, one[1]] - poses[:, one[0]] + poses[:, other[1]] - poses[:, other[0]]
     left = np.stack((forward[:, 2], np.zeros(len(poses)), -forward[:, 0]), axis=-1)  # Y x forward
     return left if np.abs(left).max() > 1e-6 else np.tile([1.0, 0.0, 0.0], (len(poses), 1))
 

@@ -41,7 +41,7 @@ STYLE_GAIT = re.compile(rf"(\w+?)_({'|'.join(GAITS)})")
 XIA = re.compile(r"([a-z]+)_(\d\d)_(\d{3})", re.IGNORECASE)
 XIA_CONTENTS = {"01": "walk", "13": "run", "16": "jump", "18": "punch"}  # others keep their number
 
-# turn the other way than their names say, as measured by the change of the hips' heading
+# turn the other way than their names say, by the net change of the hips' heading (right_normal_004 turns twice)
 BANDAI_MISLABELLED = {
     "dataset-2_walk-turn-left_masculine_006",
     "dataset-2_walk-turn-left_masculine_007",

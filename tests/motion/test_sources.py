@@ -1,0 +1,205 @@
+"""Folders of clips: each convention's names, tables and corrections, and every fault by name."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.bvh import CMU, write_bvh
+from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.skeleton import need_roles
+from pfnn_jax.motion.sources import ClipFile, check_style_name, find_kind, is_symmetric, list_clips, load_clip
+from tests.motion.skeletons import body_clip
+
+CUTS = "STYLE_NAME,FW_START,FW_STOP,ID_START,ID_STOP\nAngry,2,6,3,200\nOld,0,4,N/A,N/A\n"
+STYLES = "Style Name,Description,Stochastic,Symmetric,Notes\nAngry,x,No,Yes,\nOld,y,No,No,\n"
+
+
+def fill(folder: Path, *names: str) -> Path:
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("")
+    return folder
+
+
+def test_bandai_names_and_corrected_turns(tmp_path):
+    fill(tmp_path, "dataset-2_walk-turn-left_masculine_006.bvh", "dataset-2_walk-turn-left_masculine_008.bvh")
+    fill(tmp_path, "dataset-1_walk-back_old_001.bvh")
+    clips = list_clips(tmp_path)
+    assert find_kind(tmp_path) == "bandai"
+    assert [(clip.style, clip.content) for clip in clips] == [
+        ("old", "walk-back"),
+        ("masculine", "walk-turn-right"),  # turns right whatever its name says
+        ("masculine", "walk-turn-left"),
+    ]
+    assert all(clip.symmetric and clip.unit == 0.01 and clip.stop is None for clip in clips)
+
+
+def test_xia_names(tmp_path):
+    clips = list_clips(fill(tmp_path, "angry_13_000.bvh", "sexy_05_001.bvh"))
+    assert [(clip.style, clip.content, clip.unit) for clip in clips] == [("angry", "run", CMU), ("sexy", "05", CMU)]
+
+
+def test_pfnn_takes_labelled_clips_without_their_mirrors(tmp_path):
+    fill(tmp_path, "Walk.bvh", "Walk.phase", "Walk_mirror.bvh", "Walk_mirror.phase", "rest.bvh")
+    assert [(clip.path.name, clip.style, clip.content) for clip in list_clips(tmp_path)] == [
+        ("Walk.bvh", "neutral", "Walk")
+    ]
+
+
+@pytest.mark.parametrize("inner", ["", "{style}/"])
+def test_100style_cuts_and_symmetry(tmp_path, inner):
+    (tmp_path / "Frame_Cuts.csv").write_text(CUTS)
+    (tmp_path / "Dataset_List.csv").write_text(STYLES)
+    fill(tmp_path, inner.format(style="Angry") + "Angry_FW.bvh", inner.format(style="Old") + "Old_FW.bvh")
+    angry, old = list_clips(tmp_path)
+    assert (angry.style, angry.content, angry.symmetric, angry.start, angry.stop) == ("Angry", "walk", True, 2, 6)
+    assert (old.symmetric, old.start, old.stop) == (False, 0, 4)
+    (tmp_path / "Dataset_List.csv").unlink()
+    assert [clip.symmetric for clip in list_clips(tmp_path)] == [True, False]  # by the paper's list
+
+
+@pytest.mark.parametrize(
+    ("cuts", "styles", "message"),
+    [
+        (None, STYLES, "Frame_Cuts.csv: file: absent; 100STYLE takes start with calibration"),
+        ("STYLE_NAME,FW_START,FW_STOP\nOld,1,2\n", STYLES, "Frame_Cuts.csv: style Angry: no row"),
+        ("STYLE_NAME,FW_START,FW_STOP\nAngry,N/A,N/A\n", STYLES, "line 2: FW_START N/A, FW_STOP N/A; must be whole"),
+        ("STYLE_NAME,FW_START,FW_STOP\nAngry,9,2\n", STYLES, "line 2: FW_START 9, FW_STOP 2; must be whole"),
+        ("STYLE_NAME,FW_START\nAngry,9\n", STYLES, "line 2: FW_START 9, FW_STOP None; must be whole"),
+        ("NAME\nAngry\n", STYLES, "Frame_Cuts.csv: line 1: no column STYLE_NAME"),
+        ("", STYLES, "Frame_Cuts.csv: line 1: no column STYLE_NAME"),
+        (
+            CUTS,
+            "Style Name,Symmetric\nAngry,perhaps\n",
+            "Dataset_List.csv: line 2: Symmetric perhaps; must be Yes or No",
+        ),
+        ("STYLE_NAME\n" + "x" * 200_000, STYLES, "must be a table of comma-separated values"),
+    ],
+)
+def test_faults_in_the_tables_of_100style_are_named(tmp_path, cuts, styles, message):
+    fill(tmp_path, "Angry_FW.bvh")
+    if cuts is not None:
+        (tmp_path / "Frame_Cuts.csv").write_text(cuts)
+    (tmp_path / "Dataset_List.csv").write_text(styles)
+    with pytest.raises(InputError) as error:
+        list_clips(tmp_path)
+    assert message in str(error.value)
+
+
+def test_one_folder_per_style(tmp_path):
+    fill(tmp_path, "calm/a.bvh", "calm/b.BVH", "LeftHop/a.bvh", "limping/a.bvh", "notes/readme.txt")
+    (tmp_path / "asymmetric.txt").write_text("Limping\n\n")
+    clips = list_clips(tmp_path)
+    assert find_kind(tmp_path) == "folders"
+    assert [(clip.style, clip.content, clip.symmetric, clip.unit) for clip in clips] == [
+        ("LeftHop", "a", False, None),
+        ("calm", "a", True, None),
+        ("calm", "b", True, None),
+        ("limping", "a", False, None),
+    ]
+    (tmp_path / "asymmetric.txt").write_text("hopping\n")
+    with pytest.raises(InputError, match="asymmetric.txt: line: hopping; must be the name of a style folder"):
+        list_clips(tmp_path)
+    (tmp_path / "asymmetric.txt").write_bytes(b"\xff\xfe\xff")
+    with pytest.raises(InputError, match="asymmetric.txt: file: not text"):
+        list_clips(tmp_path)
+
+
+def test_a_single_file_is_a_list_of_one(tmp_path):
+    fill(tmp_path, "sneaking.bvh", "dataset-1_run_old_001.bvh", "angry_13_000.bvh")
+    assert list_clips(tmp_path / "sneaking.bvh") == [ClipFile(tmp_path / "sneaking.bvh", "sneaking")]
+    assert list_clips(tmp_path / "dataset-1_run_old_001.bvh")[0].style == "old"
+    assert list_clips(tmp_path / "angry_13_000.bvh")[0].content == "run"
+    (tmp_path / "Frame_Cuts.csv").write_text(CUTS)
+    assert list_clips(fill(tmp_path, "Old_FW.bvh") / "Old_FW.bvh")[0].stop == 4
+
+
+def test_folders_of_no_convention_are_refused(tmp_path):
+    with pytest.raises(InputError, match="folder: absent"):
+        list_clips(tmp_path / "none")
+    with pytest.raises(InputError, match="folder: no BVH files; name files dataset-N"):
+        list_clips(tmp_path)
+    fill(tmp_path, "walk.bvh", "angry_13_000.bvh")
+    with pytest.raises(InputError, match="2 BVH files, as angry_13_000.bvh; name files"):
+        list_clips(tmp_path)
+    with pytest.raises(InputError, match="file name: walk.bvh; files of this kind are named STYLE_CONTENT_TAKE.bvh"):
+        list_clips(tmp_path, "xia")
+    with pytest.raises(InputError, match="no clips; kind folders finds no BVH file"):
+        list_clips(tmp_path, "folders")
+    with pytest.raises(InputError, match="kind: cmu; known kinds are auto, bandai, 100style, xia, pfnn, folders"):
+        list_clips(tmp_path, "cmu")
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", ".hidden", "a/b", "a\\b", "../up", "a\0b", "a\nb", " a", "a ", "a.", "a:b", "x" * 101]
+)
+def test_style_names_that_are_no_file_names_are_refused(name):
+    with pytest.raises(InputError, match="run: style name: .*; must be a file name"):
+        check_style_name(name, "run")
+
+
+@pytest.mark.parametrize("name", ["angry", "Bouncy Left", "walk-2_b", "v1.5", "老人"])
+def test_style_names_that_are_file_names_pass(name):
+    assert check_style_name(name) == name
+
+
+def test_the_papers_asymmetric_styles():
+    assert not any(is_symmetric(name) for name in ("LeftHop", "Old", "WoundedLeg", "teapot"))
+    assert is_symmetric("Angry") and is_symmetric("neutral")
+
+
+def test_loading_cuts_resamples_and_labels(tmp_path):
+    path = tmp_path / "take.bvh"
+    write_bvh(path, body_clip(frames=20, fps=30.0))
+    clip = load_clip(ClipFile(path, "calm", "walk", start=5, stop=10))
+    assert (clip.num_frames, clip.fps, clip.style, clip.content) == (9, 60.0, "calm", "walk")
+    assert load_clip(ClipFile(path, "calm", start=5, stop=1000), fps=30.0).num_frames == 15  # a shortened take
+    with pytest.raises(InputError, match="take.bvh: cut: frames 25 to 20; a cut lies within the clip's 20 frames"):
+        load_clip(ClipFile(path, "calm", start=25, stop=30))
+
+
+COUNTS = {
+    "bandai-namco-1": ("bandai", 56, 8, 30.0),
+    "bandai-namco-2": ("bandai", 462, 7, 30.0),
+    "100style": ("100style", 5, 2, 60.0),
+    "xia": ("xia", 6, 4, 120.0),
+    "pfnn": ("pfnn", 2, 1, 120.0),
+}
+
+
+@pytest.mark.parametrize("folder", COUNTS)
+def test_real_folders_are_known_and_load(mocap, folder):
+    kind, clips, styles, _ = COUNTS[folder]
+    listed = list_clips(mocap / folder)
+    assert (find_kind(mocap / folder), len(listed), len({clip.style for clip in listed})) == (kind, clips, styles)
+    clip = load_clip(listed[0])
+    roles = need_roles(clip.skeleton)
+    assert clip.fps == 60.0 and clip.style == listed[0].style
+    height = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)[0][:, roles.head, 1]
+    assert 1.0 < np.median(height) < 1.9
+
+
+def test_pretraining_styles_are_balanced(mocap):
+    contents = Counter((clip.style, clip.content) for clip in list_clips(mocap / "bandai-namco-2"))
+    assert len(contents) == 28 and contents[("active", "walk-turn-left")] == 18
+
+
+def test_every_turn_goes_the_way_its_content_says(mocap):
+    """Names of five Bandai-Namco turns are wrong: contents follow the change of the hips' heading."""
+    for listed in list_clips(mocap / "bandai-namco-2"):
+        if "turn" not in listed.content:
+            continue
+        clip = load_clip(listed, fps=15.0)
+        roles = need_roles(clip.skeleton)
+        joints = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)[0]
+        across = joints[:, roles.left_hip] - joints[:, roles.right_hip]
+        heading = np.unwrap(np.arctan2(-across[:, 2], across[:, 0]))
+        turned = np.degrees(heading[-1] - heading[0])
+        assert 40 < abs(turned) < 300, listed.path.name
+        assert ("left" in listed.content) == (turned > 0), listed.path.name
