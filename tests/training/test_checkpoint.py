@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -35,7 +36,12 @@ CONFIG = NetworkConfig(input_size=6, output_size=5, hidden=4)
 
 def make_state(seed: int = 0):
     network = init_network(CONFIG, jax.random.key(seed))
-    return {"network": network, "optimiser": optax.adam(1e-3).init(network), "step": jnp.int32(seed), "key": None}
+    return {
+        "network": network,
+        "optimiser": optax.adam(1e-3).init(cast(Any, network)),
+        "step": jnp.int32(seed),
+        "key": None,
+    }
 
 
 def assert_equal(a, b):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.layout import mason2018
 from pfnn_jax.motion.normaliser import Normaliser, Statistics
@@ -61,7 +61,7 @@ def make_config(**changes):
     return RunConfig(**{**settings, **changes})
 
 
-def make_adapter(kind="cp", rank=2, seed=1, hidden=HIDDEN):
+def make_adapter(kind: AdapterKind = "cp", rank=2, seed=1, hidden=HIDDEN):
     return init_adapter(AdapterConfig(kind, rank), hidden, 4, jax.random.key(seed))
 
 
