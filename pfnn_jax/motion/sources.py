@@ -8,8 +8,8 @@ Five conventions are known, by their file names:
 - `xia`: `STYLE_CONTENT_TAKE.bvh` with a two-digit content and a three-digit take (Xia et al. 2015).
 - `pfnn`: `NAME.bvh` beside `NAME.phase` (Holden et al. 2017), all of style `neutral`. Files without a `.phase` are left
   out, and so are `_mirror` files: mirrored copies are made from the clips themselves.
-- `folders`: one folder of BVH files per style, named as the style. A style is mirrored unless its name is one of the
-  papers' asymmetric styles or a line of `asymmetric.txt` beside the style folders.
+- `folders`: one folder of BVH files per style, named as the style. Styles are mirrored except those which
+  `asymmetric.txt` beside the style folders lists, one a line; without that file, the papers' asymmetric styles.
 """
 
 from __future__ import annotations
@@ -219,13 +219,13 @@ def _list_pfnn(folder: Path) -> list[ClipFile]:
 
 def _list_folders(folder: Path) -> list[ClipFile]:
     listed = folder / "asymmetric.txt"
-    asymmetric = {line.strip().lower() for line in _read_lines(listed)} if listed.is_file() else set()
+    asymmetric = {line.strip().lower() for line in _read_lines(listed)} - {""} if listed.is_file() else ASYMMETRIC
     styles = sorted(child for child in folder.iterdir() if child.is_dir() and _bvh_files(child))
-    unknown = asymmetric - {child.name.lower() for child in styles} - {""}
-    if unknown:
+    unknown = asymmetric - {child.name.lower() for child in styles}
+    if unknown and listed.is_file():
         raise InputError(listed, "line", sorted(unknown)[0], "must be the name of a style folder beside this file")
     return [
-        ClipFile(path, style.name, path.stem, is_symmetric(style.name) and style.name.lower() not in asymmetric)
+        ClipFile(path, style.name, path.stem, style.name.lower() not in asymmetric)
         for style in styles
         for path in _bvh_files(style)
     ]

@@ -98,11 +98,13 @@ def test_one_folder_per_style(tmp_path):
     clips = list_clips(tmp_path)
     assert find_kind(tmp_path) == "folders"
     assert [(clip.style, clip.content, clip.symmetric, clip.unit) for clip in clips] == [
-        ("LeftHop", "a", False, None),
+        ("LeftHop", "a", True, None),  # the file alone decides
         ("calm", "a", True, None),
         ("calm", "b", True, None),
         ("limping", "a", False, None),
     ]
+    (tmp_path / "asymmetric.txt").unlink()
+    assert [clip.style for clip in list_clips(tmp_path) if not clip.symmetric] == ["LeftHop"]  # by the papers' lists
     (tmp_path / "asymmetric.txt").write_text("hopping\n")
     with pytest.raises(InputError, match="asymmetric.txt: line: hopping; must be the name of a style folder"):
         list_clips(tmp_path)
