@@ -7,6 +7,7 @@ combination of four control points, so that any four or more entries give them b
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Sequence
@@ -119,8 +120,13 @@ def recover_control_points(tables: np.ndarray, indices: Sequence[int]) -> tuple[
 
 def _design(indices: Sequence[int]) -> np.ndarray:
     """[N, 4] spline coefficients at the tables' phases, in float64."""
+    return _all_coefficients()[list(indices)]
+
+
+@functools.cache
+def _all_coefficients() -> np.ndarray:
     with jax.enable_x64(True):
-        phases = jnp.asarray(indices, jnp.float64) * (2 * math.pi / NUM_TABLES)
+        phases = jnp.arange(NUM_TABLES, dtype=jnp.float64) * (2 * math.pi / NUM_TABLES)
         return np.asarray(jax.vmap(lambda phase: catmull_rom_basis(phase, CONTROL_POINTS))(phases))
 
 

@@ -94,10 +94,10 @@ _evaluate_rows = jax.jit(jax.vmap(evaluate, (None, 0, 0)))
 def _read_rows(file: Path, width: int) -> tuple[np.ndarray, np.ndarray]:
     rule = "must be a NumPy .npz file with arrays x and phase"
     try:
-        arrays = np.load(file, allow_pickle=False)
-        if not isinstance(arrays, np.lib.npyio.NpzFile):
-            raise InputError(file, "file", "a single array", rule)
-        with arrays:
+        with file.open("rb") as stream:  # opened here, because NumPy leaves a damaged file open
+            arrays = np.load(stream, allow_pickle=False)
+            if not isinstance(arrays, np.lib.npyio.NpzFile):
+                raise InputError(file, "file", "a single array", rule)
             for name in ("x", "phase"):
                 if name not in arrays:
                     raise InputError(file, f"array {name}", "absent", rule)
