@@ -18,6 +18,7 @@ _RADII = {  # metres at both ends, by part and by how many bones away from the p
     "head": ((0.08, 0.092),),
 }
 _HEAD_SPAN = (0.3, 0.56)
+_CROWN = 0.1  # metres; a shorter bone above the head joint says nothing about where the head is
 _TRUNK = 0.105
 _GIRDLE = 0.06
 _NECK = 0.05
@@ -62,12 +63,26 @@ def body_capsules(skeleton: Skeleton) -> list[Capsule]:
     scale = _scale(skeleton)
     capsules = []
     for end, (start, offset) in enumerate(zip(parents, offsets, strict=True)):
-        if start >= 0 and np.linalg.norm(offset) > SHORTEST * scale:
-            part, order, side = limbs.get(end, ("", 0, "middle"))
-            first, second = _thickness(skeleton, part, order, start, end)
-            span = _HEAD_SPAN if part == "head" else (0.0, 1.0)
-            capsules.append(Capsule(start, end, first * scale, second * scale, side, span))
-    return capsules
+        part, order, side = limbs.get(end, ("", 0, "middle"))
+        if start >= 0 and part != "head" and np.linalg.norm(offset) > SHORTEST * scale:
+            first, second = _thickness(skeleton, part, order, end)
+            capsules.append(Capsule(start, end, first * scale, second * scale, side))
+    return capsules + _head(skeleton, parents, offsets, scale)
+
+
+def _head(skeleton: Skeleton, parents: list[int], offsets: list[np.ndarray], scale: float) -> list[Capsule]:
+    """A head on the bone above the head joint, or, where that is missing or too short, in line with the neck."""
+    if skeleton.roles is None:
+        return []
+    head = skeleton.roles.head
+    low, high = (radius * scale for radius in _RADII["head"][0])
+    above = [point for point, parent in enumerate(parents) if parent == head]
+    crown = max(above, key=lambda point: float(np.linalg.norm(offsets[point])), default=head)
+    if crown != head and np.linalg.norm(offsets[crown]) > _CROWN * scale:
+        return [Capsule(head, crown, low, high, "middle", _HEAD_SPAN)]
+    neck = max(float(np.linalg.norm(offsets[head])), SHORTEST * scale)
+    span = tuple(1.0 + 0.2 * scale * share / neck for share in _HEAD_SPAN)
+    return [Capsule(parents[head], head, low, high, "middle", (span[0], span[1]))]
 
 
 def capsule_ends(points: np.ndarray, capsule: Capsule) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +124,7 @@ def _limbs(skeleton: Skeleton, parents: list[int]) -> dict[int, tuple[str, int, 
     return limbs
 
 
-def _thickness(skeleton: Skeleton, part: str, order: int, start: int, end: int) -> tuple[float, float]:
+def _thickness(skeleton: Skeleton, part: str, order: int, end: int) -> tuple[float, float]:
     if part:
         return _RADII[part][min(order, len(_RADII[part]) - 1)]
     roles = skeleton.roles

@@ -16,10 +16,10 @@
 
   // The camera follows a running average of the root, so that it does not sway with every step.
   function smoothRoot(values, count, frames) {
-    const half = 15;
     const focus = new Float32Array(2 * frames);
     for (let t = 0; t < frames; t++) {
-      const first = Math.max(0, t - half), last = Math.min(frames - 1, t + half);
+      const half = Math.min(15, t, frames - 1 - t); // even on both sides, or it would lag at the ends
+      const first = t - half, last = t + half;
       for (let k = first; k <= last; k++) {
         focus[2 * t] += values[3 * count * k] / (last - first + 1);
         focus[2 * t + 1] += values[3 * count * k + 2] / (last - first + 1);

@@ -134,7 +134,8 @@ def filmstrip(clip: MotionClip, moments: int = 8, title: str = "", span: tuple[i
     frames = np.unique(np.linspace(first, last, moments).round().astype(int))
     points, capsules = body_points(clip), body_capsules(clip.skeleton)
     heading = _headings(clip, points)
-    height = float(np.ptp(points[frames][..., 1]))
+    tops = [max(end[..., 1].max() for end in capsule_ends(points[frames], c)) + c.end_radius for c in capsules]
+    height = float(max(tops))
     spacing = 0.62 * height
     path = _laid_out(points[:, 0][:, [0, 2]], heading, first, last)
     width = 1.25 * len(frames) + 0.4
@@ -200,7 +201,7 @@ def _to_view(points: np.ndarray, heading: float, turn: float = np.deg2rad(62)) -
 
 def _finish_strip(axes: Axes, height: float, width: float, title: str) -> None:
     axes.axhline(0.0, color=GRID, linewidth=1.2, zorder=0)
-    axes.set_xlim(-0.45 * height, width + 0.45 * height)
+    axes.set_xlim(-0.5 * height, width + 0.55 * height)
     axes.set_ylim(-0.16 * height, 1.08 * height)
     axes.set_aspect("equal")
     axes.axis("off")
@@ -214,6 +215,8 @@ def _laid_out(root: np.ndarray, heading: np.ndarray, first: int, last: int) -> t
     if np.ptp(path[:, 1]) > np.ptp(path[:, 0]):
         quarter = np.array([[0.0, -1.0], [1.0, 0.0]])  # clockwise, so that ahead becomes right
         path, facing = path @ quarter, facing @ quarter
+    if path[-1, 0] < path[0, 0]:  # and it leads to the right, as the figures walk
+        path, facing = -path, -facing
     return path, facing
 
 

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from pfnn_jax.evaluation import metrics
+from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.layout import mason2018, pfnn2017
+from pfnn_jax.motion.skeleton import need_roles
+from pfnn_jax.motion.synthetic import STYLES, stance_contacts, synthesise
+from pfnn_jax.motion.trajectory import root_motion
 
 EXACT = 1e-12  # float64 rounding of sums of a few hundred terms
 FPS = 60.0
@@ -200,3 +204,20 @@ def test_resting_heights_are_those_of_the_stance():
     feet = np.concatenate([moving_foot(0.0, 0.02), moving_foot(0.0, 0.09)], axis=1)
     feet[40:, :, 1] += 0.2
     np.testing.assert_allclose(metrics.resting_heights(feet), [0.02, 0.09], atol=EXACT)
+
+
+def test_the_procedural_walkers_are_perfect():
+    """Exact ground truth: planted feet slide nowhere, bones keep their lengths, the turn rate is the commanded one."""
+    clip, labels = synthesise("strutting", np.full(600, np.deg2rad(40.0)), np.full(600, 1.1))
+    positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    roles = need_roles(clip.skeleton)
+    feet = positions[:, [*roles.left_foot, *roles.right_foot]]
+    contacts = stance_contacts(STYLES["strutting"], labels.phase)
+    assert metrics.contact_sliding(feet, contacts, FPS) < 1e-10  # rounding of metres, times 60
+    lengths = np.linalg.norm(clip.skeleton.offsets, axis=-1)
+    assert metrics.bone_length_error(positions, clip.skeleton.parents, lengths) < EXACT
+    root = root_motion(positions, roles, FPS)
+    assert metrics.achieved_turn_rate(root.yaw, FPS) == pytest.approx(40.0, abs=2.0)  # hips and shoulders twist
+    slid = feet.copy()
+    slid[..., 2] += np.arange(600)[:, None] / FPS
+    assert metrics.contact_sliding(slid, contacts, FPS) == pytest.approx(1.0, abs=1e-9)

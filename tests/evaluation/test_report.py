@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import re
-from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -125,9 +125,7 @@ def test_body_of_the_walker_is_symmetric_and_bodies_without_roles_are_thin():
     for capsule in mirrored:
         other = capsules[(int(skeleton.mirror[capsule.start]), int(skeleton.mirror[capsule.end]))]
         assert (other.start_radius, other.side) == (capsule.start_radius, "right")
-    bare = type(skeleton)(
-        skeleton.names, skeleton.parents, skeleton.offsets, skeleton.end_sites, skeleton.mirror, roles=None
-    )
+    bare = dataclasses.replace(skeleton, roles=None)
     assert {c.start_radius for c in body_capsules(bare)} == {0.03}
 
 
@@ -168,7 +166,7 @@ def test_filmstrip_turns_every_figure_to_its_own_heading():
     np.testing.assert_allclose(plots._to_view(turned, np.pi / 2), plots._to_view(points, 0.0), atol=1e-12)
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Score:
     mean: float
     per_clip: np.ndarray
@@ -241,3 +239,13 @@ def test_numbers_show_three_digits(value, text):
 def test_tables_refuse_uneven_rows():
     with pytest.raises(ValueError, match="needs 2 cells"):
         report.Table(["a", "b"], [[1]])
+
+
+def test_a_head_without_a_crown_sits_in_line_with_the_neck():
+    skeleton = synthetic_skeleton()
+    assert skeleton.roles is not None
+    head = skeleton.roles.head
+    bald = dataclasses.replace(skeleton, end_sites=tuple(site for site in skeleton.end_sites if site[0] != head))
+    capsule = body_capsules(bald)[-1]
+    assert (capsule.end, capsule.side) == (head, "middle")
+    assert capsule.span[1] > capsule.span[0] > 1.0  # beyond the head joint
