@@ -29,19 +29,15 @@ def test_a_style_shorter_than_a_batch_is_refused():
         steps_per_epoch(3, 11, 12)
 
 
-@given(
-    num_styles=st.integers(1, 3),
-    num_frames=st.sampled_from([5, 8]),
-    batch_size=st.sampled_from([2, 5]),
-    seed=st.integers(0, 9),
-)
-def test_every_frame_is_seen_at_most_once_an_epoch(num_styles, num_frames, batch_size, seed):
-    frames = order(seed, num_styles=num_styles, num_frames=num_frames, batch_size=batch_size)
-    assert frames.shape == (steps_per_epoch(num_styles, num_frames, batch_size), batch_size)
-    for style in range(num_styles):
-        seen = frames[style::num_styles].ravel()
+@pytest.mark.parametrize("sizes", [SIZES, {"num_styles": 1, "num_frames": 5, "batch_size": 5}])
+@given(seed=st.integers(0, 2**31 - 1), epoch=st.integers(0, 10_000))
+def test_every_frame_is_seen_at_most_once_an_epoch(sizes, seed, epoch):
+    frames = order(seed, epoch, **sizes)
+    assert frames.shape == (steps_per_epoch(**sizes), sizes["batch_size"])
+    for style in range(sizes["num_styles"]):
+        seen = frames[style :: sizes["num_styles"]].ravel()
         assert len(set(seen)) == len(seen)
-        assert set(seen) <= set(range(num_frames))
+        assert set(seen) <= set(range(sizes["num_frames"]))
 
 
 def test_every_frame_is_seen_where_batches_fill_the_style():

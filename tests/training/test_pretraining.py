@@ -1,0 +1,153 @@
+"""Pretraining in memory: it learns, repeats itself when resumed, stops when it turns non-finite."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import TrainingError
+from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.layers import CPLayer
+from pfnn_jax.training.batches import Batch
+from pfnn_jax.training.pretraining import PretrainConfig, Progress, init_state, total_steps, train
+from pfnn_jax.training.steps import PretrainState
+from tests.training.toy import HIDDEN, INPUTS, OUTPUTS, STYLES, assert_bitwise, on_host, toy_data
+
+LEARNED = 0.05  # share of the first error left after 400 steps of a problem that the network can solve
+
+SMALL = PretrainConfig(
+    adapter=AdapterConfig(rank=3), hidden=HIDDEN, batch_size=8, steps=25, steps_per_dispatch=10, learning_rate=1e-3
+)
+
+
+def with_(config: PretrainConfig, **changes) -> PretrainConfig:
+    return PretrainConfig(**{**vars(config), **changes})
+
+
+def fresh(config: PretrainConfig = SMALL) -> PretrainState:
+    return init_state(config, INPUTS, OUTPUTS, len(STYLES))
+
+
+def run(config: PretrainConfig = SMALL, data: Batch | None = None, state: PretrainState | None = None):
+    """(last state, progress of every dispatch, states of every dispatch), all on the host."""
+    progress, states = [], []
+
+    def keep(state: PretrainState, report: Progress) -> None:
+        progress.append(report)
+        states.append(on_host(state))
+
+    last = train(state or fresh(config), data or toy_data(), config, STYLES, on_dispatch=keep)
+    return on_host(last), progress, states
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """The uninterrupted run that others are compared with."""
+    return run()
+
+
+def resumed(state: PretrainState) -> PretrainState:
+    """What comes back from disk: the same numbers in new buffers."""
+    return jax.tree.map(jax.numpy.asarray, state)
+
+
+def test_training_reports_every_dispatch(whole):
+    last, progress, _ = whole
+    assert [report.step for report in progress] == [10, 20, 25]
+    assert all(report.steps == 25 and report.loss > 0 and report.frames_per_second > 0 for report in progress)
+    assert last.step == 25
+
+
+def test_training_learns():
+    config = with_(SMALL, steps=400, dropout=0.0, steps_per_dispatch=50, learning_rate=5e-3)
+    _, progress, _ = run(config)
+    assert progress[-1].loss < LEARNED * progress[0].loss
+
+
+@pytest.mark.parametrize("stop", [0, 1])
+def test_a_resumed_run_repeats_the_uninterrupted_one(whole, stop):
+    last, progress, states = whole
+    again, rest, _ = run(state=resumed(states[stop]))
+    assert_bitwise(again, last)
+    assert [report.loss for report in rest] == [report.loss for report in progress[stop + 1 :]]
+
+
+def test_a_run_of_fewer_steps_is_the_beginning_of_a_longer_one(whole):
+    _, _, states = whole
+    shorter, _, _ = run(with_(SMALL, steps=20))
+    assert_bitwise(shorter, states[1])
+
+
+def test_the_size_of_dispatches_changes_nothing(whole):
+    last, _, _ = whole
+    one_by_one, _, _ = run(with_(SMALL, steps_per_dispatch=4))
+    assert_bitwise(one_by_one, last)
+
+
+def test_data_in_host_memory_trains_as_data_on_the_device(whole):
+    last, _, _ = whole
+    from_host, _, _ = run(with_(SMALL, device_bytes=0))
+    assert_bitwise(from_host, last)
+
+
+def test_the_state_depends_on_the_configuration_alone():
+    assert_bitwise(fresh(), fresh())
+    other = fresh(with_(SMALL, seed=1))
+    assert not np.array_equal(other.shared.layers[0].weights, fresh().shared.layers[0].weights)
+    assert isinstance(fresh().bank, CPLayer)
+    assert fresh().bank.a.shape == (3, HIDDEN, 3)
+
+
+def test_every_style_starts_from_an_adapter_of_its_own():
+    bank = fresh().bank
+    assert not np.array_equal(bank.a[0], bank.a[1])
+
+
+def test_the_length_of_training():
+    assert total_steps(with_(SMALL, steps=None, epochs=4), num_styles=3, num_frames=24) == 4 * 3 * 3
+    assert total_steps(SMALL, num_styles=3, num_frames=24) == 25
+
+
+def test_epochs_end_within_a_dispatch():
+    config = with_(SMALL, steps=None, epochs=3)  # 9 steps an epoch in dispatches of 10
+    last, progress, _ = run(config)
+    assert [report.step for report in progress] == [10, 20, 27]
+    assert last.step == 27
+
+
+@pytest.mark.parametrize("device_bytes", [0, 2**32])
+def test_training_that_turns_non_finite_names_the_step_and_the_style(device_bytes):
+    data = toy_data()
+    data.x[1] = np.nan  # of style "old", whose first turn is step 1
+    kept = []
+    with pytest.raises(TrainingError) as raised:
+        train(
+            fresh(), data, with_(SMALL, device_bytes=device_bytes), STYLES, on_dispatch=lambda *seen: kept.append(seen)
+        )
+    assert (raised.value.step, raised.value.style) == (1, "old")
+    assert "step 1" in str(raised.value) and "old" in str(raised.value)
+    assert not kept  # no callback saw, and so none saved, that state
+
+
+def test_a_style_shorter_than_a_batch_is_refused():
+    with pytest.raises(ValueError, match="at most the 5 frames"):
+        run(data=toy_data(num_frames=5))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("epochs", 0),
+        ("steps", 0),
+        ("batch_size", 0),
+        ("steps_per_dispatch", 0),
+        ("save_every", 0),
+        ("dropout", 1.0),
+        ("dropout", -0.1),
+        ("learning_rate", 0.0),
+    ],
+)
+def test_a_configuration_out_of_range_is_refused(name, value):
+    with pytest.raises(ValueError, match=f"PretrainConfig.{name} must be .*got {value}"):
+        with_(SMALL, **{name: value})

@@ -1,0 +1,177 @@
+"""The pretraining step: what it changes, what it leaves alone, and that compiled runs repeat it."""
+
+from __future__ import annotations
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from jax.test_util import check_grads
+
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
+from pfnn_jax.models.network import Dropout, NetworkConfig, init_network, predict
+from pfnn_jax.training.batches import Batch, epoch_order, gather
+from pfnn_jax.training.steps import (
+    PretrainState,
+    init_pretrain_state,
+    make_pretrain_step,
+    make_run_batches,
+    make_run_steps,
+    predict_batch,
+    pretrain_loss,
+)
+from tests.models.helpers import randomise
+from tests.training.toy import HIDDEN, assert_bitwise, on_host, toy_data, toy_network, toy_style
+
+FLOAT32 = 1e-5  # a few ulp over sums of 16 products
+ADAM_EPSILON = 0.05  # Adam's first step is the rate over 1 + 1e-8/|gradient|; gradients here are above 1e-6
+RATE = 1e-3
+DROPOUT = Dropout(main=jnp.float32(0.3), adapter=jnp.float32(0.5))
+KEY = jax.random.key(7)
+KINDS: tuple[AdapterKind, ...] = ("cp", "full", "diagonal", "bias")
+
+
+def make_step(dropout: Dropout = DROPOUT):
+    return make_pretrain_step(optax.adam(RATE), dropout, 0.01, "mean")
+
+
+def make_state(kind: AdapterKind = "cp", num_styles: int = 3) -> PretrainState:
+    config = AdapterConfig(kind, rank=3)
+    keys = jax.random.split(jax.random.key(1), num_styles)
+    bank = jax.vmap(lambda key: init_adapter(config, HIDDEN, 4, key))(keys)
+    return init_pretrain_state(toy_network(), bank, optax.adam(RATE))
+
+
+def style_of(tree, style: int):
+    return jax.tree.map(lambda leaf: leaf[style], tree)
+
+
+def some_changed(first, second) -> bool:
+    pairs = zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
+    return any(not np.array_equal(one, other) for one, other in pairs)
+
+
+def frames_of(num_steps: int, batch_size: int = 4) -> jax.Array:
+    return epoch_order(KEY, jnp.int32(0), 3, 24, batch_size)[:num_steps]
+
+
+def test_a_batch_is_its_frames_one_by_one():
+    network, batch = toy_network(), toy_style()
+    adapter = randomise(init_adapter(AdapterConfig("cp", 3), HIDDEN, 4, KEY), 2)
+    together = predict_batch(network, adapter, batch, None, None)
+    single = jax.jit(predict)
+    singles = [single(network, adapter, x, phase) for x, phase in zip(batch.x, batch.phase, strict=True)]
+    np.testing.assert_allclose(together, jnp.stack(singles), rtol=FLOAT32, atol=FLOAT32)
+
+
+def test_every_frame_of_a_batch_draws_a_mask_of_its_own():
+    one = toy_style(num_frames=1)
+    same = jax.tree.map(lambda leaf: jnp.repeat(leaf, 8, axis=0), one)
+    outputs = predict_batch(toy_network(), None, same, DROPOUT, KEY)
+    assert len(np.unique(np.asarray(outputs), axis=0)) == 8
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gradient_of_the_loss(kind):
+    with jax.enable_x64(True):
+        sizes = NetworkConfig(3, 2, hidden=4)
+        shared = randomise(init_network(sizes, jax.random.key(0)), 1)
+        adapter = randomise(init_adapter(AdapterConfig(kind, rank=2), 4, 4, KEY), 2)
+        x, y = jax.random.normal(jax.random.key(3), (5, 3)), jax.random.normal(jax.random.key(4), (5, 2))
+        batch = Batch(x, y, jnp.linspace(0.3, 6.0, 5))  # between the knots 0, π/2, π, 3π/2
+        dropout = Dropout(main=jnp.float64(0.3), adapter=jnp.float64(0.5))
+        # With the key, and so the masks, fixed the loss is differentiable at parameters other than zero.
+        check_grads(
+            jax.jit(lambda shared, adapter: pretrain_loss(shared, adapter, batch, dropout, KEY, 0.01, "mean")[0]),
+            (shared, adapter),
+            order=1,  # training takes no second derivative, and each would compile anew
+            modes=("fwd", "rev"),
+        )
+
+
+def test_the_loss_is_the_error_and_the_penalty_of_both_parts():
+    shared, batch = toy_network(), toy_style()
+    adapter = randomise(init_adapter(AdapterConfig("cp", 3), HIDDEN, 4, KEY), 2)
+    loss, error = pretrain_loss(shared, adapter, batch, DROPOUT, KEY, 0.5, "sum")
+    size = sum(float(jnp.abs(leaf).sum()) for leaf in jax.tree.leaves((shared, adapter)))
+    np.testing.assert_allclose(loss - error, 0.5 * size, rtol=FLOAT32)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("number", [0, 1, 5])
+def test_a_step_changes_its_own_style_alone(kind, number):
+    state, style = make_state(kind).replace(step=jnp.int32(number)), number % 3
+    after, error = jax.jit(make_step())(state, toy_style(style), KEY)
+    for other in {0, 1, 2} - {style}:
+        assert_bitwise(style_of(after.bank, other), style_of(state.bank, other))
+        assert_bitwise(style_of(after.bank_optimiser, other), style_of(state.bank_optimiser, other))
+    assert some_changed(style_of(after.bank, style), style_of(state.bank, style))
+    assert some_changed(style_of(after.bank_optimiser, style), style_of(state.bank_optimiser, style))
+    assert some_changed(after.shared, state.shared)
+    assert after.step == number + 1
+    assert error > 0
+
+
+def test_the_first_step_of_every_style_has_the_length_of_adams_rate():
+    state, data = make_state(), toy_data()
+    step = jax.jit(make_step(Dropout(main=jnp.float32(0), adapter=jnp.float32(0))))
+    for style in range(3):  # the shared network has taken steps by then; the adapter's own Adam starts afresh
+        before = style_of(state.bank, style)
+        state, _ = step(state, style_of(data, style), KEY)
+        change = jax.tree.map(lambda new, old: jnp.abs(new - old), style_of(state.bank, style), before)
+        for leaf in (change.a, change.b, change.d):
+            np.testing.assert_allclose(leaf, RATE, rtol=ADAM_EPSILON)
+
+
+def test_each_step_draws_new_masks_and_a_repeated_step_the_same():
+    state, batch, step = make_state(), toy_style(), jax.jit(make_step())
+    first, again = step(state, batch, KEY)[1], step(state, batch, KEY)[1]
+    assert first == again
+    assert first != step(state.replace(step=jnp.int32(3)), batch, KEY)[1]
+    assert first != step(state, batch, jax.random.key(8))[1]
+
+
+def test_a_dispatch_is_the_loop_of_its_steps():
+    data, frames = jax.tree.map(jnp.asarray, toy_data()), frames_of(9)
+    together, errors = make_run_steps(make_step())(make_state(), data, frames, KEY)
+    state, step = make_state(), jax.jit(make_step())
+    for number, error in enumerate(errors):
+        state, single = step(state, gather(data, number % 3, frames[number]), KEY)
+        np.testing.assert_array_equal(error, single)
+    assert_bitwise(together, state)
+
+
+def test_batches_from_the_host_train_as_data_on_the_device():
+    data, frames = toy_data(), frames_of(9)
+    on_device = make_run_steps(make_step())(make_state(), jax.tree.map(jnp.asarray, data), frames, KEY)
+    batches = gather(data, (np.arange(9) % 3)[:, None], np.asarray(frames))
+    assert_bitwise(on_device, make_run_batches(make_step())(make_state(), batches, KEY))
+
+
+def test_runs_donate_their_state():
+    data, frames = jax.tree.map(jnp.asarray, toy_data()), frames_of(3)
+    state = make_state()
+    make_run_steps(make_step())(state, data, frames, KEY)
+    assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state.shared))
+    state = make_state()
+    make_run_batches(make_step())(state, gather(toy_data(), np.arange(3)[:, None], np.asarray(frames)), KEY)
+    assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state.bank_optimiser))
+
+
+def test_all_styles_and_dispatches_of_one_length_share_one_compilation():
+    chex.clear_trace_counter()
+    run = make_run_steps(chex.assert_max_traces(make_step(), n=1))
+    data, frames = jax.tree.map(jnp.asarray, toy_data()), frames_of(12)
+    state = make_state()
+    for start in (0, 4, 8):  # dispatches that begin with styles 0, 1 and 2
+        state, _ = run(state, data, frames[start : start + 4], KEY)
+    assert state.step == 12
+
+
+def test_steps_do_not_touch_the_data():
+    data = jax.tree.map(jnp.asarray, toy_data())
+    before = on_host(data)
+    make_run_steps(make_step())(make_state(), data, frames_of(3), KEY)
+    assert_bitwise(data, before)
