@@ -241,7 +241,7 @@ def _candidates(trained, settings: Setting, stop: int, errors: np.ndarray) -> li
     host = jax.tree.map(np.asarray, trained)
     return [
         Candidate(
-            Choice(*(round(float(r), 8) for r in row), stop, float(error) if np.isfinite(error) else float("inf")),
+            Choice(*(float(f"{r:.6g}") for r in row), stop, float(error) if np.isfinite(error) else float("inf")),
             jax.tree.map(lambda leaf, g=g: leaf[g], host),
         )
         for g, (row, error) in enumerate(zip(rates, errors, strict=True))
