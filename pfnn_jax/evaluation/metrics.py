@@ -78,7 +78,8 @@ def foot_skating(feet: np.ndarray, fps: float, ground: np.ndarray | float = 0.0,
     """How fast feet slide while near the ground, m/s: mean over frames and feet of v_xz (2 - 2^clamp(h / H, 0, 1)).
 
     A foot on the ground counts with its whole horizontal speed, one at height H or above not at all. Divide by `fps`
-    for the distance per frame that is published.
+    for the distance per frame that is published. Feet that swing low count as well, so the real motion's own value is
+    the one to compare with; `contact_sliding` is exact where contacts are known.
 
     Args:
         feet: [T, F, 3] metres.
@@ -105,7 +106,8 @@ def skating_ratio(
     """Fraction of frames in which some foot joint slides.
 
     It slides where it is lower than `height_limit` (metres over `ground`) in two adjacent frames and faster than
-    `speed_limit` (m/s, horizontally), both then and on average over `window` frames around it.
+    `speed_limit` (m/s, horizontally), both then and on average over `window` frames around it. As with `foot_skating`,
+    feet that swing low count: compare with the real motion's own ratio.
 
     Args:
         feet: [T, F, 3] metres, T at least 2.

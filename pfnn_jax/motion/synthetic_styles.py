@@ -57,7 +57,7 @@ class SyntheticStyle:
     duty: float = 0.61
     step_width: float = 0.16
     toe_out: float = 7.0
-    swing_height: float = 0.05
+    swing_height: float = 0.07
     circumduction: float = 0.01
     strike: float = 16.0
     push_off: float = 38.0
@@ -105,34 +105,34 @@ _PRETRAINING = (
     SyntheticStyle("neutral"),
     SyntheticStyle(
         "proud", speed=1.3, cadence=0.88, strike=20, lean=-7, pelvis_pitch=-2, head_pitch=-9, arm_raise=-9,
-        arm_swing=27, arm_out=16, elbow=16, shrug=4, hunch=-14, twist=8, toe_out=11, hip_bob=0.02, swing_height=0.06,
+        arm_swing=27, arm_out=16, elbow=16, shrug=4, hunch=-14, twist=8, toe_out=11, hip_bob=0.02, swing_height=0.08,
     ),
     SyntheticStyle(
-        "old", speed=0.7, cadence=0.84, duty=0.68, step_width=0.21, toe_out=15, swing_height=0.028, strike=5,
+        "old", speed=0.7, cadence=0.84, duty=0.68, step_width=0.21, toe_out=15, swing_height=0.04, strike=5,
         push_off=17, heel_off=0.72, knee_out=10, crouch=0.075, hip_bob=0.007, sway=0.035, hip_roll=2, hip_yaw=3,
         lean=26, pelvis_pitch=12, twist=3, trunk_roll=3, head_pitch=12, arm_raise=16, arm_swing=7, arm_out=15,
         arm_in=38, elbow=62, elbow_swing=4, hunch=14, shrug=5, bank=0.4, look=0.15,
     ),
     SyntheticStyle(
-        "angry", speed=1.55, cadence=1.14, duty=0.58, step_width=0.2, swing_height=0.065, strike=11, push_off=42,
+        "angry", speed=1.55, cadence=1.14, duty=0.58, step_width=0.2, swing_height=0.09, strike=11, push_off=42,
         crouch=0.045, hip_bob=0.026, bob_delay=8, lean=15, lean_bob=3, pelvis_pitch=6, twist=12, head_pitch=13,
         head_bob=3, arm_raise=4, arm_swing=30, arm_lag=4, arm_out=21, arm_in=25, elbow=58, elbow_swing=14,
         shrug=9, hunch=12,
     ),
     SyntheticStyle(
-        "depressed", speed=0.85, cadence=0.74, duty=0.66, step_width=0.14, swing_height=0.03, strike=8, push_off=27,
+        "depressed", speed=0.85, cadence=0.74, duty=0.66, step_width=0.14, swing_height=0.045, strike=8, push_off=27,
         heel_off=0.66, crouch=0.045, hip_bob=0.009, sway=0.03, hip_roll=5, hip_yaw=4, lean=14, pelvis_pitch=-4, twist=3,
         head_pitch=42, head_roll=3, arm_raise=9, arm_swing=6, arm_lag=35, arm_out=5, arm_in=22, elbow=9, elbow_swing=2,
         shrug=-5, hunch=17, bank=0.5, look=0.1,
     ),
     SyntheticStyle(
-        "childlike", speed=1.3, cadence=1.24, duty=0.57, step_width=0.15, toe_out=2, swing_height=0.12, strike=12,
+        "childlike", speed=1.3, cadence=1.24, duty=0.57, step_width=0.15, toe_out=2, swing_height=0.13, strike=12,
         push_off=52, crouch=0.02, hip_bob=0.042, bob_delay=30, sway=0.03, hip_roll=6, hip_yaw=10, lean=2, lean_bob=3,
         twist=11, trunk_roll=5, head_pitch=-5, head_bob=4, head_roll=7, arm_raise=12, arm_swing=42, arm_lag=18,
         arm_out=27, elbow=34, elbow_swing=22, shrug=5, look=0.4,
     ),
     SyntheticStyle(
-        "strutting", speed=1.1, cadence=0.79, duty=0.62, step_width=0.07, toe_out=9, swing_height=0.07,
+        "strutting", speed=1.1, cadence=0.79, duty=0.62, step_width=0.07, toe_out=9, swing_height=0.09,
         circumduction=0.05, strike=17, push_off=44, knee_out=7, crouch=0.035, hip_bob=0.022, bob_delay=-6, sway=0.055,
         hip_roll=10, hip_yaw=13, lean=-9, lean_bob=3, twist=19, trunk_roll=6, head_pitch=-4, head_bob=4, head_roll=4,
         arm_raise=-3, arm_swing=31, arm_lag=32, arm_out=25, arm_in=30, elbow=42, elbow_swing=15, shrug=6, hunch=-6,
@@ -146,7 +146,7 @@ _PRETRAINING = (
 )  # fmt: skip
 
 _UNSEEN = SyntheticStyle(
-    "zombie", speed=0.8, cadence=0.7, duty=0.66, step_width=0.25, toe_out=10, swing_height=0.035, circumduction=0.05,
+    "zombie", speed=0.8, cadence=0.7, duty=0.66, step_width=0.25, toe_out=10, swing_height=0.05, circumduction=0.05,
     strike=3, push_off=22, heel_off=0.68, knee_out=4, crouch=0.055, hip_bob=0.012, bob_delay=-15, sway=0.06, hip_roll=6,
     hip_yaw=11, lean=18, lean_bob=2, pelvis_pitch=8, twist=9, trunk_roll=9, head_pitch=6, head_roll=8, arm_raise=102,
     arm_swing=7, arm_lag=60, arm_out=14, arm_in=-4, elbow=16, elbow_swing=5, shrug=8, hunch=16, wrist=38, bank=0.4,
