@@ -12,6 +12,7 @@ ANKLE_HEIGHT = 0.085
 """Height of the ankle joint over the sole, metres."""
 
 # One row per joint of the midline and of the left side: name, parent, offset in metres. The rest pose is a T.
+# The joints come in the order of a BVH file (depth first), so that a clip is the same after writing and reading.
 _MIDLINE = (
     ("Hips", "", (0.0, 0.0, 0.0)),
     ("Spine", "Hips", (0.0, 0.09, -0.01)),
@@ -19,11 +20,13 @@ _MIDLINE = (
     ("Neck", "Spine1", (0.0, 0.25, 0.015)),
     ("Head", "Neck", (0.0, 0.09, 0.02)),
 )
-_SIDE = (
+_ARM = (
     ("Shoulder", "Spine1", (0.045, 0.18, 0.01)),
     ("Arm", "Shoulder", (0.135, 0.0, -0.01)),
     ("ForeArm", "Arm", (0.28, 0.0, 0.0)),
     ("Hand", "ForeArm", (0.25, 0.0, 0.0)),
+)
+_LEG = (
     ("UpLeg", "Hips", (0.095, -0.03, 0.0)),
     ("Leg", "UpLeg", (0.0, -THIGH, 0.0)),
     ("Foot", "Leg", (0.0, -SHIN, 0.0)),
@@ -34,13 +37,19 @@ _FLIP = np.array([-1.0, 1.0, 1.0])
 
 
 def _rows() -> list[tuple[str, str, np.ndarray]]:
-    sided = {row[0] for row in _SIDE}
+    sided = {row[0] for row in _ARM + _LEG}
     rows = [(name, parent, np.array(offset)) for name, parent, offset in _MIDLINE]
-    for side, flip in (("Left", np.ones(3)), ("Right", _FLIP)):
-        for name, parent, offset in _SIDE:
+    sides = (("Left", np.ones(3)), ("Right", _FLIP))
+    for limb, (side, flip) in ((limb, side) for limb in (_ARM, _LEG) for side in sides):
+        for name, parent, offset in limb:
             parent = side + parent if parent in sided else parent
             rows.append((side + name, parent, np.array(offset) * flip))
-    return rows
+    return _depth_first(rows, "")
+
+
+def _depth_first(rows: list[tuple[str, str, np.ndarray]], parent: str) -> list[tuple[str, str, np.ndarray]]:
+    """The order in which a BVH file lists joints, so that one written and read again has the same skeleton."""
+    return [found for row in rows if row[1] == parent for found in (row, *_depth_first(rows, row[0]))]
 
 
 def _end_sites(names: tuple[str, ...]) -> tuple[tuple[int, np.ndarray], ...]:
