@@ -28,6 +28,9 @@ from pfnn_jax.runtime.predictor import Predictor, evaluate
 from pfnn_jax.runtime.rollout import locked_rollout
 from pfnn_jax.runtime.turning import TURN_RATE, mean_speed, walk_circles
 
+LOCKED_SECONDS = 3.0
+"""Length of the rollouts with root, trajectory and phase locked to the truth."""
+
 
 @dataclass(frozen=True, eq=False)
 class Takes:
@@ -167,3 +170,37 @@ def circle_test(
 def _poses(rows: np.ndarray, layout: FrameLayout) -> np.ndarray:
     """[N, J, 3] metres relative to the root."""
     return rows.reshape(len(rows), layout.num_joints, 3) * layout.length_unit
+
+
+@dataclass(frozen=True, eq=False)
+class StyleTest:
+    """What every method that learns one style is measured on.
+
+    Attributes:
+        layout, skeleton: of all rows.
+        clip: rows of the adaptation clip.
+        straight, turning: takes of the style that no method has seen.
+        std: [Dy] by which errors are divided.
+        circle_seconds: length of the walks on circles.
+    """
+
+    layout: FrameLayout
+    skeleton: Skeleton
+    clip: Features
+    straight: Takes
+    turning: Takes
+    std: np.ndarray
+    circle_seconds: float = 20.0
+
+    def measure(self, predictor: Predictor) -> dict[str, Any]:
+        """`straight` and `turning` one-step errors, `locked` rollout error, and the measures of `circle_test`."""
+        rows = self.turning.rows
+        fast = is_turning(rows.y, self.layout)
+        turning = Features(rows.x[fast], rows.y[fast], rows.phase[fast], rows.frames[fast])
+        num_frames = round(LOCKED_SECONDS * self.layout.fps)
+        return {
+            "straight": one_step_test(predictor, self.straight, self.layout, self.std),
+            "turning": one_step_test(predictor, self.turning, self.layout, self.std),
+            "locked": locked_test(predictor, self.turning, self.layout, self.std, num_frames),
+            **circle_test(predictor, self.clip, turning, self.layout, self.skeleton, self.circle_seconds),
+        }

@@ -15,16 +15,15 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.dataset import Dataset, stack
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.training.batches import Batch
+from pfnn_jax.training.log import append_metrics, rewind_metrics
 from pfnn_jax.training.pretraining import PretrainConfig, Progress, init_state, train
 from pfnn_jax.training.run import (
     Run,
     RunConfig,
-    append_metrics,
     create_run,
     load_config,
     load_run,
     load_train_state,
-    rewind_metrics,
     save_shared,
     save_style,
     save_train_state,

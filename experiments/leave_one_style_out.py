@@ -1,0 +1,237 @@
+"""Learn each style from one straight walk, and test it on real turns that no method has seen.
+
+Parent    Mason 2018 §7-8, which had no ground truth for turns and judged by eye.
+Question  which way of adding a style generalises from a few seconds of straight walking to turning?
+Data      Bandai-Namco-2: 7 styles, each with straight walks and 90° turns. For each style: pretrain on the other six,
+          adapt on at most 5 seconds of one straight walk (another one for each seed), test on all its turning takes
+          and on its other straight walks. Settings and stopping points are chosen on the last fifth of the adaptation
+          clip and by rollouts on circles; nothing is chosen on the turning takes.
+Run       python -m experiments.leave_one_style_out --data FOLDER --out runs/leave_one_style_out
+          Each fold is written when it is done; run again with the same --out, and it goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+
+from experiments.leave_one_style_out_table import write_summary
+from pfnn_jax.evaluation.style_methods import GRIDS, compare_methods
+from pfnn_jax.evaluation.style_test import StyleTest, join_takes
+from pfnn_jax.motion.clip import mirror_clip
+from pfnn_jax.motion.features import Features, clip_features
+from pfnn_jax.motion.labelled import load_labelled
+from pfnn_jax.motion.layout import FrameLayout, mason2018
+from pfnn_jax.motion.normaliser import Normaliser, fit_normaliser
+from pfnn_jax.motion.phase import mirror_phase
+from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.sources import list_clips
+from pfnn_jax.runtime.turning import predictor_of
+from pfnn_jax.training.batches import Batch
+from pfnn_jax.training.few_shot import FewShotConfig, train_grid
+from pfnn_jax.training.pretraining import PretrainConfig, init_state, train
+from pfnn_jax.training.style_data import first_rows, to_batch
+
+
+@dataclass(frozen=True)
+class Config:
+    """The experiment.
+
+    Attributes:
+        data: folder of Bandai-Namco-2 BVH files.
+        out: folder of results.
+        styles: held-out styles; all of the folder's by default.
+        seeds: number of repetitions; each has its own networks, shuffling and adaptation clip.
+        steps: of pretraining.
+        batch_size: of pretraining.
+        learning_rate: of pretraining; 10 times the paper's, as its batches are 8 times larger and its steps fewer.
+        hidden: H.
+        epochs: longest few-shot training; all stops above are dropped.
+        seconds: of the adaptation clip.
+        neutral: the style on which the one-style network is pretrained.
+        circle_seconds: length of the walks on circles.
+        takes: at most so many takes of each style and content, 0 for all.
+    """
+
+    data: Path
+    out: Path
+    styles: tuple[str, ...] = ()
+    seeds: int = 3
+    steps: int = 2000
+    batch_size: int = 256
+    learning_rate: float = 1e-3
+    hidden: int = 512
+    epochs: int = 100
+    seconds: float = 5.0
+    neutral: str = "normal"
+    circle_seconds: float = 20.0
+    takes: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """One take and its mirror image, as rows."""
+
+    style: str
+    content: str
+    name: str
+    rows: Features
+    mirrored: Features
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """What every method of one held-out style and seed shares."""
+
+    clip: tuple[Features, Features]  # the adaptation clip and its mirror image
+    test: StyleTest
+    turns: tuple[Take, ...]
+
+
+def load_takes(config: Config) -> tuple[list[Take], FrameLayout, Skeleton]:
+    """All takes of the folder as rows of `mason2018`, and their layout and skeleton."""
+    takes, counts, layout, skeleton = [], {}, None, None
+    for clip_file in list_clips(config.data):
+        key = (clip_file.style, clip_file.content)
+        counts[key] = counts.get(key, 0) + 1
+        if config.takes and counts[key] > config.takes:
+            continue
+        found = load_labelled(clip_file)
+        skeleton = skeleton or found.clip.skeleton
+        layout = layout or mason2018(skeleton.num_joints)
+        mirrored = clip_features(mirror_clip(found.clip), layout, mirror_phase(found.labels))
+        rows = clip_features(found.clip, layout, found.labels)
+        takes.append(Take(*key, clip_file.path.stem, rows, mirrored))
+    assert layout is not None and skeleton is not None  # list_clips refuses an empty folder
+    return takes, layout, skeleton
+
+
+def balanced(takes: Sequence[Take], styles: Sequence[str], seed: int) -> dict[str, Features]:
+    """Equal numbers of rows of each style, chosen at random, mirrored ones included."""
+    rng = np.random.default_rng(seed)
+    rows = {s: join_takes([p for t in takes if t.style == s for p in (t.rows, t.mirrored)], ()).rows for s in styles}
+    count = min(len(part.x) for part in rows.values())
+    picks = {style: rng.permutation(len(part.x))[:count] for style, part in rows.items()}
+    return {
+        s: Features(p.x[picks[s]], p.y[picks[s]], p.phase[picks[s]], p.frames[picks[s]]) for s, p in rows.items()
+    }
+
+
+def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, seed: int):
+    """A shared network, its normaliser and the mean loss of its last dispatch, from balanced rows of some styles."""
+    normaliser = fit_normaliser([p.x for p in parts.values()], [p.y for p in parts.values()], layout, grouped=True)
+    batches = [to_batch([part], normaliser) for part in parts.values()]
+    data = Batch(*(np.stack(leaves) for leaves in zip(*((b.x, b.y, b.phase) for b in batches), strict=True)))
+    settings = PretrainConfig(
+        hidden=config.hidden,
+        steps=config.steps,
+        batch_size=config.batch_size,
+        learning_rate=config.learning_rate,
+        seed=seed,
+    )
+    losses = []
+    state = init_state(settings, layout.input_size, layout.output_size, len(parts))
+    state = train(state, data, settings, tuple(parts), on_dispatch=lambda _, progress: losses.append(progress.loss))
+    return jax.tree.map(np.asarray, state.shared), normaliser, losses[-1]
+
+
+def make_fold(takes: Sequence[Take], style: str, seed: int, layout, skeleton, std, config: Config) -> Fold:
+    """The adaptation clip of this seed, and the test takes."""
+    own = [take for take in takes if take.style == style]
+    walks = [take for take in own if take.content == "walk"]
+    turns = [take for take in own if "turn" in take.content]
+    clip, count = walks[seed % len(walks)], round(config.seconds * layout.fps)
+    others = [take for take in walks if take is not clip]
+    rows = first_rows(clip.rows, count)
+    straight = join_takes([take.rows for take in others], [take.name for take in others])
+    turning = join_takes([take.rows for take in turns], [take.name for take in turns])
+    test = StyleTest(layout, skeleton, rows, straight, turning, std, config.circle_seconds)
+    return Fold(clip=(rows, first_rows(clip.mirrored, count)), test=test, turns=tuple(turns))
+
+
+def bound(shared, normaliser: Normaliser, fold: Fold, config: Config, seed: int) -> dict[str, Any]:
+    """CP trained on half of the style's own turns and tested on the other half, both ways: what one could hope for."""
+    epochs = min(10, config.epochs)
+    grid = FewShotConfig("cp", learning_rates=(1e-3,), main_dropouts=(0.0,), stops=(epochs,), seed=seed)
+    results = []
+    for half in (0, 1):
+        learn = [part for take in fold.turns[half::2] for part in (take.rows, take.mirrored)]
+        adapter = train_grid(shared, to_batch(learn, normaliser), to_batch(fold.clip, normaliser), grid)[0].trained
+        others = fold.turns[1 - half :: 2]
+        test = replace(fold.test, turning=join_takes([take.rows for take in others], [take.name for take in others]))
+        results.append(test.measure(predictor_of(adapter, shared, normaliser)))
+    return _mean(results)
+
+
+def _mean(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Numbers averaged; tables per take joined."""
+    merged = {}
+    for key in results[0]:
+        values = [result[key] for result in results]
+        if isinstance(values[0], dict):
+            joined = {k: v for value in values for k, v in value.items()}
+            merged[key] = joined if key == "per_take" else _mean(values)
+        else:
+            merged[key] = None if None in values else float(np.mean(values))
+    return merged
+
+
+def run_fold(takes, style: str, seed: int, layout, skeleton, neutral, config: Config) -> dict[str, Any]:
+    """All rows of one held-out style and seed."""
+    started = time.perf_counter()
+    styles = sorted({take.style for take in takes} - {style})
+    shared, normaliser, loss = pretrained(balanced(takes, styles, seed), layout, config, seed)
+    pretrain_seconds = time.perf_counter() - started
+    fold = make_fold(takes, style, seed, layout, skeleton, normaliser.outputs.std, config)
+    sizes = {"epochs": config.epochs, "seed": seed}
+    rows = compare_methods(shared, normaliser, fold.clip, fold.test, **sizes)
+    if neutral is not None and style != config.neutral:
+        grids = {"CP": GRIDS["CP"]}
+        one_style = compare_methods(*neutral, fold.clip, fold.test, grids=grids, **sizes)
+        rows["CP, pretrained on one style"] = one_style["CP"]
+    rows["CP on its own turns (bound)"] = {"measures": bound(shared, normaliser, fold, config, seed)}
+    seconds = time.perf_counter() - started
+    return {
+        "style": style,
+        "seed": seed,
+        "frames": len(fold.test.clip.x),
+        "pretrain_loss": loss,
+        "pretrain_seconds": pretrain_seconds,
+        "seconds": seconds,
+        "rows": rows,
+    }
+
+
+def main(config: Config) -> None:
+    """Runs the folds that are not there yet, and writes the tables and plots of all."""
+    config.out.mkdir(parents=True, exist_ok=True)
+    takes, layout, skeleton = load_takes(config)
+    styles = config.styles or tuple(sorted({take.style for take in takes}))
+    for seed in range(config.seeds):
+        neutral = None
+        for style in styles:
+            file = config.out / f"fold_{style}_{seed}.json"
+            if file.exists():
+                continue
+            if neutral is None:
+                neutral = pretrained(balanced(takes, [config.neutral], seed), layout, config, seed)[:2]
+            fold = run_fold(takes, style, seed, layout, skeleton, neutral, config)
+            temporary = file.with_suffix(".tmp")
+            temporary.write_text(json.dumps(fold, indent=1))
+            temporary.replace(file)
+            error = fold["rows"]["CP"]["measures"]["turning"]["pose_velocity"]
+            print(f"{style} seed {seed}: CP {error:.3f} on turns, {fold['seconds']:.0f} s", flush=True)
+    folds = [json.loads(file.read_text()) for file in sorted(config.out.glob("fold_*.json"))]
+    write_summary(config.out, folds, {k: str(v) for k, v in asdict(config).items()})
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))

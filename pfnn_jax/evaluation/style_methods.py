@@ -1,0 +1,142 @@
+"""The ways of learning a style that are compared, each with its grid, on one adaptation clip (Mason 2018 §8.1)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from pfnn_jax.evaluation.style_test import StyleTest, pose_and_velocity_error, predict_rows
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.network import Network
+from pfnn_jax.motion.features import Features
+from pfnn_jax.motion.normaliser import Normaliser
+from pfnn_jax.runtime.turning import make_stability_check, predictor_of
+from pfnn_jax.training.few_shot import PAPER, Candidate, FewShotConfig, choose, network_config_of, train_grid
+from pfnn_jax.training.style_data import hold_out, to_batch
+
+STOPS = (5, 10, 25, 50, 100)
+
+GRIDS: dict[str, FewShotConfig] = {
+    "CP": FewShotConfig("cp", stops=STOPS),
+    "CP, the paper's recipe": PAPER,
+    "bias": FewShotConfig("bias", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,), stops=STOPS),
+    "diagonal": FewShotConfig("diagonal", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,), stops=STOPS),
+    "full": FewShotConfig("full", main_dropouts=(0.0,), stops=(2, 5, 10, 25, 50)),
+    "fine-tune, stopped early": FewShotConfig(
+        "fine_tune", learning_rates=(1e-4,), main_dropouts=(0.3,), stops=(1, 2, 5, 10, 25, 50, 100)
+    ),
+    "from scratch": FewShotConfig("scratch", learning_rates=(1e-3,), main_dropouts=(0.3,), stops=(10, 25, 50, 100)),
+}
+"""What is trained on the clip; each row of a comparison is a choice among the candidates of one grid."""
+
+FIXED: dict[str, tuple[str, dict[str, float]]] = {
+    "CP, 1e-4, dropout 0.3, 100 epochs": ("CP", {"learning_rate": 1e-4, "main_dropout": 0.3, "epochs": 100}),
+    "CP, 1e-4, no dropout, 100 epochs": ("CP", {"learning_rate": 1e-4, "main_dropout": 0.0, "epochs": 100}),
+    "fine-tune, 5 epochs": ("fine-tune, stopped early", {"epochs": 5}),
+    "fine-tune, 25 epochs": ("fine-tune, stopped early", {"epochs": 25}),
+    "fine-tune, 100 epochs": ("fine-tune, stopped early", {"epochs": 100}),
+}
+"""Rows at a setting named beforehand, from the candidates of a grid."""
+
+SAMPLE = 2000
+"""Turning rows on which every candidate is looked at."""
+
+
+def compare_methods(
+    shared: Network,
+    normaliser: Normaliser,
+    parts: Sequence[Features],
+    test: StyleTest,
+    *,
+    grids: dict[str, FewShotConfig] = GRIDS,
+    epochs: int = 100,
+    seed: int = 0,
+    on_row: Callable[[str], None] = lambda row: None,
+) -> dict[str, dict[str, Any]]:
+    """Every method on one clip: what was chosen, and every measure of it.
+
+    Nothing is chosen on the test: settings and stops are ranked on the last part of the clip and must stay sound on
+    circles.
+
+    Args:
+        shared, normaliser: of pretraining.
+        parts: the clip and, where it is symmetric, its mirror image.
+        test: the takes no method has seen.
+        grids: methods to run.
+        epochs: longest training; later stops are dropped.
+        seed: of every grid.
+        on_row: told the name of each grid that is done.
+
+    Returns:
+        row -> `measures`, and for what was trained also `choice`, `stable`, and for the grid's own row
+        `grid_seconds` and all `candidates` with their error on turns (to judge the choice by, afterwards).
+    """
+    clip = test.clip
+    is_stable = make_stability_check(shared, normaliser, test.layout, clip.x, clip.y, clip.phase)
+    rows: dict[str, dict[str, Any]] = {"no adapter": {"measures": test.measure(without_adapter(shared, normaliser))}}
+    for name, grid in grids.items():
+        started = time.perf_counter()
+        candidates = train_on_clip(shared, normaliser, parts, _shortened(grid, epochs, seed))
+        seconds = time.perf_counter() - started
+        for row, candidate in _rows_of(name, candidates, is_stable).items():
+            rows[row] = {
+                "choice": candidate.choice._asdict(),
+                "stable": is_stable(candidate.trained),
+                "measures": test.measure(predictor_of(candidate.trained, shared, normaliser)),
+            }
+        rows[name] |= {
+            "grid_seconds": seconds,
+            "candidates": candidate_errors(candidates, shared, normaliser, test),
+        }
+        on_row(name)
+    return rows
+
+
+def train_on_clip(
+    shared: Network, normaliser: Normaliser, parts: Sequence[Features], grid: FewShotConfig
+) -> list[Candidate]:
+    """All settings and stops of a grid, trained on the first part of the clip and ranked on the last."""
+    learn, held = hold_out(parts, grid.held_out)
+    return train_grid(shared, to_batch(learn, normaliser), to_batch(held, normaliser), grid)
+
+
+def without_adapter(shared: Network, normaliser: Normaliser):
+    """The style-agnostic predictor, with a zero adapter so that it has the form of the others."""
+    sizes = network_config_of(shared)
+    zero = init_adapter(AdapterConfig("bias"), sizes.hidden, sizes.num_control_points, jax.random.key(0))
+    return predictor_of(zero, shared, normaliser)
+
+
+def candidate_errors(
+    candidates: Sequence[Candidate], shared: Network, normaliser: Normaliser, test: StyleTest
+) -> list[dict[str, float]]:
+    """Every candidate's choice, with its error on evenly spaced rows of the turning takes."""
+    truth = test.turning.rows
+    rows = np.linspace(0, len(truth.x) - 1, SAMPLE).astype(int)
+    result = []
+    for candidate in candidates:
+        predictor = predictor_of(candidate.trained, shared, normaliser)
+        predicted = np.asarray(predict_rows(predictor, truth.x[rows], truth.phase[rows]))
+        error = pose_and_velocity_error(truth.y[rows], predicted, test.layout, test.std).mean()
+        result.append({**candidate.choice._asdict(), "turning_error": float(error)})
+    return result
+
+
+def _shortened(grid: FewShotConfig, epochs: int, seed: int) -> FewShotConfig:
+    stops = tuple(stop for stop in grid.stops if stop <= epochs) or (epochs,)
+    return replace(grid, stops=stops, seed=seed)
+
+
+def _rows_of(name: str, candidates: list[Candidate], is_stable) -> dict[str, Candidate]:
+    """The rows that one grid gives: the one chosen, and those whose setting was named beforehand."""
+    rows = {name: choose(candidates, is_stable)}
+    for row, (grid, setting) in FIXED.items():
+        found = [c for c in candidates if all(np.isclose(c.choice._asdict()[k], v) for k, v in setting.items())]
+        if grid == name and found:
+            rows[row] = found[0]
+    return rows
