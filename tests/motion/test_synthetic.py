@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion import synthetic
+from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.synthetic_body import STANDING
 from pfnn_jax.motion.synthetic_skeleton import SHIN, THIGH
 
 EXACT = 1e-12  # metres: float64 rounding over positions of tens of metres and chains of eight joints
+WRITTEN = 1e-5  # metres: six decimals of centimetres and degrees
 FPS = 60
 EVERY_STYLE = pytest.mark.parametrize("style", list(synthetic.STYLES))
 RANGE = [(speed, turn) for speed in (0.6, 1.2, 1.8) for turn in (-60.0, 0.0, 60.0)]  # m/s, degrees/s
@@ -30,6 +32,14 @@ def feet_of(clip: MotionClip) -> np.ndarray:
     roles = clip.skeleton.roles
     assert roles is not None
     return joints(clip)[:, [*roles.left_foot, *roles.right_foot]]
+
+
+def test_a_clip_is_the_same_after_writing_and_reading_it_as_bvh(tmp_path):
+    clip, _ = walk("zombie", 0.8, 30.0, seconds=1.0)
+    write_bvh(tmp_path / "zombie.bvh", clip)
+    read = read_bvh(tmp_path / "zombie.bvh")
+    assert read.skeleton.names == clip.skeleton.names and read.skeleton.roles == clip.skeleton.roles
+    np.testing.assert_allclose(joints(read), joints(clip), atol=WRITTEN)
 
 
 def test_there_are_eight_styles_and_an_unseen_ninth():
