@@ -116,8 +116,8 @@ def _evaluate_slice(entry: Predictor, x: jax.Array) -> jax.Array:
     return evaluate_at(entry, x, jnp.ones(1, entry.input_mean.dtype))
 
 
-@jax.jit
 def _blend_all(network: Network, adapter: Layer | None, c: jax.Array) -> tuple[Network, Layer | None]:
+    """Network and adapter at coefficients c [K]. Not compiled, so that all entries share the factors of CP layers."""
     first, second, third = (_blend(layer, c) for layer in network.layers)
     rest = None if adapter is None else _blend(adapter, c)
     if isinstance(second, BlendedLayer) and rest is not None and not isinstance(rest, CPLayer):

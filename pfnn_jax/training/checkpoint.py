@@ -52,16 +52,25 @@ def replacing(target: Path) -> Iterator[Path]:
     """
     new = target.with_name(f".{target.name}.new")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        _remove(new)
-        yield new
-        _exchange(new, target)
-    except (OSError, ValueError) as error:
-        if _disk_is_full(error):
-            raise InputError(target, "disk", "no space left", "nothing was written; free some room") from error
-        raise
+        with reporting_full_disk(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            _remove(new)
+            yield new
+            _exchange(new, target)
     finally:
         _remove(new)
+
+
+@contextmanager
+def reporting_full_disk(target: Path) -> Iterator[None]:
+    """Turns the system's error on a full disk into an `InputError` that names the target; other errors pass."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        # Orbax writes through tensorstore, which reports the system's error only as text.
+        if getattr(error, "errno", None) in _FULL or "No space left on device" in str(error):
+            raise InputError(target, "disk", "no space left", "the write was given up; free some room") from error
+        raise
 
 
 def locate(target: Path) -> Path | None:
@@ -247,11 +256,6 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
-
-
-def _disk_is_full(error: OSError | ValueError) -> bool:
-    # Orbax writes through tensorstore, which reports the system's error only as text.
-    return getattr(error, "errno", None) in _FULL or "No space left on device" in str(error)
 
 
 @contextmanager

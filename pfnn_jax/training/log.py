@@ -8,13 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.training.checkpoint import plain, replacing
+from pfnn_jax.training.checkpoint import plain, replacing, reporting_full_disk
 
 
 def append_metrics(path: str | Path, record: Mapping[str, Any]) -> None:
-    """Adds one line to RUN/metrics.jsonl; numbers that are not finite become null."""
+    """Adds one line to RUN/metrics.jsonl; numbers that are not finite become null.
+
+    Raises:
+        InputError: if the disk is full.
+    """
     line = json.dumps(plain(record), allow_nan=False) + "\n"
-    with (Path(path) / "metrics.jsonl").open("a", encoding="utf-8") as file:
+    target = Path(path) / "metrics.jsonl"
+    with reporting_full_disk(target), target.open("a", encoding="utf-8") as file:
         file.write(line)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.layers import CPLayer
 from pfnn_jax.models.network import NetworkConfig, init_network, num_parameters
 from pfnn_jax.runtime.lookup import evaluate_lookup, make_lookup, table_phase
 from pfnn_jax.runtime.predictor import Predictor, evaluate
@@ -87,6 +88,13 @@ def test_full_diagonal_and_bias_adapters_vanish_into_the_table():
     plain = num_parameters(make_lookup(make_predictor(None)).slices[0])
     assert all(num_parameters(make_lookup(make_predictor(k)).slices[0]) == plain for k in ("full", "diagonal", "bias"))
     assert num_parameters(make_lookup(make_predictor("cp")).slices[0]) == plain + 3 * (2 * HIDDEN + 1) + HIDDEN
+
+
+def test_entries_share_the_factors_of_cp_layers():
+    first, second = make_lookup(make_predictor("cp", rank=5)).slices[:2]
+    for one, two in zip((first.adapter, *first.network.layers), (second.adapter, *second.network.layers), strict=True):
+        assert isinstance(one, CPLayer) and isinstance(two, CPLayer)
+        assert one.a is two.a and one.b is two.b
 
 
 def test_refusals():

@@ -288,6 +288,10 @@ def test_metrics_survive_a_kill_and_are_not_repeated(tmp_path):
     rewind_metrics(tmp_path, step=2)
     append_metrics(tmp_path, {"step": 3})
     assert read_metrics(tmp_path) == [*({"step": s, "loss": 0.5, "nan": None} for s in (1, 2)), {"step": 3}]
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "metrics.jsonl").symlink_to("/dev/full")
+    with pytest.raises(InputError, match="metrics.jsonl: disk: no space left"):
+        append_metrics(tmp_path / "full", {"step": 1})
     (tmp_path / "metrics.jsonl").write_text('{"step": 1}\nnonsense\n')
     with pytest.raises(InputError, match="metrics.jsonl: line 2"):
         read_metrics(tmp_path)
