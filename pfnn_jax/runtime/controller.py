@@ -13,7 +13,7 @@ The state is in metres, seconds and radians in the world; layouts are met only i
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -117,7 +117,8 @@ def steer(layout: FrameLayout, state: CharacterState, command: Command, config: 
     future = state.positions[ROOT][None] + jnp.cumsum(steps, axis=0)
     directions = turn_towards(state.directions[ROOT + 1 :], facing, toward_direction)
     gait = mix(state.gait[ROOT], _wanted_gait(velocity, config), config.gait_rate)
-    return state.replace(
+    return replace(
+        state,
         positions=state.positions.at[ROOT + 1 :].set(future),
         directions=state.directions.at[ROOT + 1 :].set(directions),
         gait=state.gait.at[ROOT:].set(gait),
@@ -163,7 +164,8 @@ def advance(layout: FrameLayout, state: CharacterState, y: jax.Array, config: Co
     new_root = root + moving / layout.fps * travel
     new_facing = unit(turn(facing, moving / layout.fps * turning))
     positions, directions = _predicted_future(layout, y)
-    return state.replace(
+    return replace(
+        state,
         positions=_shift(state.positions, new_root, to_world(positions, new_facing) + new_root[None]),
         directions=_shift(state.directions, new_facing, to_world(directions, new_facing)),
         gait=_shift(state.gait, state.gait[ROOT], state.gait[ROOT + 1 :]),

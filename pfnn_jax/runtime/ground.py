@@ -27,14 +27,14 @@ def to_local(v: jax.Array, facing: jax.Array) -> jax.Array:
     return to_world(v, facing * np.array([-1.0, 1.0], np.float32))
 
 
-def turn_towards(directions: jax.Array, target: jax.Array, share: jax.Array | float) -> jax.Array:
+def turn_towards(directions: jax.Array, target: jax.Array, share: jax.Array | np.ndarray | float) -> jax.Array:
     """Unit directions [..., 2] turned by a share [...] of their angle to a target [2], the short way round."""
     across = directions[..., 1] * target[0] - directions[..., 0] * target[1]
     along = directions[..., 0] * target[0] + directions[..., 1] * target[1]
     return turn(directions, share * jnp.arctan2(across, along))
 
 
-def turn(directions: jax.Array, angle: jax.Array) -> jax.Array:
+def turn(directions: jax.Array, angle: jax.Array | np.ndarray) -> jax.Array:
     """Vectors [..., 2] turned by angles [...] radians about +Y."""
     x, z, sin, cos = directions[..., 0], directions[..., 1], jnp.sin(angle), jnp.cos(angle)
     return jnp.stack([x * cos + z * sin, z * cos - x * sin], -1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -89,7 +91,7 @@ def standing_state(layout: FrameLayout, x: jax.Array, position: jax.Array, yaw: 
         if name not in ("joint_position", "terrain_height"):
             x = x.at[layout.input_slice(name)].set(1.0 if name == "trajectory_direction_z" else 0.0)
     state = initial_state(layout, x, jnp.zeros((), x.dtype), position, yaw)
-    return state.replace(gait=jnp.zeros_like(state.gait).at[:, GAITS.index("stand")].set(1.0))
+    return replace(state, gait=jnp.zeros_like(state.gait).at[:, GAITS.index("stand")].set(1.0))
 
 
 def place_state(state: CharacterState, position: jax.Array, yaw: jax.Array) -> CharacterState:
@@ -100,7 +102,8 @@ def place_state(state: CharacterState, position: jax.Array, yaw: jax.Array) -> C
     def turned(v: jax.Array) -> jax.Array:
         return to_world(to_local(v, facing), towards)
 
-    return state.replace(
+    return replace(
+        state,
         positions=turned(state.positions - root[None]) + position[None],
         directions=turned(state.directions),
         joint_positions=turned(state.joint_positions - lift(root)[None]) + lift(position)[None],

@@ -62,7 +62,7 @@ def _oracle(layout: FrameLayout):
         dt = 1.0 / layout.fps
         turn = walk["turn_rate"] * dt
         facing = jnp.stack([jnp.sin(turn), jnp.cos(turn)])
-        here, there = pose(phase), to_world(pose(phase + walk["cadence"] * dt), facing)
+        here, there = pose(phase), to_world(jnp.asarray(pose(phase + walk["cadence"] * dt)), facing)
         there = there + jnp.stack([jnp.zeros(()), jnp.zeros(()), walk["speed"] * dt])[None]
         positions, directions = arc(walk["speed"], walk["turn_rate"], jnp.arange(6) / 6.0)
         blocks = {
