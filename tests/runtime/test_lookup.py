@@ -16,6 +16,7 @@ from pfnn_jax.runtime.predictor import Predictor, evaluate
 FLOAT32 = 2e-5  # a few ulp over sums of some tens of terms, blended before or after the product
 INPUTS, OUTPUTS, HIDDEN = 10, 7, 12
 STEP = 2 * math.pi / 50
+exact = jax.jit(evaluate)
 ADAPTERS = [None, "cp", "full", "diagonal", "bias"]
 
 
@@ -32,15 +33,14 @@ def make_predictor(kind, rank=None):
     return Predictor(*filled, *statistics)
 
 
-@pytest.mark.parametrize("rank", [None, 5])
-@pytest.mark.parametrize("kind", ADAPTERS)
+@pytest.mark.parametrize(("kind", "rank"), [*((kind, None) for kind in ADAPTERS), (None, 5), ("full", 5)])
 def test_an_entry_is_the_network_at_its_phase(kind, rank):
     predictor = make_predictor(kind, rank)
     lookup = make_lookup(predictor)
     x = jax.random.normal(jax.random.key(7), (INPUTS,))
-    for index in (0, 12, 13, 37, 49):
+    for index in (0, 13, 49):
         phase = jnp.float32(index * STEP)
-        expected = evaluate(predictor, x, phase)
+        expected = exact(predictor, x, phase)
         np.testing.assert_allclose(evaluate_lookup(lookup, x, index * STEP + 0.01), expected, atol=FLOAT32)
 
 
@@ -55,12 +55,11 @@ def test_which_entry_serves_a_phase(mode, turns, index):
     predictor = make_predictor(None)
     x = jnp.ones(INPUTS)
     served = evaluate_lookup(make_lookup(predictor, mode=mode), x, turns * STEP)
-    np.testing.assert_allclose(served, evaluate(predictor, x, jnp.float32(index * STEP)), atol=FLOAT32)
+    np.testing.assert_allclose(served, exact(predictor, x, jnp.float32(index * STEP)), atol=FLOAT32)
     np.testing.assert_allclose(table_phase(jnp.float32(turns * STEP), mode), index * STEP, atol=FLOAT32)
 
 
-@pytest.mark.parametrize("mode", ["nearest50", "constant50"])
-@pytest.mark.parametrize("kind", ADAPTERS)
+@pytest.mark.parametrize(("kind", "mode"), [(None, "nearest50"), ("cp", "constant50"), ("diagonal", "nearest50")])
 def test_traced_batched_and_on_the_host_agree(kind, mode):
     lookup = make_lookup(make_predictor(kind), mode=mode)
     x = jax.random.normal(jax.random.key(8), (6, INPUTS))
@@ -77,9 +76,9 @@ def test_traced_batched_and_on_the_host_agree(kind, mode):
 def test_finer_tables_approach_the_spline():
     predictor = make_predictor("cp")
     x = jax.random.normal(jax.random.key(9), (INPUTS,))
-    exact = evaluate(predictor, x, jnp.float32(2.02))
+    truth = exact(predictor, x, jnp.float32(2.02))
     errors = [
-        float(jnp.abs(evaluate_lookup(make_lookup(predictor, num_slices=n), x, 2.02) - exact).max()) for n in (4, 200)
+        float(jnp.abs(evaluate_lookup(make_lookup(predictor, num_slices=n), x, 2.02) - truth).max()) for n in (4, 200)
     ]
     assert errors[1] < 0.1 * errors[0]
 
