@@ -1,0 +1,179 @@
+"""Speed at run time: one character beside plain NumPy, crowds, and preparation of motion capture."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.evaluation.timing import Figure, Work, figure, interleave
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.motion.bvh import write_bvh
+from pfnn_jax.motion.clip import mirror_clip
+from pfnn_jax.motion.features import clip_features
+from pfnn_jax.motion.footsteps import NoGaitError
+from pfnn_jax.motion.labelled import load_labelled
+from pfnn_jax.motion.layout import LAYOUTS
+from pfnn_jax.motion.phase import mirror_phase
+from pfnn_jax.motion.sources import ClipFile, list_clips
+from pfnn_jax.motion.synthetic import PRETRAINING_STYLES, synthetic_clips
+from pfnn_jax.runtime.controller import Command, step
+from pfnn_jax.runtime.lookup import NUM_SLICES, Lookup, evaluate_lookup, make_lookup
+from pfnn_jax.runtime.predictor import Predictor, evaluate
+from pfnn_jax.runtime.state import initial_state
+
+CYCLE = 60
+"""Frames of one gait cycle: consecutive frames read neighbouring slices, as in a walk."""
+
+LOOKUP_AIM = 2.0
+"""Times of plain NumPy that the lookup may take."""
+
+PREPARATION_AIM = 20_000.0
+"""Frames per second from BVH to features."""
+
+
+def random_predictor(sizes: NetworkConfig, rank: int | None) -> Predictor:
+    """A fresh network with unit statistics, and a CP adapter where a rank is given."""
+    key = jax.random.key(0)
+    adapter = None
+    if rank is not None:
+        adapter = init_adapter(AdapterConfig("cp", rank), sizes.hidden, sizes.num_control_points, key)
+    mean, std = (lambda size: jnp.zeros(size)), (lambda size: jnp.ones(size))
+    inputs, outputs = sizes.input_size, sizes.output_size
+    return Predictor(init_network(sizes, key), adapter, mean(inputs), std(inputs), mean(outputs), std(outputs))
+
+
+class NumpyTable:
+    """The lookup as one writes it without a library: 50 blended networks, three products a frame."""
+
+    def __init__(self, lookup: Lookup):
+        # Stored [O, I], as the released controllers' files are.
+        self.weights = [[np.array(layer.weights[0].T) for layer in s.network.layers] for s in lookup.slices]
+        self.biases = [[np.array(layer.biases[0]) for layer in s.network.layers] for s in lookup.slices]
+        p = lookup.predictor
+        self.statistics = [np.array(v) for v in (p.input_mean, p.input_std, p.output_mean, p.output_std)]
+
+    def __call__(self, x: np.ndarray, phase: float) -> np.ndarray:
+        """x [Dx] at a phase in radians -> y [Dy], both in layout units."""
+        slices = len(self.weights)
+        index = math.floor(phase * slices / (2 * math.pi) + 0.5) % slices
+        (w0, w1, w2), (b0, b1, b2) = self.weights[index], self.biases[index]
+        input_mean, input_std, output_mean, output_std = self.statistics
+        h = _elu(w0 @ ((x - input_mean) / input_std) + b0)
+        h = _elu(w1 @ h + b1)
+        return (w2 @ h + b2) * output_std + output_mean
+
+
+def _elu(x: np.ndarray) -> np.ndarray:
+    return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
+
+
+def character_figures(sizes: NetworkConfig, rank: int, repetitions: int, num_frames: int) -> list[Figure]:
+    """One frame of one character: exact spline and lookup, beside the lookup's three products in NumPy.
+
+    Inputs and outputs are NumPy arrays, as an application holds them.
+    """
+    section = "one character, one frame"
+    x = np.random.default_rng(0).normal(size=sizes.input_size).astype(np.float32)
+    phases = [2 * math.pi * (frame % CYCLE) / CYCLE for frame in range(num_frames)]
+    plain, styled = random_predictor(sizes, None), random_predictor(sizes, rank)
+    lookup, styled_lookup = (make_lookup(predictor, NUM_SLICES) for predictor in (plain, styled))
+    exact = jax.jit(evaluate)
+
+    def frames(one) -> Work:
+        def work():
+            for phase in phases:
+                np.asarray(one(x, phase))
+
+        return work
+
+    seconds = interleave(
+        {
+            "NumPy": frames(NumpyTable(lookup)),
+            "lookup": frames(partial(evaluate_lookup, lookup)),
+            "exact": frames(lambda x, phase: exact(plain, x, np.float32(phase))),
+            "lookup with CP": frames(partial(evaluate_lookup, styled_lookup)),
+            "exact with CP": frames(lambda x, phase: exact(styled, x, np.float32(phase))),
+        },
+        repetitions,
+    )
+    times = [figure(section, name, 1e6 * value / num_frames, "us") for name, value in seconds.items()]
+    ratio = figure(section, "lookup over NumPy", seconds["lookup"] / seconds["NumPy"], "x", at_most=LOOKUP_AIM)
+    return [*times, ratio]
+
+
+def crowd_figures(sizes: NetworkConfig, rank: int, num_characters: int, repetitions: int) -> list[Figure]:
+    """Characters per second: whole controller steps of a batch in one style, and the network alone."""
+    section = f"{num_characters} characters at once"
+    layout = LAYOUTS["mason2018"]((sizes.input_size - 48) // 6)
+    predictor = random_predictor(sizes, rank)
+    rng = np.random.default_rng(0)
+    x = jnp.asarray(rng.normal(size=(num_characters, sizes.input_size)), jnp.float32)
+    phase = jnp.asarray(rng.uniform(0, 2 * np.pi, num_characters), jnp.float32)
+    start = jax.vmap(lambda x, phase: initial_state(layout, x, phase, jnp.zeros(2), jnp.zeros(())))
+    states = start(x, phase)
+    ahead = jnp.tile(jnp.array([[0.0, 1.0]]), (num_characters, 1))
+    one_step = partial(step, partial(evaluate, predictor), layout)
+    works = {
+        "controller and network": partial(
+            jax.jit(jax.vmap(one_step)), states, Command(velocity=ahead, direction=ahead)
+        ),
+        "network alone": partial(jax.jit(jax.vmap(partial(evaluate, predictor))), x, phase),
+    }
+    seconds = interleave(works, repetitions)
+    return [figure(section, name, num_characters / value, "1/s") for name, value in seconds.items()]
+
+
+def preparation_figures(mocap: Path | None, seconds_per_style: float, repetitions: int) -> list[Figure]:
+    """Frames per second from BVH files to features: reading, 60 fps, phase labels, kinematics, windows.
+
+    Counted are frames at 60 fps, mirrored ones included.
+    """
+    figures = []
+    with tempfile.TemporaryDirectory() as folder:
+        figures.append(
+            _prepare_figure("synthetic clips", write_synthetic(Path(folder), seconds_per_style), repetitions)
+        )
+    for name in ("bandai-namco-2", "pfnn") if mocap is not None else ():
+        if mocap is not None and (mocap / name).is_dir():
+            figures.append(_prepare_figure(name, list_clips(mocap / name)[:24], repetitions))
+    return figures
+
+
+def write_synthetic(folder: Path, seconds_per_style: float) -> list[ClipFile]:
+    """One procedural walk of each pretraining style as a BVH file, without labels beside it."""
+    files = []
+    for style in PRETRAINING_STYLES:
+        clip, _ = synthetic_clips(style, seconds_per_style, clip_seconds=seconds_per_style)[0]
+        write_bvh(folder / f"{style}.bvh", clip)
+        files.append(ClipFile(folder / f"{style}.bvh", style))
+    return files
+
+
+def prepare_clips(files: list[ClipFile]) -> int:
+    """Features of every clip and its mirror image, not kept: the number of rows."""
+    rows = 0
+    for file in files:
+        try:
+            labelled = load_labelled(file)
+        except NoGaitError:
+            continue
+        clip = labelled.clip
+        layout = LAYOUTS["mason2018"](clip.skeleton.num_joints)
+        rows += len(clip_features(clip, layout, labelled.labels).frames)
+        if labelled.symmetric:
+            rows += len(clip_features(mirror_clip(clip), layout, mirror_phase(labelled.labels)).frames)
+    return rows
+
+
+def _prepare_figure(name: str, files: list[ClipFile], repetitions: int) -> Figure:
+    rows = prepare_clips(files)
+    seconds = interleave({name: lambda: prepare_clips(files)}, repetitions, warm_up=False)[name]
+    section = "preparation, BVH to features"
+    return figure(section, f"{name}: {len(files)} clips", rows / seconds, "frames/s", at_least=PREPARATION_AIM)
