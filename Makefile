@@ -21,7 +21,7 @@ docs: .venv/.installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site
 
 demo: .venv/.installed
-	$(BIN)/pfnn-jax demo --out demo
+	$(BIN)/pfnn-jax demo --out demo --overwrite
 
 serve: .venv/.installed
 	$(BIN)/mkdocs serve

@@ -1,0 +1,77 @@
+"""What README and documentation show works, and leads somewhere."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+
+def blocks(language: str, pages: list[Path]) -> list[tuple[str, str]]:
+    """(page, code) of every fenced block in a language."""
+    found = [(page, match) for page in pages for match in FENCE.findall(page.read_text(encoding="utf-8"))]
+    return [(str(page.relative_to(ROOT)), code) for page, (name, code) in found if name == language]
+
+
+def commands() -> list[tuple[str, ...]]:
+    """(page, words of the command) for every `pfnn-jax` line in a shell block."""
+    lines = [(page, line.partition("#")[0].split()) for page, code in blocks("sh", PAGES) for line in code.splitlines()]
+    return [(page, *words[1:]) for page, words in lines if words and words[0] == "pfnn-jax"]
+
+
+def test_the_example_in_the_readme_runs(tmp_path: Path):
+    [(_, code)] = blocks("python", [ROOT / "README.md"])
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=400)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "example" / "figure_eight.bvh").stat().st_size > 100_000
+    assert (tmp_path / "example" / "figure_eight.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_commands_are_shown():
+    assert {command[1] for command in commands()} >= {"prepare", "pretrain", "few-shot", "generate", "label-phase"}
+
+
+@pytest.mark.parametrize("command", sorted(set(commands())), ids=" ".join)
+def test_every_option_shown_exists(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]):
+    """The help of the sub-command names each option that a page gives it."""
+    from pfnn_jax.cli import main
+
+    with pytest.raises(SystemExit) as stop:
+        main([command[1], "--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    missing = [word for word in command if word.startswith("--") and word not in text]
+    assert not missing
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.parent == ROOT], ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path):
+    """Links within `docs` are checked as the documentation is built."""
+    targets = re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8"))
+    assert targets
+    assert not [target for target in targets if not (ROOT / target).exists()]
+
+
+def test_every_module_is_in_the_reference():
+    shown = {
+        name for page in PAGES for name in re.findall(r"^::: (\S+)", page.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    modules = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in (ROOT / "pfnn_jax").rglob("*.py")
+        if not path.stem.startswith("_")
+    }
+    assert shown == modules
+
+
+def test_notebooks_are_stored_without_outputs():
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        text = path.read_text(encoding="utf-8")
+        assert '"outputs": []' in text and '"output_type"' not in text and '"execution_count": null' in text, path.name
