@@ -35,7 +35,6 @@ from pfnn_jax.motion.phase import mirror_phase
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.sources import list_clips
 from pfnn_jax.runtime.turning import predictor_of
-from pfnn_jax.training.batches import Batch
 from pfnn_jax.training.few_shot import FewShotConfig, train_grid
 from pfnn_jax.training.pretraining import PretrainConfig, init_state, train
 from pfnn_jax.training.style_data import first_rows, to_batch
@@ -120,16 +119,14 @@ def balanced(takes: Sequence[Take], styles: Sequence[str], seed: int) -> dict[st
     rows = {s: join_takes([p for t in takes if t.style == s for p in (t.rows, t.mirrored)], ()).rows for s in styles}
     count = min(len(part.x) for part in rows.values())
     picks = {style: rng.permutation(len(part.x))[:count] for style, part in rows.items()}
-    return {
-        s: Features(p.x[picks[s]], p.y[picks[s]], p.phase[picks[s]], p.frames[picks[s]]) for s, p in rows.items()
-    }
+    return {s: Features(p.x[picks[s]], p.y[picks[s]], p.phase[picks[s]], p.frames[picks[s]]) for s, p in rows.items()}
 
 
 def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, seed: int):
     """A shared network, its normaliser and the mean loss of its last dispatch, from balanced rows of some styles."""
     normaliser = fit_normaliser([p.x for p in parts.values()], [p.y for p in parts.values()], layout, grouped=True)
     batches = [to_batch([part], normaliser) for part in parts.values()]
-    data = Batch(*(np.stack(leaves) for leaves in zip(*((b.x, b.y, b.phase) for b in batches), strict=True)))
+    data = jax.tree.map(lambda *leaves: np.stack(leaves), *batches)
     settings = PretrainConfig(
         hidden=config.hidden,
         steps=config.steps,
@@ -191,11 +188,13 @@ def run_fold(takes, style: str, seed: int, layout, skeleton, neutral, config: Co
     shared, normaliser, loss = pretrained(balanced(takes, styles, seed), layout, config, seed)
     pretrain_seconds = time.perf_counter() - started
     fold = make_fold(takes, style, seed, layout, skeleton, normaliser.outputs.std, config)
-    sizes = {"epochs": config.epochs, "seed": seed}
-    rows = compare_methods(shared, normaliser, fold.clip, fold.test, **sizes)
+    rows = compare_methods(shared, normaliser, fold.clip, fold.test, epochs=config.epochs, seed=seed)
     if neutral is not None and style != config.neutral:
         grids = {"CP": GRIDS["CP"]}
-        one_style = compare_methods(*neutral, fold.clip, fold.test, grids=grids, **sizes)
+        other, statistics = neutral
+        one_style = compare_methods(
+            other, statistics, fold.clip, fold.test, grids=grids, epochs=config.epochs, seed=seed
+        )
         rows["CP, pretrained on one style"] = one_style["CP"]
     rows["CP on its own turns (bound)"] = {"measures": bound(shared, normaliser, fold, config, seed)}
     seconds = time.perf_counter() - started

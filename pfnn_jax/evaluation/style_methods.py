@@ -12,11 +12,11 @@ import numpy as np
 
 from pfnn_jax.evaluation.style_test import StyleTest, pose_and_velocity_error, predict_rows
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
-from pfnn_jax.models.network import Network
+from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.motion.features import Features
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.runtime.turning import make_stability_check, predictor_of
-from pfnn_jax.training.few_shot import PAPER, Candidate, FewShotConfig, choose, network_config_of, train_grid
+from pfnn_jax.training.few_shot import PAPER, Candidate, FewShotConfig, choose, train_grid
 from pfnn_jax.training.style_data import hold_out, to_batch
 
 STOPS = (5, 10, 25, 50, 100)
@@ -107,7 +107,7 @@ def train_on_clip(
 
 def without_adapter(shared: Network, normaliser: Normaliser):
     """The style-agnostic predictor, with a zero adapter so that it has the form of the others."""
-    sizes = network_config_of(shared)
+    sizes = config_of(shared)
     zero = init_adapter(AdapterConfig("bias"), sizes.hidden, sizes.num_control_points, jax.random.key(0))
     return predictor_of(zero, shared, normaliser)
 

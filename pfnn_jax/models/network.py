@@ -1,4 +1,4 @@
-"""The composed forward pass: three layers, ELU between, a style adapter beside the second (Mason 2018 Fig. 4, Eq. 4)."""
+"""The forward pass: three layers, ELU between, a style adapter beside the second (Mason 2018 Fig. 4, Eq. 4)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.models.layers import Layer, init_blended, init_cp, linear
+from pfnn_jax.models.layers import BlendedLayer, CPLayer, Layer, init_blended, init_cp, linear
 from pfnn_jax.models.spline import catmull_rom_basis
 
 
@@ -57,6 +57,18 @@ def init_network(config: NetworkConfig, key: jax.Array) -> Network:
     else:
         layers = [init_cp(k, points, i, o, config.rank) for k, i, o in pairs]
     return Network(layers=(layers[0], layers[1], layers[2]))
+
+
+def config_of(network: Network) -> NetworkConfig:
+    """The sizes a network was made with, read from its parameters."""
+    match network.layers[0], network.layers[2]:
+        case BlendedLayer(weights=first), BlendedLayer(weights=last):
+            points, inputs, hidden = first.shape
+            return NetworkConfig(inputs, last.shape[2], hidden, points)
+        case CPLayer(a=a, b=b, d=d), CPLayer(a=last):
+            points, rank = d.shape
+            return NetworkConfig(b.shape[0], last.shape[0], a.shape[0], points, rank)
+    raise TypeError("`network` must have BlendedLayers or CPLayers, one kind throughout.")
 
 
 @struct.dataclass(kw_only=True)

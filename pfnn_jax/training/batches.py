@@ -6,6 +6,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 
@@ -13,9 +14,9 @@ from flax import struct
 class Batch:
     """Frames in normalised units; any leading axes."""
 
-    x: jax.Array  # [..., Dx]
-    y: jax.Array  # [..., Dy]
-    phase: jax.Array  # [...] radians
+    x: jax.Array | np.ndarray  # [..., Dx]
+    y: jax.Array | np.ndarray  # [..., Dy]
+    phase: jax.Array | np.ndarray  # [...] radians
 
 
 def steps_per_epoch(num_styles: int, num_frames: int, batch_size: int) -> int:

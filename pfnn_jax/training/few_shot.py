@@ -20,7 +20,7 @@ from flax import struct
 
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
 from pfnn_jax.models.layers import Layer
-from pfnn_jax.models.network import Dropout, Network, NetworkConfig, init_network
+from pfnn_jax.models.network import Dropout, Network, config_of, init_network
 from pfnn_jax.training.batches import Batch
 from pfnn_jax.training.losses import l1_penalty, squared_error
 from pfnn_jax.training.steps import predict_batch
@@ -76,9 +76,7 @@ class FewShotConfig:
             raise ValueError(f"FewShotConfig.learning_rates must be positive, got {self.learning_rates}.")
 
 
-PAPER = FewShotConfig(
-    learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.3, 0.5, 0.7), stops=(100,)
-)
+PAPER = FewShotConfig(learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.3, 0.5, 0.7), stops=(100,))
 """Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid over the authors' rates of adapter dropout alone."""
 
 
@@ -114,20 +112,11 @@ def settings_grid(config: FewShotConfig) -> Setting:
     return Setting(*(jnp.asarray(column, jnp.float32) for column in zip(*rows, strict=True)))
 
 
-def network_config_of(network: Network) -> NetworkConfig:
-    """The sizes a network was made with, read from its parameters."""
-    first, _, last = network.layers
-    rank = getattr(first, "d", None)
-    inputs, hidden = (first.b.shape[0], first.a.shape[0]) if rank is not None else first.weights.shape[1:]
-    outputs = last.bias.shape[0] if rank is not None else last.biases.shape[1]
-    return NetworkConfig(inputs, outputs, hidden, first.num_control_points, None if rank is None else rank.shape[1])
-
-
 def initial_parameters(config: FewShotConfig, shared: Network, key: jax.Array) -> Any:
     """What the method starts from: a fresh adapter, the pretrained network, or a fresh network."""
     if config.method == "fine_tune":
         return shared
-    sizes = network_config_of(shared)
+    sizes = config_of(shared)
     if config.method == "scratch":
         return init_network(sizes, key)
     return init_adapter(AdapterConfig(config.method, config.rank), sizes.hidden, sizes.num_control_points, key)
@@ -237,15 +226,14 @@ def train_grid(shared: Network, data: Batch, held_out: Batch, config: FewShotCon
 
 
 def _candidates(trained, settings: Setting, stop: int, errors: np.ndarray) -> list[Candidate]:
-    rates = np.stack(jax.tree.leaves(settings), axis=1).astype(float)
+    rates = zip(*(np.asarray(leaf, float).tolist() for leaf in jax.tree.leaves(settings)), strict=True)
     host = jax.tree.map(np.asarray, trained)
-    return [
-        Candidate(
-            Choice(*(float(f"{r:.6g}") for r in row), stop, float(error) if np.isfinite(error) else float("inf")),
-            jax.tree.map(lambda leaf, g=g: leaf[g], host),
-        )
-        for g, (row, error) in enumerate(zip(rates, errors, strict=True))
-    ]
+    candidates = []
+    for index, ((learning_rate, main, adapter), error) in enumerate(zip(rates, errors, strict=True)):
+        ranked_by = float(error) if np.isfinite(error) else float("inf")
+        choice = Choice(round(learning_rate, 8), round(main, 8), round(adapter, 8), stop, ranked_by)
+        candidates.append(Candidate(choice, jax.tree.map(lambda leaf, i=index: leaf[i], host)))
+    return candidates
 
 
 def choose(candidates: Sequence[Candidate], is_stable: Callable[[Any], bool] | None = None) -> Candidate:
@@ -269,7 +257,7 @@ def refit(shared: Network, data: Batch, choice: Choice, config: FewShotConfig) -
 def train_bank(shared: Network, data: Batch, choice: Choice, config: FewShotConfig) -> Any:
     """Many styles at once under one setting: data [S, N, ...] -> trained parameters [S, ...], by `vmap`."""
     init_key, train_key = jax.random.split(jax.random.key(config.seed))
-    setting = Setting(*(jnp.float32(rate) for rate in choice[:3]))
+    setting = Setting(*(jnp.asarray(rate, jnp.float32) for rate in choice[:3]))
     start = initial_parameters(config, shared, init_key)
     states = jax.vmap(lambda _: init_few_shot_state(start))(jnp.arange(data.phase.shape[0]))
     sizes = {"batch_size": config.batch_size, "l1": config.l1}

@@ -7,11 +7,12 @@ from typing import Literal
 import chex
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 PenaltyNorm = Literal["mean", "sum"]
 
 
-def squared_error(prediction: jax.Array, target: jax.Array) -> jax.Array:
+def squared_error(prediction: jax.Array, target: jax.Array | np.ndarray) -> jax.Array:
     """Mean over all axes of the squared difference of two arrays of one shape; [] in normalised units squared."""
     chex.assert_equal_shape([prediction, target])
     return jnp.mean(jnp.square(prediction - target))

@@ -12,7 +12,6 @@ RUN/metrics.jsonl   one line for each interval of training
 from __future__ import annotations
 
 import importlib.metadata
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -28,6 +27,7 @@ from pfnn_jax.models.network import Network, NetworkConfig, init_network, num_pa
 from pfnn_jax.motion.layout import LAYOUTS, FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser, load_normaliser, save_normaliser
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
+from pfnn_jax.motion.sources import check_style_name
 from pfnn_jax.training.checkpoint import (
     fingerprint,
     load_record,
@@ -43,7 +43,6 @@ from pfnn_jax.training.checkpoint import (
 State = TypeVar("State")
 
 _RUN_RULE = "must be a run directory, as `pfnn-jax pretrain` or `pfnn-jax import-released` writes it"
-_STYLE_NAME = re.compile(r"[^\W_][\w .+()-]{0,99}")
 
 
 def _versions() -> dict[str, str]:
@@ -259,14 +258,6 @@ def style_note(path: str | Path, name: str) -> dict[str, Any]:
     if name not in names:
         raise InputError(path, "style", name, f"must be one of {', '.join(names) or '(this run has no styles yet)'}")
     return read_note(Path(path) / "styles" / name, "style.json", "must be a style saved by `pfnn-jax few-shot`")
-
-
-def check_style_name(name: str, source: str | Path) -> str:
-    """The name, if a folder can bear it on every system: letters, digits, and `_ . + - ( )` or spaces within."""
-    if not _STYLE_NAME.fullmatch(name) or name[-1] in " .":
-        rule = "a style's name is its folder's: a letter or digit, then letters, digits, spaces or _.+-(), 100 at most"
-        raise InputError(source, "style name", repr(name), rule)
-    return name
 
 
 def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) -> None:

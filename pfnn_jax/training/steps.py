@@ -41,7 +41,7 @@ class PretrainState:
     step: jax.Array  # [] int32
 
 
-def init_pretrain_state(shared: Network, bank: Layer, optimiser: optax.GradientTransformation) -> PretrainState:
+def init_pretrain_state(shared: Any, bank: Any, optimiser: optax.GradientTransformation) -> PretrainState:
     """A state at step 0; each style of the bank has an optimiser state of its own."""
     return PretrainState(
         shared=shared,
@@ -76,18 +76,22 @@ def make_pretrain_step(
         key = jax.random.fold_in(run_key, state.step)
         gradient = jax.grad(pretrain_loss, argnums=(0, 1), has_aux=True)
         (to_shared, to_adapter), error = gradient(state.shared, adapter, batch, dropout, key, l1, norm)
-        shared_update, shared_optimiser = optimiser.update(to_shared, state.shared_optimiser, state.shared)
-        adapter_update, adapter_optimiser = optimiser.update(to_adapter, adapter_optimiser, adapter)
-        adapter = optax.apply_updates(adapter, adapter_update)
+        shared, shared_optimiser = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
+        adapter, adapter_optimiser = descend(optimiser, to_adapter, adapter_optimiser, adapter)
         bank, bank_optimiser = jax.tree.map(
             lambda all_styles, one: all_styles.at[style].set(one),
             (state.bank, state.bank_optimiser),
             (adapter, adapter_optimiser),
         )
-        shared = optax.apply_updates(state.shared, shared_update)
         return PretrainState(shared, bank, shared_optimiser, bank_optimiser, state.step + 1), error
 
     return step
+
+
+def descend(optimiser: optax.GradientTransformation, gradient: Any, state: Any, parameters: Any) -> tuple[Any, Any]:
+    """One step of an optimiser on any tree: (new parameters, new optimiser state)."""
+    update, state = optimiser.update(gradient, state, parameters)
+    return jax.tree.map(jnp.add, parameters, update), state
 
 
 def make_run_steps(step: PretrainStep):

@@ -1,0 +1,55 @@
+"""One-step errors of a run on clips it was not trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.evaluation.style_test import join_takes, one_step_test
+from pfnn_jax.motion.footsteps import NoGaitError
+from pfnn_jax.motion.labelled import load_labelled
+from pfnn_jax.motion.sources import ClipFile
+from pfnn_jax.runtime.learn import clip_parts
+from pfnn_jax.runtime.predictor import make_predictor
+from pfnn_jax.training.run import Run
+
+
+def evaluate_clips(
+    run: Run, clip_files: Sequence[ClipFile], style: str | None = None, roles_file: Path | None = None
+) -> dict[str, dict[str, Any]]:
+    """Errors in the run's normalised units, per style of the clips.
+
+    Args:
+        run: a loaded run.
+        clip_files: clips on the run's skeleton; those without steps are left out and named.
+        style: the run's style to test on all of them; None tests each clip in the run's style of its name.
+        roles_file: JSON naming the joints' roles.
+
+    Returns:
+        style of the clips -> what `one_step_test` returns, and `left_out`: file -> reason.
+
+    Raises:
+        InputError: for a bad clip, an unknown style, or a style of which no clip remains.
+    """
+    by_style: dict[str, list[ClipFile]] = {}
+    for clip_file in clip_files:
+        by_style.setdefault(clip_file.style, []).append(clip_file)
+    std, result = np.asarray(run.normaliser.outputs.std), {}
+    for own, files in sorted(by_style.items()):
+        predictor = make_predictor(run, style or own)
+        parts, names, left_out = [], [], {}
+        for clip_file in files:
+            try:
+                parts += clip_parts(load_labelled(clip_file, run.layout.fps, roles_file), run, mirror=False)
+                names.append(clip_file.path.stem)
+            except NoGaitError as error:
+                left_out[clip_file.path.name] = str(error)
+        if not parts:
+            raise InputError(files[0].path.parent, "style", own, "at least one of its clips must hold steps")
+        errors = one_step_test(predictor, join_takes(parts, names), run.layout, std)
+        result[own] = {**errors, "left_out": left_out}
+    return result

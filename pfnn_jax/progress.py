@@ -1,0 +1,47 @@
+"""Progress bars on standard error for long work, with loss, frames per second and time left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+
+from pfnn_jax.training.pretraining import Progress as TrainingProgress
+
+
+@contextmanager
+def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
+    """A bar over training steps."""
+    columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, TextColumn("{task.fields[note]}"), console=Console(stderr=True)) as bar:
+        task = bar.add_task("training", total=None, note="compiling")
+
+        def on_progress(progress: TrainingProgress) -> None:
+            note = f"loss {progress.loss:.4f}  {progress.frames_per_second:,.0f} frames/s"
+            bar.update(task, total=progress.steps, completed=progress.step, note=note)
+
+        yield on_progress
+
+
+@contextmanager
+def clip_progress() -> Iterator[Callable[[int, int, str], None]]:
+    """A bar over clips."""
+    columns = (TextColumn("preparing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, TextColumn("{task.fields[note]}"), console=Console(stderr=True)) as bar:
+        task = bar.add_task("clips", total=None, note="")
+        yield lambda done, total, name: bar.update(task, total=total, completed=done, note=name)
+
+
+@contextmanager
+def stage_progress() -> Iterator[Callable[[str], None]]:
+    """A spinner that names the stage."""
+    with Progress(SpinnerColumn(), TextColumn("{task.description}"), console=Console(stderr=True)) as bar:
+        task = bar.add_task("starting", total=None)
+
+        def on_stage(stage: str) -> None:
+            bar.update(task, description=stage)
+            bar.log(stage)
+
+        yield on_stage

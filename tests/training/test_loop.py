@@ -1,0 +1,121 @@
+"""Pretraining on disk: killed at any moment, it goes on as if nothing had happened."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError, TrainingError
+from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.motion.dataset import prepare
+from pfnn_jax.motion.labelled import LabelledClip
+from pfnn_jax.motion.preparation import PrepareConfig
+from pfnn_jax.motion.synthetic import synthetic_clips
+from pfnn_jax.training.log import read_metrics
+from pfnn_jax.training.loop import pretrain
+from pfnn_jax.training.pretraining import PretrainConfig
+from pfnn_jax.training.run import list_styles, load_run, load_style, train_step
+
+CONFIG = PretrainConfig(
+    adapter=AdapterConfig(rank=2), hidden=8, steps=60, batch_size=16, steps_per_dispatch=5, save_every=10
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+
+KILLED = """
+import sys, time
+from pfnn_jax.motion.dataset import load_dataset
+from pfnn_jax.training.loop import pretrain
+from tests.training.test_loop import CONFIG
+def on_progress(progress):
+    print(progress.step, flush=True)
+    time.sleep(0.05)
+pretrain(load_dataset(sys.argv[1]), sys.argv[2], CONFIG, on_progress=on_progress)
+"""
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    clips = [LabelledClip(*found) for style in ("neutral", "old") for found in synthetic_clips(style, 3.0)]
+    return prepare(clips, tmp_path_factory.mktemp("data") / "dataset", PrepareConfig())
+
+
+@pytest.fixture(scope="module")
+def whole(dataset, tmp_path_factory):
+    """A run that nothing interrupted."""
+    return pretrain(dataset, tmp_path_factory.mktemp("whole") / "run", CONFIG)
+
+
+def parameters(run):
+    return [run.shared, *(load_style(run, style) for style in list_styles(run.path))]
+
+
+def assert_bitwise_equal(a, b):
+    for one, other in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
+
+
+def test_a_run_holds_what_pretraining_learned(whole, dataset):
+    assert list_styles(whole.path) == ("neutral", "old") == whole.config.styles
+    assert whole.layout.input_size == dataset.layout.input_size
+    records = read_metrics(whole.path)
+    assert [record["step"] for record in records] == list(range(5, 61, 5))
+    assert records[-1]["loss"] < records[0]["loss"]
+
+
+def test_killed_and_resumed_is_bit_for_bit_the_same(dataset, whole, tmp_path):
+    out = tmp_path / "run"
+    command = [sys.executable, "-c", KILLED, str(dataset.path), str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        assert process.stdout is not None
+        while int(process.stdout.readline()) < 25:
+            pass
+        process.send_signal(signal.SIGKILL)
+    saved = train_step(out)
+    assert saved is not None and 0 < saved < CONFIG.steps
+    with pytest.raises(InputError, match="run it \\(again\\) to the end"):
+        load_run(out)
+    resumed = pretrain(dataset, out, CONFIG, resume=True)
+    assert_bitwise_equal(parameters(resumed), parameters(whole))
+    assert [record["loss"] for record in read_metrics(out)] == [record["loss"] for record in read_metrics(whole.path)]
+
+
+def test_a_run_killed_before_its_first_save_begins_again(dataset, whole, tmp_path):
+    out = tmp_path / "run"
+
+    def stop(progress):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pretrain(dataset, out, CONFIG, on_progress=stop)
+    assert train_step(out) is None
+    assert_bitwise_equal(parameters(pretrain(dataset, out, CONFIG, resume=True)), parameters(whole))
+
+
+def test_a_run_is_resumed_only_with_its_own_settings(dataset, whole):
+    with pytest.raises(InputError, match="pretrain: .*learning_rate 0.0001.*differs"):
+        pretrain(dataset, whole.path, replace(CONFIG, learning_rate=1e-3), resume=True)
+
+
+def test_an_existing_run_is_refused_and_left_alone(dataset, whole):
+    before = (whole.path / "config.json").read_bytes()
+    with pytest.raises(InputError, match="output: exists"):
+        pretrain(dataset, whole.path, CONFIG)
+    assert (whole.path / "config.json").read_bytes() == before
+
+
+def test_training_that_turns_non_finite_keeps_the_last_good_save(dataset, tmp_path):
+    out, wild = tmp_path / "run", replace(CONFIG, learning_rate=1e30, save_every=1, steps_per_dispatch=1)
+    with pytest.raises(TrainingError, match=r"step \d+, style (neutral|old): loss is (nan|inf)"):
+        pretrain(dataset, out, wild)
+    losses = [json.loads(line)["loss"] for line in (out / "metrics.jsonl").read_text().splitlines()]
+    assert np.isfinite(losses).all()
+    assert train_step(out) == len(losses)
