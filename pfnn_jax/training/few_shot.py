@@ -231,9 +231,14 @@ def _candidates(trained, settings: Setting, stop: int, errors: np.ndarray) -> li
     candidates = []
     for index, ((learning_rate, main, adapter), error) in enumerate(zip(rates, errors, strict=True)):
         ranked_by = float(error) if np.isfinite(error) else float("inf")
-        choice = Choice(round(learning_rate, 8), round(main, 8), round(adapter, 8), stop, ranked_by)
+        choice = Choice(_decimal(learning_rate), _decimal(main), _decimal(adapter), stop, ranked_by)
         candidates.append(Candidate(choice, jax.tree.map(lambda leaf, i=index: leaf[i], host)))
     return candidates
+
+
+def _decimal(rate: float) -> float:
+    """A single-precision rate as it was written: 0.3, not 0.30000001."""
+    return float(f"{rate:.6g}")
 
 
 def choose(candidates: Sequence[Candidate], is_stable: Callable[[Any], bool] | None = None) -> Candidate:
