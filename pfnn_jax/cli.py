@@ -32,7 +32,7 @@ from pfnn_jax.training.loop import pretrain
 from pfnn_jax.training.pretraining import PretrainConfig
 from pfnn_jax.training.run import load_run
 
-Flat = tyro.conf.OmitArgPrefixes
+FLAT = tyro.conf.arg(name="")  # --hidden, not --config.hidden
 Argument = tyro.conf.Positional
 
 
@@ -59,7 +59,7 @@ class Demo(Command):
 
     out: Path = Path("demo")
     overwrite: bool = False
-    config: Flat[DemoConfig] = field(default_factory=DemoConfig)
+    config: Annotated[DemoConfig, FLAT] = field(default_factory=DemoConfig)
 
     def run(self) -> Any:
         with stage_progress() as on_stage:
@@ -82,13 +82,13 @@ class Prepare(Command):
         config: how clips become rows.
     """
 
-    source: Argument[Path]
+    source: Annotated[Argument[Path], tyro.conf.arg(metavar="FOLDER")]
     out: Path
     kind: Literal["auto", "bandai", "100style", "xia", "pfnn", "folders"] = "auto"
     styles: tuple[str, ...] = ()
     roles: Path | None = None
     overwrite: bool = False
-    config: Flat[PrepareConfig] = field(default_factory=PrepareConfig)
+    config: Annotated[PrepareConfig, FLAT] = field(default_factory=PrepareConfig)
 
     def run(self) -> Any:
         clips = [clip for clip in list_clips(self.source, self.kind) if not self.styles or clip.style in self.styles]
@@ -114,11 +114,11 @@ class Pretrain(Command):
         config: how to train.
     """
 
-    dataset: Argument[Path]
+    dataset: Annotated[Argument[Path], tyro.conf.arg(metavar="DATASET")]
     out: Path
     resume: bool = False
     overwrite: bool = False
-    config: Flat[PretrainConfig] = field(default_factory=PretrainConfig)
+    config: Annotated[PretrainConfig, FLAT] = field(default_factory=PretrainConfig)
 
     def run(self) -> Any:
         with training_progress() as on_progress:
@@ -142,7 +142,8 @@ class FewShot(Command):
         run_path: a pretrained run.
         clip: BVH file; a `.phase` file beside it is used, else phases are found.
         name: name of the new style.
-        start, stop: frames of the file to use, at its own rate.
+        start: first frame of the file to use, at its own rate.
+        stop: the frame before which to end; by default the file's end.
         mirror: also learn from the mirrored clip; by default unless the name is a style known to be asymmetric.
         roles: JSON that names the joints' roles.
         recipe: the best of our measurements, or the paper's (CP, 100 epochs at 1e-4).
@@ -150,8 +151,8 @@ class FewShot(Command):
         config: the grid of settings; ignored, but for the seed, with `--recipe paper`.
     """
 
-    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run")]
-    clip: Argument[Path]
+    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run", metavar="RUN")]
+    clip: Annotated[Argument[Path], tyro.conf.arg(metavar="CLIP.bvh")]
     name: str
     start: int = 0
     stop: int | None = None
@@ -159,7 +160,7 @@ class FewShot(Command):
     roles: Path | None = None
     recipe: Literal["default", "paper"] = "default"
     overwrite: bool = False
-    config: Flat[FewShotConfig] = field(default_factory=FewShotConfig)
+    config: Annotated[FewShotConfig, FLAT] = field(default_factory=FewShotConfig)
 
     def run(self) -> Any:
         config = self.config if self.recipe == "default" else replace(PAPER, seed=self.config.seed)
@@ -189,7 +190,7 @@ class Generate(Command):
         overwrite: replace an existing file.
     """
 
-    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run")]
+    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run", metavar="RUN")]
     out: Path
     style: str | None = None
     path: str = "figure-eight"
@@ -222,8 +223,8 @@ class Evaluate(Command):
         roles: JSON that names the joints' roles.
     """
 
-    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run")]
-    source: Argument[Path]
+    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run", metavar="RUN")]
+    source: Annotated[Argument[Path], tyro.conf.arg(metavar="FOLDER")]
     style: str | None = None
     roles: Path | None = None
 
@@ -246,7 +247,7 @@ class LabelPhase(Command):
         overwrite: replace an existing file.
     """
 
-    clip: Argument[Path]
+    clip: Annotated[Argument[Path], tyro.conf.arg(metavar="CLIP.bvh")]
     out: Path
     roles: Path | None = None
     overwrite: bool = False
@@ -272,7 +273,7 @@ class ImportReleased(Command):
     """
 
     kind: Argument[Literal["pfnn"]]
-    directory: Argument[Path]
+    directory: Annotated[Argument[Path], tyro.conf.arg(metavar="DIR")]
     out: Path
     overwrite: bool = False
 
@@ -295,8 +296,8 @@ class Predict(Command):
         overwrite: replace an existing file.
     """
 
-    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run")]
-    rows: Argument[Path]
+    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run", metavar="RUN")]
+    rows: Annotated[Argument[Path], tyro.conf.arg(metavar="IN.npz")]
     out: Path
     style: str | None = None
     mode: RowMode = "cubic"
@@ -342,12 +343,26 @@ COMMANDS = {
 }
 
 
+def parse(args: Sequence[str] | None) -> Any:
+    """The command that a command line names, its settings checked.
+
+    Raises:
+        InputError: if a setting breaks a rule of its configuration.
+    """
+    try:
+        return tyro.extras.subcommand_cli_from_dict(
+            COMMANDS, args=args, prog="pfnn-jax", description="Stylised character locomotion from short clips."
+        )
+    except InputError:
+        raise
+    except ValueError as error:  # from the configurations' own checks
+        raise InputError("command line", "settings", str(error).removesuffix("."), "see --help") from error
+
+
 def main(args: Sequence[str] | None = None) -> None:
     """Runs a command line; bad input ends with one line on standard error and exit code 2."""
     try:
-        command = tyro.extras.subcommand_cli_from_dict(
-            COMMANDS, args=args, prog="pfnn-jax", description="Stylised character locomotion from short clips."
-        )
+        command = parse(args)
         result = command.run()
         if command.json is not None:
             _write_json(command.json, result)

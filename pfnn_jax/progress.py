@@ -6,16 +6,30 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from pfnn_jax.training.pretraining import Progress as TrainingProgress
+
+
+def _bar(*columns: ProgressColumn) -> Progress:
+    """On standard error, and nothing at all where that is not a terminal."""
+    console = Console(stderr=True)
+    return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
 @contextmanager
 def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
     """A bar over training steps."""
     columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, TextColumn("{task.fields[note]}"), console=Console(stderr=True)) as bar:
+    with _bar(*columns, TextColumn("{task.fields[note]}")) as bar:
         task = bar.add_task("training", total=None, note="compiling")
 
         def on_progress(progress: TrainingProgress) -> None:
@@ -29,7 +43,7 @@ def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
 def clip_progress() -> Iterator[Callable[[int, int, str], None]]:
     """A bar over clips."""
     columns = (TextColumn("preparing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, TextColumn("{task.fields[note]}"), console=Console(stderr=True)) as bar:
+    with _bar(*columns, TextColumn("{task.fields[note]}")) as bar:
         task = bar.add_task("clips", total=None, note="")
         yield lambda done, total, name: bar.update(task, total=total, completed=done, note=name)
 
@@ -37,7 +51,7 @@ def clip_progress() -> Iterator[Callable[[int, int, str], None]]:
 @contextmanager
 def stage_progress() -> Iterator[Callable[[str], None]]:
     """A spinner that names the stage."""
-    with Progress(SpinnerColumn(), TextColumn("{task.description}"), console=Console(stderr=True)) as bar:
+    with _bar(SpinnerColumn(), TextColumn("{task.description}")) as bar:
         task = bar.add_task("starting", total=None)
 
         def on_stage(stage: str) -> None:

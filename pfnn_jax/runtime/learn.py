@@ -55,7 +55,7 @@ def learn_style(
     _check_length(learn, config, clip_file.path)
     candidates = train_grid(run.shared, to_batch(learn, run.normaliser), to_batch(held, run.normaliser), config)
     is_stable = make_stability_check(run.shared, run.normaliser, run.layout, rows.x, rows.y, rows.phase)
-    chosen = choose(candidates, is_stable)
+    chosen = choose(candidates, config.tolerance, is_stable)
     adapter = refit(run.shared, to_batch(parts, run.normaliser), chosen.choice, config)
     info = {
         "source": clip_file.path.name,

@@ -47,6 +47,9 @@ class FewShotConfig:
         batch_size: frames of a minibatch.
         l1: λ of Eq. 3 on what is trained.
         held_out: share of the clip's frames, at its end, that choose among the settings.
+        tolerance: how much larger than the best a setting's held-out error may be; of those within it the gentlest
+            (least learning rate times epochs) is taken. The frames of a straight walk favour settings that fit
+            straight walks; 0 takes the best of them.
         seed: of initialisation, shuffling and dropout.
     """
 
@@ -59,6 +62,7 @@ class FewShotConfig:
     batch_size: int = 32
     l1: float = 0.01
     held_out: float = 0.2
+    tolerance: float = 0.5
     seed: int = 0
 
     def __post_init__(self):
@@ -68,6 +72,8 @@ class FewShotConfig:
             raise ValueError(f"FewShotConfig.stops must be increasing whole numbers from 1, got {self.stops}.")
         if not 0 < self.held_out < 1:
             raise ValueError(f"FewShotConfig.held_out must lie between 0 and 1, got {self.held_out}.")
+        if self.tolerance < 0:
+            raise ValueError(f"FewShotConfig.tolerance must not be negative, got {self.tolerance}.")
         for name in ("main_dropouts", "adapter_dropouts"):
             rates = getattr(self, name)
             if not rates or not all(0 <= rate < 1 for rate in rates):
@@ -241,16 +247,26 @@ def _decimal(rate: float) -> float:
     return float(f"{rate:.6g}")
 
 
-def choose(candidates: Sequence[Candidate], is_stable: Callable[[Any], bool] | None = None) -> Candidate:
-    """The best-ranked candidate whose rollouts are stable; the best-ranked of all if none is.
+def choose(
+    candidates: Sequence[Candidate], tolerance: float, is_stable: Callable[[Any], bool] | None = None
+) -> Candidate:
+    """The gentlest stable candidate among those almost as good as the best; else the best-ranked stable one.
 
     Args:
         candidates: best first, as `train_grid` returns them.
-        is_stable: judges the trained parameters by rollouts on paths that turn; None takes the first.
+        tolerance: share by which a held-out error may exceed the best one's.
+        is_stable: judges the trained parameters by rollouts on paths that turn; None passes all.
+
+    Returns:
+        The choice; the best-ranked candidate if none is stable.
     """
-    if is_stable is None:
-        return candidates[0]
-    return next((candidate for candidate in candidates if is_stable(candidate.trained)), candidates[0])
+    limit = candidates[0].choice.held_out_error * (1 + tolerance)
+    near = [candidate for candidate in candidates if candidate.choice.held_out_error <= limit]
+    near.sort(key=lambda candidate: candidate.choice.learning_rate * candidate.choice.epochs)
+    for candidate in (*(near if tolerance else ()), *candidates):
+        if is_stable is None or is_stable(candidate.trained):
+            return candidate
+    return candidates[0]
 
 
 def refit(shared: Network, data: Batch, choice: Choice, config: FewShotConfig) -> Any:

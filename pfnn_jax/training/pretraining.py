@@ -33,15 +33,16 @@ class PretrainConfig:
 
     Attributes:
         adapter: form of every style's adapter.
-        hidden: H.
-        num_control_points: K.
+        hidden: H, width of both hidden layers.
+        num_control_points: K, points of the phase spline.
         rank: None, or the rank to which every layer is CP-decomposed (§7.1's aside).
         epochs: passes over the frames of every style (25 in the paper).
         steps: number of steps; overrides `epochs` where set.
         batch_size: frames of one minibatch, all of one style.
         learning_rate: Adam's (1e-4 in the authors' code).
         dropout: drop probability before every layer and adapter.
-        l1: λ of Eq. 3; `l1_norm` says over which norm (see `l1_penalty`).
+        l1: λ of Eq. 3.
+        l1_norm: mean of |W| over each array, as the authors' code, or sum, as the paper writes it.
         seed: of initialisation, shuffling and dropout.
         steps_per_dispatch: steps compiled into one call, and the grain of metrics.
         save_every: steps between saves of the training state.

@@ -1,0 +1,260 @@
+"""The command as a user has it: every command once, and every piece of bad input as one line and exit code 2."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pfnn_jax.cli import COMMANDS, main
+from pfnn_jax.motion.bvh import read_bvh, write_bvh
+from pfnn_jax.motion.synthetic import STYLES, synthesise, synthetic_clips
+from pfnn_jax.training.run import fingerprint, list_styles, load_run, load_style, style_note
+
+SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
+QUICK = "--rank 3 --stops 1 2 --learning-rates 0.001 --main-dropouts 0 --batch-size 16".split()
+
+
+def run(*words) -> None:
+    main([str(word) for word in words])
+
+
+@pytest.fixture
+def refused(capsys):
+    """Runs a command that must end with exit code 2 and one line on standard error; returns the line."""
+
+    def check(*words) -> str:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stopped:
+            run(*words)
+        assert stopped.value.code == 2
+        lines = capsys.readouterr().err.strip().splitlines()
+        assert len(lines) == 1, lines
+        return lines[0]
+
+    return check
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A folder of BVH files per style, a dataset, a run, and a clip of a third style."""
+    folder = tmp_path_factory.mktemp("work")
+    for style in ("neutral", "old"):
+        (folder / "bvh" / style).mkdir(parents=True)
+        for number, (clip, _) in enumerate(synthetic_clips(style, 10.0, clip_seconds=5.0)):
+            write_bvh(folder / "bvh" / style / f"{number}.bvh", clip)
+    frames = 181
+    clip, _ = synthesise("zombie", np.zeros(frames), np.full(frames, STYLES["zombie"].speed))
+    write_bvh(folder / "zombie.bvh", clip)
+    run("prepare", folder / "bvh", "--out", folder / "data")
+    run("pretrain", folder / "data", "--out", folder / "run", *SMALL, "--json", folder / "pretrain.json")
+    run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "zombie", *QUICK, "--json", folder / "few.json")
+    return folder
+
+
+def test_every_command_has_help(capsys):
+    for name, command in COMMANDS.items():
+        with pytest.raises(SystemExit) as stopped:
+            run(name, "--help")
+        assert stopped.value.code == 0
+        assert command.__doc__ is not None
+        shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert command.__doc__.split("\n")[0].split(":")[0][:40] in shown
+
+
+def test_prepare_pretrain_and_few_shot_leave_a_run(folder):
+    assert list_styles(folder / "run") == ("neutral", "old", "zombie")
+    assert json.loads((folder / "pretrain.json").read_text())["styles"] == ["neutral", "old"]
+    result = json.loads((folder / "few.json").read_text())
+    assert result["choice"]["epochs"] in (1, 2)
+    assert result["mirrored"] is True
+    assert style_note(folder / "run", "zombie")["info"]["source"] == "zombie.bvh"
+
+
+def test_few_shot_leaves_the_shared_network_bitwise_unchanged(folder, tmp_path):
+    shutil.copytree(folder / "run", tmp_path / "run")
+    before = fingerprint(load_run(tmp_path / "run").shared)
+    old = load_style(load_run(tmp_path / "run"), "old")
+    run("few-shot", tmp_path / "run", folder / "zombie.bvh", "--name", "again", *QUICK)
+    after = load_run(tmp_path / "run")
+    assert fingerprint(after.shared) == before == after.fingerprint
+    assert fingerprint(load_style(after, "old")) == fingerprint(old)
+
+
+def test_the_papers_recipe_is_one_flag_away(folder, tmp_path, monkeypatch):
+    asked = {}
+    monkeypatch.setattr("pfnn_jax.cli.learn_style", lambda run, clip, config, **_: asked.update(config=config) or INFO)
+    run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--recipe", "paper", "--seed", "7")
+    assert asked["config"].stops == (100,)
+    assert asked["config"].learning_rates == (1e-4,)
+    assert asked["config"].seed == 7
+
+
+INFO = {"frames": 1, "seconds": 1.0, "choice": {"epochs": 100}}
+
+
+@pytest.mark.parametrize("mode", ["cubic", "nearest50"])
+def test_generate_writes_motion_in_the_style(folder, tmp_path, mode):
+    out = tmp_path / "walk.bvh"
+    run(
+        "generate",
+        folder / "run",
+        "--style",
+        "zombie",
+        "--path",
+        "circle",
+        "--seconds",
+        "1",
+        "--mode",
+        mode,
+        "--out",
+        out,
+    )
+    assert read_bvh(out).num_frames == 60
+
+
+def test_generate_follows_points_of_a_file(folder, tmp_path):
+    (tmp_path / "points.csv").write_text("x,z\n0,0\n0,3\n2,5\n")
+    run("generate", folder / "run", "--path", tmp_path / "points.csv", "--seconds", "1", "--out", tmp_path / "a.bvh")
+    assert read_bvh(tmp_path / "a.bvh").num_frames == 60
+
+
+def test_evaluate_gives_errors_by_style_and_group(folder, tmp_path):
+    run("evaluate", folder / "run", folder / "bvh", "--json", tmp_path / "errors.json")
+    errors = json.loads((tmp_path / "errors.json").read_text())
+    assert set(errors) == {"neutral", "old"}
+    assert errors["old"]["pose"] > 0 and len(errors["old"]["per_take"]) == 2
+
+
+def test_label_phase_writes_one_value_per_frame(folder, tmp_path):
+    run("label-phase", folder / "zombie.bvh", "--out", tmp_path / "zombie.phase")
+    values = np.loadtxt(tmp_path / "zombie.phase")
+    assert values.shape == (181,) and values.min() >= 0 and values.max() <= 1
+
+
+def test_released_weights_answer_the_golden_rows(reference, tmp_path):
+    run("import-released", "pfnn", reference / "pfnn", "--out", tmp_path / "holden")
+    std = np.fromfile(reference / "pfnn" / "Ystd.bin", "<f4")
+    golden = reference / "pfnn_golden_dev.npz"
+    for mode in ("cubic", "constant50", "nearest50"):
+        run("predict", tmp_path / "holden", golden, "--out", tmp_path / f"{mode}.npz", "--mode", mode)
+        with np.load(tmp_path / f"{mode}.npz") as found, np.load(golden) as wanted:
+            # Float32 against float64 goldens differs by 2e-6 of a deviation; 1e-4 leaves room for other processors.
+            assert (np.abs(found["y"] - wanted[f"y_{mode}"]) / std).max() < 1e-4
+
+
+# Bad input
+
+
+def test_bad_bvh_is_one_line(refused, folder, tmp_path):
+    text = (folder / "zombie.bvh").read_text()
+    lines = text.splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("Frame Time")) + 1
+    row = lines[first].split()
+    bad = {
+        "truncated": ("\n".join(lines[: first - 8]), ""),
+        "no End Site": (text.replace("End Site", "Joint", 1), ""),
+        "too few columns": ("\n".join([*lines[:first], " ".join(row[:-1]), *lines[first + 1 :]]), f"line {first + 1}"),
+        "not a number": ("\n".join([*lines[:first], " ".join(["x1", *row[1:]]), *lines[first + 1 :]]), "x1"),
+        "NaN": ("\n".join([*lines[:first], " ".join(["nan", *row[1:]]), *lines[first + 1 :]]), "nan"),
+        "zero frames": ("\n".join([*lines[: first - 2], "Frames: 0", lines[first - 1]]), "0"),
+        "zero frame time": (text.replace(lines[first - 1], "Frame Time: 0.0"), "0"),
+    }
+    for name, (content, place) in bad.items():
+        file = tmp_path / "bad.bvh"
+        file.write_text(content)
+        line = refused("label-phase", file, "--out", tmp_path / "bad.phase")
+        assert line.startswith(f"pfnn-jax: {file}: ") and place.lower() in line.lower(), (name, line)
+        assert list(tmp_path.iterdir()) == [file], name
+
+
+def test_a_skeleton_without_feet_is_one_line(refused, folder, tmp_path):
+    text = (folder / "zombie.bvh").read_text()
+    for joint in ("UpLeg", "Leg", "Foot", "ToeBase", "Shoulder", "ForeArm", "Arm", "Hand", "Spine1", "Spine"):
+        text = text.replace(f"Left{joint}", f"A{joint[:1]}").replace(f"Right{joint}", f"B{joint[:1]}")
+    roles = tmp_path / "roles.json"
+    roles.write_text(json.dumps({"left_foot": ["NoSuchJoint"]}))
+    (tmp_path / "odd.bvh").write_text(text)
+    line = refused("label-phase", tmp_path / "odd.bvh", "--out", tmp_path / "odd.phase", "--roles", roles)
+    assert "roles.json" in line and "NoSuchJoint" in line
+
+
+def test_a_clip_that_is_no_walk_is_one_line(refused, folder, tmp_path, mocap):
+    line = refused("label-phase", mocap / "xia" / "depressed_18_000.bvh", "--out", tmp_path / "p.phase")
+    assert "depressed_18_000.bvh" in line and "steps" in line
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_clip_too_short_is_one_line(refused, folder, tmp_path):
+    words = ("few-shot", folder / "run", folder / "zombie.bvh", "--name", "short", "--stop", "20")
+    assert "zombie.bvh" in refused(*words)
+    assert "short" not in list_styles(folder / "run")
+
+
+def test_a_clip_of_another_skeleton_is_one_line(refused, folder, mocap):
+    clip = mocap / "bandai-namco-2" / "dataset-2_walk_normal_001.bvh"
+    line = refused("few-shot", folder / "run", clip, "--name", "other", *QUICK)
+    assert "dataset-2_walk_normal_001.bvh" in line and "joint" in line
+
+
+@pytest.mark.parametrize("name", ["../escape", "a/b", ".hidden", ""])
+def test_a_style_name_that_is_no_file_name_is_one_line(refused, folder, name):
+    assert "style name" in refused("few-shot", folder / "run", folder / "zombie.bvh", f"--name={name}", *QUICK)
+
+
+def test_an_existing_style_is_refused_without_overwrite(refused, folder):
+    line = refused("few-shot", folder / "run", folder / "zombie.bvh", "--name", "zombie", *QUICK)
+    assert "exists" in line and "--overwrite" in line
+
+
+def test_an_adapter_of_another_rank_is_one_line(refused, folder):
+    words = ["few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--rank", "5"]
+    assert "rank" in refused(*words)
+
+
+def test_an_adapter_of_another_network_is_one_line(refused, folder, tmp_path):
+    run("pretrain", folder / "data", "--out", tmp_path / "run", *SMALL, "--seed", "1")
+    shutil.copytree(folder / "run" / "styles" / "zombie", tmp_path / "run" / "styles" / "zombie")
+    line = refused("generate", tmp_path / "run", "--style", "zombie", "--out", tmp_path / "z.bvh")
+    assert "another shared network" in line
+    assert not (tmp_path / "z.bvh").exists()
+
+
+def test_an_unknown_style_is_one_line(refused, folder, tmp_path):
+    line = refused("generate", folder / "run", "--style", "sad", "--out", tmp_path / "z.bvh")
+    assert "sad" in line and "neutral, old, zombie" in line
+
+
+def test_existing_output_is_refused(refused, folder, tmp_path):
+    assert "exists" in refused("prepare", folder / "bvh", "--out", folder / "data")
+    assert "exists" in refused("pretrain", folder / "data", "--out", folder / "run", *SMALL)
+    (tmp_path / "a.bvh").write_text("mine")
+    assert "exists" in refused("generate", folder / "run", "--out", tmp_path / "a.bvh")
+    assert (tmp_path / "a.bvh").read_text() == "mine"
+
+
+def test_a_folder_that_is_no_run_or_dataset_is_one_line(refused, tmp_path):
+    assert "config.json" in refused("generate", tmp_path, "--out", tmp_path / "a.bvh")
+    assert "dataset.json" in refused("pretrain", tmp_path, "--out", tmp_path / "run")
+    assert "no BVH" in refused("prepare", tmp_path, "--out", tmp_path / "data")
+
+
+def test_rows_of_another_layout_are_one_line(refused, folder, tmp_path):
+    np.savez(tmp_path / "rows.npz", x=np.zeros((2, 342)), phase=np.zeros(2))
+    assert "342" in refused("predict", folder / "run", tmp_path / "rows.npz", "--out", tmp_path / "y.npz")
+    size = load_run(folder / "run").layout.input_size
+    np.savez(tmp_path / "rows.npz", x=np.full((2, size), np.nan), phase=np.zeros(2))
+    assert "nan" in refused("predict", folder / "run", tmp_path / "rows.npz", "--out", tmp_path / "y.npz")
+
+
+def test_settings_that_break_a_rule_are_one_line(refused, folder):
+    words = ("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--held-out", "2")
+    assert "held_out" in refused(*words)
+
+
+def test_training_that_turns_non_finite_is_one_line(refused, folder, tmp_path):
+    line = refused("pretrain", folder / "data", "--out", tmp_path / "run", *SMALL, "--learning-rate", "1e30")
+    assert "step" in line and "style" in line
