@@ -13,6 +13,7 @@ import numpy as np
 
 from pfnn_jax.evaluation.timing import Figure, Work, figure, interleave
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.layers import BlendedLayer
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import mirror_clip
@@ -53,9 +54,10 @@ class NumpyTable:
     """The lookup as one writes it without a library: 50 blended networks, three products a frame."""
 
     def __init__(self, lookup: Lookup):
+        layers = [[layer for layer in s.network.layers if isinstance(layer, BlendedLayer)] for s in lookup.slices]
         # Stored [O, I], as the released controllers' files are.
-        self.weights = [[np.array(layer.weights[0].T) for layer in s.network.layers] for s in lookup.slices]
-        self.biases = [[np.array(layer.biases[0]) for layer in s.network.layers] for s in lookup.slices]
+        self.weights = [[np.array(layer.weights[0].T) for layer in network] for network in layers]
+        self.biases = [[np.array(layer.biases[0]) for layer in network] for network in layers]
         p = lookup.predictor
         self.statistics = [np.array(v) for v in (p.input_mean, p.input_std, p.output_mean, p.output_std)]
 

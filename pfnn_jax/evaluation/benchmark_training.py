@@ -14,7 +14,7 @@ import optax
 
 from pfnn_jax.evaluation.timing import Figure, Work, figure, interleave
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
-from pfnn_jax.models.layers import Layer, linear
+from pfnn_jax.models.layers import BlendedLayer, Layer, linear
 from pfnn_jax.models.network import Dropout, Network, NetworkConfig, drop, init_network
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.training.batches import Batch
@@ -22,6 +22,7 @@ from pfnn_jax.training.few_shot import PAPER, FewShotConfig, refit, train_grid
 from pfnn_jax.training.losses import l1_penalty, squared_error
 from pfnn_jax.training.steps import (
     PretrainState,
+    descend,
     init_pretrain_state,
     make_pretrain_step,
     make_run_steps,
@@ -59,15 +60,17 @@ def per_sample_outputs(network: Network, adapter: Layer, batch: Batch, dropout: 
     The same function of its arguments as `predict_batch`, up to the draw of the dropout masks.
     """
     points = network.layers[0].num_control_points
-    coefficients = jax.vmap(partial(catmull_rom_basis, num_control_points=points))(batch.phase)
+    x, phase = jnp.asarray(batch.x), jnp.asarray(batch.phase)
+    coefficients = jax.vmap(partial(catmull_rom_basis, num_control_points=points))(phase)
     keys = jax.random.split(key, 4)
 
-    def blended(layer, x: jax.Array) -> jax.Array:
+    def blended(layer: Layer, x: jax.Array) -> jax.Array:
+        assert isinstance(layer, BlendedLayer)
         weights = jnp.einsum("bk,kio->bio", coefficients, layer.weights)
         return jnp.einsum("bi,bio->bo", x, weights) + coefficients @ layer.biases
 
     first, second, third = network.layers
-    hidden = jax.nn.elu(blended(first, drop(keys[0], dropout.main, batch.x)))
+    hidden = jax.nn.elu(blended(first, drop(keys[0], dropout.main, x)))
     residual = jax.vmap(partial(linear, adapter))(coefficients, drop(keys[3], dropout.adapter, hidden))
     hidden = jax.nn.elu(blended(second, drop(keys[1], dropout.main, hidden)) + residual)
     return blended(third, drop(keys[2], dropout.main, hidden))
@@ -87,14 +90,11 @@ def make_per_sample_step(dropout: Dropout) -> Callable:
         key = jax.random.fold_in(run_key, state.step)
         gradient = jax.grad(loss, argnums=(0, 1), has_aux=True)
         (to_shared, to_adapter), error = gradient(state.shared, adapter, batch, key)
-        change, shared_moments = optimiser.update(to_shared, state.shared_optimiser, state.shared)
-        adapter_change, moments = optimiser.update(to_adapter, moments, adapter)
+        shared, shared_moments = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
+        adapter, moments = descend(optimiser, to_adapter, moments, adapter)
         bank, bank_moments = jax.tree.map(
-            lambda leaf, one: leaf.at[style].set(one),
-            (state.bank, state.bank_optimiser),
-            (optax.apply_updates(adapter, adapter_change), moments),
+            lambda leaf, one: leaf.at[style].set(one), (state.bank, state.bank_optimiser), (adapter, moments)
         )
-        shared = optax.apply_updates(state.shared, change)
         return PretrainState(shared, bank, shared_moments, bank_moments, state.step + 1), error
 
     return step

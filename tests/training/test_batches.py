@@ -50,7 +50,7 @@ def test_every_window_of_as_many_steps_as_styles_holds_each_style_once():
     data = toy_data(num_frames=11)
     marked = Batch(data.x, data.y, np.broadcast_to(np.arange(3.0)[:, None], (3, 11)))  # the style in place of the phase
     frames = order()
-    styles = [gather(marked, step % 3, frames[step]).phase for step in range(len(frames))]
+    styles = [np.asarray(gather(marked, step % 3, frames[step]).phase) for step in range(len(frames))]
     assert all(np.unique(batch).size == 1 for batch in styles)
     for start in range(len(frames) - 2):
         assert {batch[0] for batch in styles[start : start + 3]} == {0, 1, 2}

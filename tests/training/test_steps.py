@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import cast
+
 import chex
 import jax
 import jax.numpy as jnp
@@ -15,6 +18,7 @@ from pfnn_jax.models.network import Dropout, NetworkConfig, init_network, predic
 from pfnn_jax.training.batches import Batch, epoch_order, gather
 from pfnn_jax.training.steps import (
     PretrainState,
+    PretrainStep,
     init_pretrain_state,
     make_pretrain_step,
     make_run_batches,
@@ -102,7 +106,7 @@ def test_the_loss_is_the_error_and_the_penalty_of_both_parts():
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("number", [0, 1, 5])
 def test_a_step_changes_its_own_style_alone(kind, number):
-    state, style = make_state(kind).replace(step=jnp.int32(number)), number % 3
+    state, style = dataclasses.replace(make_state(kind), step=jnp.int32(number)), number % 3
     after, error = jax.jit(make_step())(state, toy_style(style), KEY)
     for other in {0, 1, 2} - {style}:
         assert_bitwise(style_of(after.bank, other), style_of(state.bank, other))
@@ -129,7 +133,7 @@ def test_each_step_draws_new_masks_and_a_repeated_step_the_same():
     state, batch, step = make_state(), toy_style(), jax.jit(make_step())
     first, again = step(state, batch, KEY)[1], step(state, batch, KEY)[1]
     assert first == again
-    assert first != step(state.replace(step=jnp.int32(3)), batch, KEY)[1]
+    assert first != step(dataclasses.replace(state, step=jnp.int32(3)), batch, KEY)[1]
     assert first != step(state, batch, jax.random.key(8))[1]
 
 
@@ -162,7 +166,7 @@ def test_runs_donate_their_state():
 
 def test_all_styles_and_dispatches_of_one_length_share_one_compilation():
     chex.clear_trace_counter()
-    run = make_run_steps(chex.assert_max_traces(make_step(), n=1))
+    run = make_run_steps(cast(PretrainStep, chex.assert_max_traces(make_step(), n=1)))
     data, frames = jax.tree.map(jnp.asarray, toy_data()), frames_of(12)
     state = make_state()
     for start in (0, 4, 8):  # dispatches that begin with styles 0, 1 and 2
