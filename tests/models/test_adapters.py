@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -43,7 +44,7 @@ def test_parameter_trees():
 
 def test_a_fresh_bias_adapter_is_the_identity_and_can_leave_it():
     adapter = init_adapter(AdapterConfig(kind="bias"), 8, POINTS, jax.random.key(0))
-    coefficients, x = np.full(POINTS, 0.25, np.float32), np.ones(8, np.float32)
+    coefficients, x = jnp.full(POINTS, 0.25), jnp.ones(8)
     np.testing.assert_array_equal(linear(adapter, coefficients, x), np.zeros(8))
     gradient = jax.grad(lambda layer: linear(layer, coefficients, x).sum())(adapter)
     assert all((leaf != 0).all() for leaf in jax.tree.leaves(gradient))
@@ -53,7 +54,7 @@ def test_a_fresh_bias_adapter_is_the_identity_and_can_leave_it():
 def test_other_fresh_adapters_are_small_and_not_the_identity(kind: AdapterKind):
     """The authors' uniform weights: a zero factor would leave CP with a gradient too weak to train."""
     adapter = init_adapter(AdapterConfig(kind=kind, rank=4), 64, POINTS, jax.random.key(0))
-    residual = linear(adapter, np.full(POINTS, 0.25, np.float32), np.ones(64, np.float32))
+    residual = linear(adapter, jnp.full(POINTS, 0.25), jnp.ones(64))
     assert 0 < np.abs(residual).max() < 1
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ import pytest
 from jax.test_util import check_grads
 
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
-from pfnn_jax.models.layers import BlendedLayer, Layer
+from pfnn_jax.models.layers import BlendedLayer, CPLayer, Layer
 from pfnn_jax.models.network import (
     Dropout,
     Network,
@@ -186,7 +187,8 @@ def test_gradients_of_drop(float64: None):
 def test_the_adapter_draws_a_mask_of_its_own():
     """Dropping the whole adapter leaves the shared branch untouched, and the other way round."""
     network, adapter, (coefficients, x) = small_network(), adapter_of("cp"), frame()
-    without_bias = adapter.replace(bias=jnp.zeros(SIZES.hidden))  # pyright: ignore[reportAttributeAccessIssue]
+    assert isinstance(adapter, CPLayer)
+    without_bias = replace(adapter, bias=jnp.zeros(SIZES.hidden))
     dropped = forward(network, without_bias, coefficients, x, dropout=rates(0.0, 1.0), key=KEY)
     np.testing.assert_array_equal(dropped, forward(network, None, coefficients, x))
     twice = [forward(network, without_bias, coefficients, x, dropout=rates(main, 0.5), key=KEY) for main in (0.0, 0.5)]
@@ -242,7 +244,8 @@ def batch_of(kind: AdapterKind | None, rank: int | None) -> tuple[Callable[..., 
     def loss(parameters, x, phase, keys):
         def one(x, phase, key):
             coefficients = catmull_rom_basis(phase, POINTS)
-            return forward(*parameters, coefficients, x, dropout=rates(0.3, 0.3), key=key)
+            network, adapter = parameters
+            return forward(network, adapter, coefficients, x, dropout=rates(0.3, 0.3), key=key)
 
         return jnp.mean(jax.vmap(one)(x, phase, keys) ** 2)
 
@@ -257,7 +260,7 @@ def test_no_weight_matrix_of_a_sample_is_ever_built(kind: AdapterKind | None, ra
     compiled = jax.jit(jax.value_and_grad(loss)).lower(*arguments)
     smallest = BATCH * min(INPUT * HIDDEN, HIDDEN * HIDDEN, HIDDEN * OUTPUT)
     for text in (compiled.as_text(), compiled.compile().as_text()):
-        sizes = array_sizes(text)
+        sizes = array_sizes(str(text))
         assert BATCH * HIDDEN in sizes  # the pattern still reads this compiler's text
         assert max(sizes) < smallest, max(sizes)
 
