@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -39,15 +40,13 @@ PREPARATION_AIM = 20_000.0
 """Frames per second from BVH to features."""
 
 
-def random_predictor(sizes: NetworkConfig, rank: int | None) -> Predictor:
-    """A fresh network with unit statistics, and a CP adapter where a rank is given."""
+def random_predictor(sizes: NetworkConfig, adapter: AdapterConfig | None = None) -> Predictor:
+    """A fresh network with unit statistics, and a fresh adapter where one is described."""
     key = jax.random.key(0)
-    adapter = None
-    if rank is not None:
-        adapter = init_adapter(AdapterConfig("cp", rank), sizes.hidden, sizes.num_control_points, key)
-    mean, std = (lambda size: jnp.zeros(size)), (lambda size: jnp.ones(size))
+    style = None if adapter is None else init_adapter(adapter, sizes.hidden, sizes.num_control_points, key)
     inputs, outputs = sizes.input_size, sizes.output_size
-    return Predictor(init_network(sizes, key), adapter, mean(inputs), std(inputs), mean(outputs), std(outputs))
+    statistics = (jnp.zeros(inputs), jnp.ones(inputs), jnp.zeros(outputs), jnp.ones(outputs))
+    return Predictor(init_network(sizes, key), style, *statistics)
 
 
 class NumpyTable:
@@ -82,39 +81,39 @@ def character_figures(sizes: NetworkConfig, rank: int, repetitions: int, num_fra
     Inputs and outputs are NumPy arrays, as an application holds them.
     """
     section = "one character, one frame"
-    x = np.random.default_rng(0).normal(size=sizes.input_size).astype(np.float32)
-    phases = [2 * math.pi * (frame % CYCLE) / CYCLE for frame in range(num_frames)]
-    plain, styled = random_predictor(sizes, None), random_predictor(sizes, rank)
+    plain, styled = random_predictor(sizes), random_predictor(sizes, AdapterConfig("cp", rank))
     lookup, styled_lookup = (make_lookup(predictor, NUM_SLICES) for predictor in (plain, styled))
-    exact = jax.jit(evaluate)
-
-    def frames(one) -> Work:
-        def work():
-            for phase in phases:
-                np.asarray(one(x, phase))
-
-        return work
-
-    seconds = interleave(
-        {
-            "NumPy": frames(NumpyTable(lookup)),
-            "lookup": frames(partial(evaluate_lookup, lookup)),
-            "exact": frames(lambda x, phase: exact(plain, x, np.float32(phase))),
-            "lookup with CP": frames(partial(evaluate_lookup, styled_lookup)),
-            "exact with CP": frames(lambda x, phase: exact(styled, x, np.float32(phase))),
-        },
-        repetitions,
-    )
+    works = {
+        "NumPy": NumpyTable(lookup),
+        "lookup": partial(evaluate_lookup, lookup),
+        "exact": partial(jax.jit(evaluate), plain),
+        "lookup with CP": partial(evaluate_lookup, styled_lookup),
+        "exact with CP": partial(jax.jit(evaluate), styled),
+    }
+    works = {name: walk(evaluate_frame, sizes.input_size, num_frames) for name, evaluate_frame in works.items()}
+    seconds = interleave(works, repetitions)
     times = [figure(section, name, 1e6 * value / num_frames, "us") for name, value in seconds.items()]
     ratio = figure(section, "lookup over NumPy", seconds["lookup"] / seconds["NumPy"], "x", at_most=LOOKUP_AIM)
     return [*times, ratio]
+
+
+def walk(evaluate_frame: Callable, input_size: int, num_frames: int) -> Work:
+    """Work of one character's frames, one after another: (x [Dx] NumPy, phase) -> y, fetched as a NumPy array."""
+    x = np.random.default_rng(0).normal(size=input_size).astype(np.float32)
+    phases = [np.float32(2 * math.pi * (frame % CYCLE) / CYCLE) for frame in range(num_frames)]
+
+    def work():
+        for phase in phases:
+            np.asarray(evaluate_frame(x, phase))
+
+    return work
 
 
 def crowd_figures(sizes: NetworkConfig, rank: int, num_characters: int, repetitions: int) -> list[Figure]:
     """Characters per second: whole controller steps of a batch in one style, and the network alone."""
     section = f"{num_characters} characters at once"
     layout = LAYOUTS["mason2018"]((sizes.input_size - 48) // 6)
-    predictor = random_predictor(sizes, rank)
+    predictor = random_predictor(sizes, AdapterConfig("cp", rank))
     rng = np.random.default_rng(0)
     x = jnp.asarray(rng.normal(size=(num_characters, sizes.input_size)), jnp.float32)
     phase = jnp.asarray(rng.uniform(0, 2 * np.pi, num_characters), jnp.float32)

@@ -78,7 +78,7 @@ def test_the_products_of_a_step_are_those_of_three_layers_and_an_adapter():
 
 
 def test_numpys_table_computes_what_the_lookup_computes():
-    lookup = make_lookup(random_predictor(SIZES, None))
+    lookup = make_lookup(random_predictor(SIZES))
     table, x = NumpyTable(lookup), np.random.default_rng(0).normal(size=5).astype(np.float32)
     for phase in (0.0, 1.0, 3.1, 6.28, 2 * math.pi - 0.01):
         np.testing.assert_allclose(

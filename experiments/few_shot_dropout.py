@@ -1,0 +1,230 @@
+"""Which dropout, for a style learned from seconds of straight walking, generalises to turning? (Mason 2018 §7.2)
+
+Parent    Mason 2018 §7.2: a search over the dropout rate of the adapter, judged by eye; 0.3 everywhere else.
+Question  how does the error on unseen turns depend on the drop probability before the adapter, and on the one before
+          the shared layers? Does the straight error show the same?
+Data      8 procedural styles, and a ninth from 3 seconds of straight walking: exact truth on turns and on other
+          straight walks. Or --dataset, a prepared one, with --clip, a BVH file of a style that is not in it: then the
+          straight error is that of the clip's held-out end, and the turning error that of the --turning files.
+Expect    not yet measured.
+Run       python -m experiments.few_shot_dropout --out runs/few_shot_dropout
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+
+from experiments.markdown import markdown_table
+from pfnn_jax.errors import InputError
+from pfnn_jax.evaluation.demo import TURNS, DemoConfig, procedural_dataset, straight_walk
+from pfnn_jax.evaluation.plots import loss_curves, save_figure
+from pfnn_jax.evaluation.style_test import pose_and_velocity_error, predict_rows
+from pfnn_jax.models.network import Network
+from pfnn_jax.motion.bvh import write_whole
+from pfnn_jax.motion.clip import mirror_clip
+from pfnn_jax.motion.dataset import Dataset, load_dataset, stack
+from pfnn_jax.motion.features import Features, clip_features
+from pfnn_jax.motion.labelled import LabelledClip, load_labelled
+from pfnn_jax.motion.layout import FrameLayout
+from pfnn_jax.motion.phase import mirror_phase
+from pfnn_jax.motion.sources import ClipFile
+from pfnn_jax.motion.synthetic import STYLES, UNSEEN_STYLE, synthesise
+from pfnn_jax.runtime.turning import predictor_of
+from pfnn_jax.training.batches import Batch
+from pfnn_jax.training.few_shot import FewShotConfig, Method, train_grid
+from pfnn_jax.training.pretraining import PretrainConfig, init_state, train
+from pfnn_jax.training.style_data import hold_out, to_batch
+
+
+@dataclass(frozen=True)
+class Config:
+    """The experiment.
+
+    Attributes:
+        out: folder of results.
+        dataset: prepared dataset to pretrain on; None makes the procedural one.
+        clip: BVH file of the new style, needed with `dataset`.
+        turning: BVH files of the new style that turn, needed with `dataset`.
+        mirror: learn from the mirrored clip too.
+        method: of few-shot training.
+        learning_rate, epochs: of few-shot training, by the paper.
+        adapter_dropouts, main_dropouts: the rates to compare.
+        seeds: repetitions, each with its own network and few-shot training.
+        hidden, steps, batch_size, pretrain_rate: of pretraining.
+        seconds_per_style: of each procedural style.
+        seconds: of the procedural clip.
+        test_seconds: of each procedural test take.
+    """
+
+    out: Path
+    dataset: Path | None = None
+    clip: Path | None = None
+    turning: tuple[Path, ...] = ()
+    mirror: bool = True
+    method: Method = "cp"
+    learning_rate: float = 1e-4
+    epochs: int = 100
+    adapter_dropouts: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9)
+    main_dropouts: tuple[float, ...] = (0.0, 0.3)
+    seeds: int = 3
+    hidden: int = 256
+    steps: int = 2500
+    batch_size: int = 128
+    pretrain_rate: float = 1e-3
+    seconds_per_style: float = 60.0
+    seconds: float = 3.0
+    test_seconds: float = 8.0
+
+    def __post_init__(self):
+        if self.seeds < 1:
+            raise InputError("few_shot_dropout", "seeds", self.seeds, "must be at least 1")
+        if self.dataset is not None and (self.clip is None or not self.turning):
+            raise InputError("few_shot_dropout", "dataset", self.dataset, "needs --clip and --turning beside it")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Rows of the new style: to learn from, to rank by, and the two tests."""
+
+    learn: list[Features]
+    held_out: list[Features]
+    tests: dict[str, Features]  # straight, turning
+
+
+def procedural_task(config: Config, layout: FrameLayout) -> Task:
+    """A ninth style from a straight walk; tested on walks with other irregularities and speeds, and on turns."""
+    clip = straight_walk(config.seconds, seed=1000)
+    frames, speed = round(config.test_seconds * layout.fps), STYLES[UNSEEN_STYLE].speed
+
+    def takes(rates: Sequence[float], factors: Sequence[float]) -> Features:
+        parts = []
+        for number, (rate, factor) in enumerate((r, f) for r in rates for f in factors):
+            schedule = np.full(frames, np.deg2rad(rate)), np.full(frames, speed * factor)
+            walk, labels = synthesise(UNSEEN_STYLE, *schedule, seed=2000 + number)
+            parts.append(clip_features(walk, layout, labels))
+        return _join(parts)
+
+    learn, held_out = hold_out(_parts(clip, layout, config.mirror), FewShotConfig().held_out)
+    return Task(learn, held_out, {"straight": takes((0.0,), (0.9, 1.0, 1.1)), "turning": takes(TURNS, (1.0,))})
+
+
+def recorded_task(config: Config, layout: FrameLayout) -> Task:
+    """A style from a BVH file; its held-out end is the straight test, the files of turning the other."""
+    assert config.clip is not None  # the configuration refuses a dataset without a clip
+    clip = load_labelled(ClipFile(config.clip, config.clip.stem), layout.fps)
+    learn, held_out = hold_out(_parts(clip, layout, config.mirror), FewShotConfig().held_out, str(config.clip))
+    turns = [load_labelled(ClipFile(path, config.clip.stem), layout.fps) for path in config.turning]
+    turning = _join([clip_features(take.clip, layout, take.labels, take.gait) for take in turns])
+    return Task(learn, held_out, {"straight": held_out[0], "turning": turning})
+
+
+def _parts(take: LabelledClip, layout: FrameLayout, mirror: bool) -> list[Features]:
+    parts = [clip_features(take.clip, layout, take.labels, take.gait)]
+    if mirror:
+        parts.append(clip_features(mirror_clip(take.clip), layout, mirror_phase(take.labels), take.gait))
+    return parts
+
+
+def _join(parts: Sequence[Features]) -> Features:
+    return Features(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("x", "y", "phase", "frames")))
+
+
+def pretrained(dataset: Dataset, config: Config, seed: int) -> Network:
+    """A shared network of all styles of the dataset."""
+    settings = PretrainConfig(
+        hidden=config.hidden,
+        steps=config.steps,
+        batch_size=config.batch_size,
+        learning_rate=config.pretrain_rate,
+        seed=seed,
+    )
+    data = Batch(*stack(dataset))
+    layout = dataset.layout
+    state = init_state(settings, layout.input_size, layout.output_size, len(dataset.styles))
+    return jax.tree.map(np.asarray, train(state, data, settings, dataset.styles).shared)
+
+
+def errors(shared: Network, dataset: Dataset, task: Task, config: Config, seed: int) -> list[dict[str, float]]:
+    """Rates and test errors of every setting, all trained at once."""
+    grid = FewShotConfig(
+        config.method,
+        learning_rates=(config.learning_rate,),
+        main_dropouts=config.main_dropouts,
+        adapter_dropouts=config.adapter_dropouts,
+        stops=(config.epochs,),
+        seed=seed,
+    )
+    learn, held_out = (to_batch(rows, dataset.normaliser) for rows in (task.learn, task.held_out))
+    rows, std = [], np.asarray(dataset.normaliser.outputs.std)
+    for choice, trained in train_grid(shared, learn, held_out, grid):
+        predictor = predictor_of(trained, shared, dataset.normaliser)
+        found = {
+            name: pose_and_velocity_error(
+                test.y, np.asarray(predict_rows(predictor, test.x, test.phase)), dataset.layout, std
+            )
+            for name, test in task.tests.items()
+        }
+        rates = {"main": choice.main_dropout, "adapter": choice.adapter_dropout, "seed": seed}
+        means = {name: float(value.mean()) for name, value in found.items()}
+        rows.append({**rates, "held_out": choice.held_out_error, **means})
+    return rows
+
+
+def summary(rows: list[dict[str, float]], config: Config) -> list[dict[str, Any]]:
+    """Mean and standard deviation over seeds of every pair of rates, in the configured order."""
+    table = []
+    for main in config.main_dropouts:
+        for adapter in config.adapter_dropouts:
+            found = [row for row in rows if np.isclose((row["main"], row["adapter"]), (main, adapter)).all()]
+            line: dict[str, Any] = {"main": main, "adapter": adapter}
+            for test in ("straight", "turning"):
+                values = np.array([row[test] for row in found])
+                line |= {test: float(values.mean()), f"{test}_std": float(values.std(ddof=len(values) > 1))}
+            table.append(line)
+    return table
+
+
+def main(config: Config) -> dict[str, Any]:
+    """Runs all seeds; writes `few_shot_dropout.json`, `.md` and `.png` into the folder `out`."""
+    config.out.mkdir(parents=True, exist_ok=True)
+    if config.dataset is None:
+        settings = DemoConfig(seconds_per_style=config.seconds_per_style)
+        dataset = procedural_dataset(config.out / "dataset", settings, overwrite=True)
+        task = procedural_task(config, dataset.layout)
+    else:
+        dataset = load_dataset(config.dataset)
+        task = recorded_task(config, dataset.layout)
+    rows = []
+    for seed in range(config.seeds):
+        rows += errors(pretrained(dataset, config, seed), dataset, task, config, seed)
+    table = summary(rows, config)
+    plain = {name: str(value) if isinstance(value, Path) else value for name, value in asdict(config).items()}
+    plain["turning"] = [str(path) for path in config.turning]
+    result = {"config": plain, "rows": rows, "summary": table}
+    write_whole(config.out / "few_shot_dropout.json", json.dumps(result, indent=1) + "\n")
+    head = ("main", "adapter", "straight", "turning", "turning, spread over seeds")
+    lines = [[row[k] for k in ("main", "adapter", "straight", "turning", "turning_std")] for row in table]
+    write_whole(config.out / "few_shot_dropout.md", markdown_table(head, lines))
+    curves = {
+        f"{test}, main dropout {rate:g}": (
+            config.adapter_dropouts,
+            [row[test] for row in table if row["main"] == rate],
+        )
+        for test in ("straight", "turning")
+        for rate in config.main_dropouts
+    }
+    figure = loss_curves(curves, "Normalised squared error", "drop probability before the adapter", logarithmic=False)
+    save_figure(figure, config.out / "few_shot_dropout.png")
+    return result
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))

@@ -1,0 +1,71 @@
+"""Experiments that no longer run are found here: each is run at tiny sizes."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments import few_shot_dropout, table1_adapters
+from pfnn_jax.errors import InputError
+from pfnn_jax.evaluation.benchmark_runtime import random_predictor
+from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.network import NetworkConfig
+
+PAPERS_DIGITS = 0.03  # the paper gives two or three digits, and rounds up once
+MEGABYTE = 2**20 / 10**6  # the paper's megabytes are 2^20 bytes, but those of CP 10^6
+
+
+@pytest.mark.parametrize(
+    ("kind", "control_points", "slices"),
+    [("full", 4.01, 50.1), ("diagonal", 0.016, 0.20), ("cp", 0.126 / MEGABYTE, 0.131 / MEGABYTE)],
+)
+def test_adapters_take_the_memory_of_table_1(kind, control_points, slices):
+    adapter = random_predictor(NetworkConfig(234, 400), AdapterConfig(kind, 30)).adapter
+    np.testing.assert_allclose(table1_adapters.memory(adapter), control_points, rtol=PAPERS_DIGITS)
+    np.testing.assert_allclose(table1_adapters.memory(adapter, 50), slices, rtol=PAPERS_DIGITS)
+
+
+def test_table1_adapters(tmp_path):
+    config = table1_adapters.Config(
+        tmp_path, num_joints=4, hidden=8, rank=2, frames=20, epochs=1, timed_frames=2, crowd=2, slices=4, repetitions=1
+    )
+    result = table1_adapters.main(config)
+    assert json.loads((tmp_path / "table1_adapters.json").read_text())["rows"] == result["rows"]
+    assert set(result["rows"]) == {
+        "full adapter",
+        "diagonal adapter",
+        "cp adapter",
+        "network, no adapter",
+        "CP network, no adapter",
+    }
+    assert all(row["exact, ms"] > 0 for row in result["rows"].values())
+    table = (tmp_path / "table1_adapters.md").read_text().splitlines()
+    assert len(table) == 2 + 5 + 3 and all(line.count("|") == 8 for line in table)
+
+
+def test_few_shot_dropout(tmp_path):
+    config = few_shot_dropout.Config(
+        tmp_path,
+        adapter_dropouts=(0.1, 0.9),
+        main_dropouts=(0.0, 0.3),
+        seeds=1,
+        hidden=8,
+        steps=2,
+        batch_size=16,
+        epochs=1,
+        seconds_per_style=5.0,
+        test_seconds=2.0,
+    )
+    result = few_shot_dropout.main(config)
+    assert {(row["main"], row["adapter"]) for row in result["rows"]} == {(0.0, 0.1), (0.0, 0.9), (0.3, 0.1), (0.3, 0.9)}
+    assert all(np.isfinite([row["straight"], row["turning"]]).all() for row in result["rows"])
+    assert json.loads((tmp_path / "few_shot_dropout.json").read_text())["summary"] == result["summary"]
+    assert (tmp_path / "few_shot_dropout.png").stat().st_size > 1000
+    assert len((tmp_path / "few_shot_dropout.md").read_text().splitlines()) == 2 + 4
+
+
+def test_a_dataset_without_a_clip_is_refused(tmp_path):
+    with pytest.raises(InputError, match="needs --clip and --turning"):
+        few_shot_dropout.Config(tmp_path, dataset=tmp_path)
