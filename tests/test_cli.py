@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pfnn_jax.cli import COMMANDS, main
+from pfnn_jax.cli import main
+from pfnn_jax.cli.main import COMMANDS
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.synthetic import STYLES, synthesise, synthetic_clips
 from pfnn_jax.training.run import fingerprint, list_styles, load_run, load_style, style_note
@@ -86,7 +87,7 @@ def test_few_shot_leaves_the_shared_network_bitwise_unchanged(folder, tmp_path):
 
 def test_the_papers_recipe_is_one_flag_away(folder, tmp_path, monkeypatch):
     asked = {}
-    monkeypatch.setattr("pfnn_jax.cli.learn_style", lambda run, clip, config, **_: asked.update(config=config) or INFO)
+    monkeypatch.setattr("pfnn_jax.cli.learning.learn_style", lambda run, clip, config, **_: asked.update(config=config) or INFO)
     run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--recipe", "paper", "--seed", "7")
     assert asked["config"].stops == (100,)
     assert asked["config"].learning_rates == (1e-4,)

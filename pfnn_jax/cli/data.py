@@ -1,0 +1,77 @@
+"""Commands that make data: datasets and phase labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from tyro.conf import Positional as Argument
+
+from pfnn_jax.cli.base import FLAT, Command, refuse_existing
+from pfnn_jax.cli.progress import clip_progress
+from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.dataset import prepare
+from pfnn_jax.motion.phase import label_phase, write_phase
+from pfnn_jax.motion.preparation import PrepareConfig
+from pfnn_jax.motion.sources import list_clips
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepare(Command):
+    """From folders of BVH files to a dataset that training reads.
+
+    Attributes:
+        source: folder of BVH files: one folder per style, or a known data set.
+        out: the dataset's folder.
+        kind: convention of the file names; auto finds it.
+        styles: styles to keep; all by default.
+        roles: JSON that names the joints' roles where they are not found by themselves.
+        overwrite: replace an existing dataset.
+        config: how clips become rows.
+    """
+
+    source: Annotated[Argument[Path], tyro.conf.arg(metavar="FOLDER")]
+    out: Path
+    kind: Literal["auto", "bandai", "100style", "xia", "pfnn", "folders"] = "auto"
+    styles: tuple[str, ...] = ()
+    roles: Path | None = None
+    overwrite: bool = False
+    config: Annotated[PrepareConfig, FLAT] = field(default_factory=PrepareConfig)
+
+    def run(self) -> Any:
+        clips = [clip for clip in list_clips(self.source, self.kind) if not self.styles or clip.style in self.styles]
+        with clip_progress() as progress:
+            dataset = prepare(
+                clips, self.out, self.config, roles_file=self.roles, overwrite=self.overwrite, progress=progress
+            )
+        for skipped in dataset.skipped:
+            print(f"left out: {skipped['file']}: {skipped['reason']}")
+        print(f"{self.out}: {len(dataset.styles)} styles of {dataset.frames_per_style} frames each")
+        return {"styles": dataset.styles, "frames_per_style": dataset.frames_per_style, "skipped": dataset.skipped}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelPhase(Command):
+    """Find the phase of a clip and write it as a `.phase` file, which a person can correct.
+
+    Attributes:
+        clip: BVH file.
+        out: the `.phase` file: one value in cycles for each frame of the BVH file; 0 = right foot contact.
+        roles: JSON that names the joints' roles.
+        overwrite: replace an existing file.
+    """
+
+    clip: Annotated[Argument[Path], tyro.conf.arg(metavar="CLIP.bvh")]
+    out: Path
+    roles: Path | None = None
+    overwrite: bool = False
+
+    def run(self) -> Any:
+        refuse_existing(self.out, self.overwrite)
+        labels = label_phase(read_bvh(self.clip, roles_file=self.roles))
+        write_phase(self.out, labels, overwrite=self.overwrite)
+        steps = len(labels.contacts_right) + len(labels.contacts_left)
+        print(f"{self.out}: {steps} steps, {int(labels.labelled.sum())} of {labels.num_frames} frames labelled")
+        return {"steps": steps, "labelled": int(labels.labelled.sum()), "frames": labels.num_frames}

@@ -1,0 +1,114 @@
+"""Commands that learn: the demo, pretraining, a new style."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from tyro.conf import Positional as Argument
+
+from pfnn_jax.cli.base import FLAT, Command
+from pfnn_jax.cli.progress import stage_progress, training_progress
+from pfnn_jax.evaluation.demo import DemoConfig, demo
+from pfnn_jax.motion.dataset import load_dataset
+from pfnn_jax.motion.sources import ClipFile, is_symmetric
+from pfnn_jax.runtime.learn import learn_style
+from pfnn_jax.training.few_shot import PAPER, FewShotConfig
+from pfnn_jax.training.loop import pretrain
+from pfnn_jax.training.pretraining import PretrainConfig
+from pfnn_jax.training.run import load_run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(Command):
+    """The whole way on procedural motion: pretraining, a new style from 3 seconds, its motion, a report.
+
+    Attributes:
+        out: folder for everything.
+        overwrite: replace what is there.
+        config: sizes.
+    """
+
+    out: Path = Path("demo")
+    overwrite: bool = False
+    config: Annotated[DemoConfig, FLAT] = field(default_factory=DemoConfig)
+
+    def run(self) -> Any:
+        with stage_progress() as on_stage:
+            result = demo(self.out, self.config, overwrite=self.overwrite, on_stage=on_stage)
+        print(f"Open {self.out / 'report.html'} in a browser.")
+        return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pretrain(Command):
+    """From a dataset to a run: a network shared by all styles, and an adapter for each.
+
+    Attributes:
+        dataset: folder that `prepare` has written.
+        out: the run's folder.
+        resume: go on with a run that was stopped, with the same settings.
+        overwrite: replace an existing run.
+        config: how to train.
+    """
+
+    dataset: Annotated[Argument[Path], tyro.conf.arg(metavar="DATASET")]
+    out: Path
+    resume: bool = False
+    overwrite: bool = False
+    config: Annotated[PretrainConfig, FLAT] = field(default_factory=PretrainConfig)
+
+    def run(self) -> Any:
+        with training_progress() as on_progress:
+            run = pretrain(
+                load_dataset(self.dataset),
+                self.out,
+                self.config,
+                resume=self.resume,
+                overwrite=self.overwrite,
+                on_progress=on_progress,
+            )
+        print(f"{run.path}: styles {', '.join(run.config.styles)}")
+        return {"run": run.path, "styles": run.config.styles}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FewShot(Command):
+    """Learn a new style from one clip, the shared network frozen.
+
+    Attributes:
+        run_path: a pretrained run.
+        clip: BVH file; a `.phase` file beside it is used, else phases are found.
+        name: name of the new style.
+        start: first frame of the file to use, at its own rate.
+        stop: the frame before which to end; by default the file's end.
+        mirror: also learn from the mirrored clip; by default unless the name is a style known to be asymmetric.
+        roles: JSON that names the joints' roles.
+        recipe: the best of our measurements, or the paper's (CP, 100 epochs at 1e-4).
+        overwrite: replace a style of this name.
+        config: the grid of settings; ignored, but for the seed, with `--recipe paper`.
+    """
+
+    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run", metavar="RUN")]
+    clip: Annotated[Argument[Path], tyro.conf.arg(metavar="CLIP.bvh")]
+    name: str
+    start: int = 0
+    stop: int | None = None
+    mirror: bool | None = None
+    roles: Path | None = None
+    recipe: Literal["default", "paper"] = "default"
+    overwrite: bool = False
+    config: Annotated[FewShotConfig, FLAT] = field(default_factory=FewShotConfig)
+
+    def run(self) -> Any:
+        config = self.config if self.recipe == "default" else replace(PAPER, seed=self.config.seed)
+        clip = ClipFile(self.clip, self.name, start=self.start, stop=self.stop)
+        mirror = is_symmetric(self.name) if self.mirror is None else self.mirror
+        info = learn_style(
+            load_run(self.run_path), clip, config, mirror=mirror, roles_file=self.roles, overwrite=self.overwrite
+        )
+        choice = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in info["choice"].items())
+        print(f"{self.name}: {info['frames']} frames, {info['seconds']:.1f} s; chosen: {choice}")
+        return info

@@ -1,0 +1,141 @@
+"""Commands that use a run: motion, errors, rows, released weights, times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from tyro.conf import Positional as Argument
+
+from pfnn_jax.cli.base import Command, refuse_existing
+from pfnn_jax.evaluation.benchmark import print_benchmark, run_benchmark
+from pfnn_jax.evaluation.clips import evaluate_clips
+from pfnn_jax.motion.bvh import write_bvh
+from pfnn_jax.motion.sources import list_clips
+from pfnn_jax.runtime.generate import Mode, generate
+from pfnn_jax.runtime.paths import make_path
+from pfnn_jax.runtime.released import import_released_pfnn
+from pfnn_jax.runtime.rows import RowMode, predict_file
+from pfnn_jax.training.run import load_run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Generate(Command):
+    """Motion in a style along a path, as a BVH file.
+
+    Attributes:
+        run_path: a run.
+        style: one of its styles; style-agnostic motion by default.
+        path: straight, circle, figure-eight, or a CSV file of points x,z in metres.
+        size: length of a straight path or radius of the others, metres.
+        speed: metres per second.
+        seconds: how long; by default as long as the path takes.
+        mode: the exact spline, or a table of 50 slices.
+        out: the BVH file, in centimetres.
+        overwrite: replace an existing file.
+    """
+
+    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run", metavar="RUN")]
+    out: Path
+    style: str | None = None
+    path: str = "figure-eight"
+    size: float | None = None
+    speed: float | None = None
+    seconds: float | None = None
+    mode: Mode = "cubic"
+    overwrite: bool = False
+
+    def run(self) -> Any:
+        refuse_existing(self.out, self.overwrite)
+        path = make_path(self.path, self.size)
+        made = generate(
+            load_run(self.run_path), self.style, path, speed=self.speed, seconds=self.seconds, mode=self.mode
+        )
+        write_bvh(self.out, made.clip, overwrite=self.overwrite)
+        seconds = made.clip.num_frames / made.clip.fps
+        print(f"{self.out}: {seconds:.1f} s")
+        return {"out": self.out, "seconds": seconds, "frames": made.clip.num_frames}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Command):
+    """One-step errors of a run on clips it has not seen, by style and by group of outputs.
+
+    Attributes:
+        run_path: a run.
+        source: folder of BVH files, or one file.
+        style: style of the run to test; by default each clip's own.
+        roles: JSON that names the joints' roles.
+    """
+
+    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run", metavar="RUN")]
+    source: Annotated[Argument[Path], tyro.conf.arg(metavar="FOLDER")]
+    style: str | None = None
+    roles: Path | None = None
+
+    def run(self) -> Any:
+        result = evaluate_clips(load_run(self.run_path), list_clips(self.source), self.style, self.roles)
+        for style, errors in result.items():
+            groups = "  ".join(f"{name} {value:.3f}" for name, value in errors.items() if isinstance(value, float))
+            print(f"{style}: {groups}")
+        return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportReleased(Command):
+    """Make a run from the authors' released weights.
+
+    Attributes:
+        kind: pfnn (Holden 2017).
+        directory: folder of `.bin` tables, any four or more of the fifty.
+        out: the run's folder.
+        overwrite: replace an existing run.
+    """
+
+    kind: Argument[Literal["pfnn"]]
+    directory: Annotated[Argument[Path], tyro.conf.arg(metavar="DIR")]
+    out: Path
+    overwrite: bool = False
+
+    def run(self) -> Any:
+        run = import_released_pfnn(self.directory, self.out, self.overwrite)
+        print(f"{run.path}: {run.config.layout}, recovered from tables {run.config.pretrain.get('indices', '')}")
+        return {"run": run.path, **run.config.pretrain}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Predict(Command):
+    """Evaluate a run's network on rows.
+
+    Attributes:
+        run_path: a run.
+        rows: `.npz` file with `x` in the layout's units and `phase` in radians.
+        out: `.npz` file that gets `y` in the layout's units.
+        style: one of the run's styles; style-agnostic by default.
+        mode: the exact spline, or the 50-slice table, truncated or nearest.
+        overwrite: replace an existing file.
+    """
+
+    run_path: Annotated[Argument[Path], tyro.conf.arg(name="run", metavar="RUN")]
+    rows: Annotated[Argument[Path], tyro.conf.arg(metavar="IN.npz")]
+    out: Path
+    style: str | None = None
+    mode: RowMode = "cubic"
+    overwrite: bool = False
+
+    def run(self) -> Any:
+        y = predict_file(self.run_path, self.rows, self.out, style=self.style, mode=self.mode, overwrite=self.overwrite)
+        print(f"{self.out}: y {y.shape[0]} x {y.shape[1]}")
+        return {"out": self.out, "rows": y.shape[0]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Benchmark(Command):
+    """Time training, few-shot, one frame, crowds and preparation on this machine, each beside its naive form."""
+
+    def run(self) -> Any:
+        result = run_benchmark()
+        print_benchmark(result)
+        return result
