@@ -87,7 +87,12 @@ def test_few_shot_leaves_the_shared_network_bitwise_unchanged(folder, tmp_path):
 
 def test_the_papers_recipe_is_one_flag_away(folder, tmp_path, monkeypatch):
     asked = {}
-    monkeypatch.setattr("pfnn_jax.cli.learning.learn_style", lambda run, clip, config, **_: asked.update(config=config) or INFO)
+
+    def remember(run, clip, config, **options):
+        asked["config"] = config
+        return INFO
+
+    monkeypatch.setattr("pfnn_jax.cli.learning.learn_style", remember)
     run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--recipe", "paper", "--seed", "7")
     assert asked["config"].stops == (100,)
     assert asked["config"].learning_rates == (1e-4,)
