@@ -1,0 +1,49 @@
+"""Stylised character locomotion from short clips: the public names.
+
+Each is loaded when it is first used, so that reading motion does not wait for an accelerator library.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_ROOMS = {
+    "errors": ("InputError", "TrainingError"),
+    "motion.bvh": ("read_bvh", "write_bvh"),
+    "motion.clip": ("MotionClip",),
+    "motion.dataset": ("Dataset", "load_dataset", "prepare"),
+    "motion.features": ("clip_features",),
+    "motion.labelled": ("LabelledClip", "load_labelled"),
+    "motion.layout": ("FrameLayout", "mason2018", "pfnn2017"),
+    "motion.phase": ("label_phase", "read_phase", "write_phase"),
+    "motion.preparation": ("PrepareConfig",),
+    "motion.sources": ("ClipFile", "list_clips"),
+    "motion.synthetic": ("synthesise", "synthetic_clips"),
+    "models.adapters": ("AdapterConfig", "init_adapter"),
+    "models.layers": ("BiasLayer", "BlendedLayer", "CPLayer", "DiagonalLayer", "linear"),
+    "models.network": ("Network", "NetworkConfig", "forward", "init_network", "predict"),
+    "models.spline": ("catmull_rom_basis", "evaluate_spline"),
+    "training.few_shot": ("PAPER", "FewShotConfig", "train_bank", "train_grid"),
+    "training.loop": ("pretrain",),
+    "training.pretraining": ("PretrainConfig",),
+    "training.run": ("Run", "list_styles", "load_run", "load_style", "save_style"),
+    "runtime.generate": ("generate",),
+    "runtime.learn": ("learn_style",),
+    "runtime.lookup": ("evaluate_lookup", "make_lookup"),
+    "runtime.paths": ("circle", "figure_eight", "read_path", "straight"),
+    "runtime.predictor": ("evaluate", "make_predictor"),
+    "runtime.released": ("import_released_pfnn",),
+    "runtime.rollout": ("follow_path", "rollout"),
+}
+_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _ROOM_OF:
+        raise AttributeError(f"module 'pfnn_jax' has no public name {name!r}")
+    return getattr(import_module(f"pfnn_jax.{_ROOM_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(_ROOM_OF)

@@ -118,3 +118,12 @@ def run_python(code: str) -> None:
 def test_files_stay_short(path: Path):
     """A file that no longer fits a reader's head is two files."""
     assert len(path.read_text(encoding="utf-8").splitlines()) <= 400
+
+
+def test_every_public_name_is_there_and_loaded_only_when_used():
+    run_python(
+        "import sys, pfnn_jax\n"
+        "assert 'jax' not in sys.modules\n"
+        "assert 'generate' in dir(pfnn_jax)\n"
+        "assert all(hasattr(pfnn_jax, name) for name in dir(pfnn_jax))"
+    )
