@@ -63,7 +63,7 @@ def test_few_shot_dropout(tmp_path):
     assert all(np.isfinite([row["straight"], row["turning"]]).all() for row in result["rows"])
     assert json.loads((tmp_path / "few_shot_dropout.json").read_text())["summary"] == result["summary"]
     assert (tmp_path / "few_shot_dropout.png").stat().st_size > 1000
-    assert len((tmp_path / "few_shot_dropout.md").read_text().splitlines()) == 2 + 4
+    assert len((tmp_path / "few_shot_dropout.md").read_text().splitlines()) == 2 + 1 + 4
 
 
 def test_a_dataset_without_a_clip_is_refused(tmp_path):
