@@ -69,7 +69,9 @@ def synthetic_fold(style: str, errors: dict[str, float], reference: float) -> di
         | {"turning_error": error}
         for rate, error in ((1e-4, 2.0), (1e-3, 1.0))
     ]
-    rows = {name: {"measures": {"turning": {"per_take": {"a": error, "b": error}}}} for name, error in errors.items()}
+    rows: dict[str, dict] = {
+        name: {"measures": {"turning": {"per_take": {"a": error, "b": error}}}} for name, error in errors.items()
+    }
     rows["CP"] = {
         "measures": {"turning": {"per_take": {"a": reference, "b": reference}}},
         "choice": {key: candidates[0][key] for key in candidates[0] if key != "turning_error"},

@@ -199,4 +199,3 @@ def walk(run: Run, folder: Path, config: DemoConfig, overwrite: bool = False) ->
         walks[name] = generate(run, style, figure_eight(FIGURE_EIGHT_RADIUS), seconds=config.walk_seconds)
         write_bvh(folder / f"{style or 'agnostic'}_figure_eight.bvh", walks[name].clip, overwrite=overwrite)
     return walks
-

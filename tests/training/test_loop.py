@@ -80,7 +80,7 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(dataset, whole, tmp_path):
             pass
         process.send_signal(signal.SIGKILL)
     saved = train_step(out)
-    assert saved is not None and 0 < saved < CONFIG.steps
+    assert saved is not None and CONFIG.steps is not None and 0 < saved < CONFIG.steps
     with pytest.raises(InputError, match="run it \\(again\\) to the end"):
         load_run(out)
     resumed = pretrain(dataset, out, CONFIG, resume=True)
