@@ -80,7 +80,7 @@ class Dropout:
 
 
 def drop(key: jax.Array, rate: jax.Array, x: jax.Array) -> jax.Array:
-    """Inverted dropout of x [...] at drop probability `rate` [], rounded to 1/65536 (half the random bits)."""
+    """Inverted dropout of x [...] at drop probability `rate` [], rounded to 1/65536."""
     threshold = jnp.round(rate * 65536.0)
     kept = jax.random.bits(key, x.shape, jnp.uint16).astype(x.dtype) >= threshold
     # At rate 1 nothing is kept: a scale of 1/0 would reach the gradient as NaN, though `where` hides it in the value.
