@@ -9,7 +9,7 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.demo import DemoConfig, demo, straight_walk
-from pfnn_jax.evaluation.style_methods import FIXED, GRIDS
+from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, FIXED, GRIDS
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.phase import read_phase
 from pfnn_jax.training.run import list_styles, load_run, style_note
@@ -43,7 +43,7 @@ def test_the_clip_is_what_a_user_would_have(made):
 def test_the_report_has_every_method_and_plays_without_a_server(made):
     out, result = made
     report = json.loads((out / "report.json").read_text())
-    wanted = {"no adapter", *GRIDS} | {row for row, (_, setting) in FIXED.items() if setting["epochs"] <= TINY.epochs}
+    wanted = {"no adapter", DEFAULT_ROW, *GRIDS} | {row for row, (_, setting) in FIXED.items() if setting["epochs"] <= TINY.epochs}
     assert set(report["methods"]) == wanted == set(result["methods"])
     page = (out / "report.html").read_text()
     assert "motion-player" in page and "data:image/png" in page
