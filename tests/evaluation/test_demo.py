@@ -43,7 +43,9 @@ def test_the_clip_is_what_a_user_would_have(made):
 def test_the_report_has_every_method_and_plays_without_a_server(made):
     out, result = made
     report = json.loads((out / "report.json").read_text())
-    wanted = {"no adapter", DEFAULT_ROW, *GRIDS} | {row for row, (_, setting) in FIXED.items() if setting["epochs"] <= TINY.epochs}
+    wanted = {"no adapter", DEFAULT_ROW, *GRIDS} | {
+        row for row, (_, setting) in FIXED.items() if setting["epochs"] <= TINY.epochs
+    }
     assert set(report["methods"]) == wanted == set(result["methods"])
     page = (out / "report.html").read_text()
     assert "motion-player" in page and "data:image/png" in page
