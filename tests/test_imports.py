@@ -99,7 +99,9 @@ def test_motion_imports_without_jax():
 def test_importing_the_package_starts_nothing():
     """No array is made and no device is touched by importing everything."""
     modules = ", ".join(
-        ".".join(path.relative_to(ROOT).with_suffix("").parts) for path in FILES if path.stem not in ("__init__",)
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in FILES
+        if path.stem not in ("__init__", "__main__")
     )
     run_python(
         f"import {modules}\n"
