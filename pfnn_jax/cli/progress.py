@@ -21,7 +21,7 @@ from pfnn_jax.training.pretraining import Progress as TrainingProgress
 
 def _bar(*columns: ProgressColumn) -> Progress:
     """On standard error, and nothing at all where that is not a terminal."""
-    console = Console(stderr=True)
+    console = Console(stderr=True, log_path=False)
     return Progress(*columns, console=console, disable=not console.is_terminal)
 
 

@@ -55,15 +55,15 @@ class DemoConfig:
     batch_size: int = 128
     learning_rate: float = 1e-3
     epochs: int = 100
-    walk_seconds: float = 16.0
+    walk_seconds: float = 21.0
     seed: int = 0
 
 
 TURNS = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
 """Degrees per second of the test takes, none of which the adaptation clip shows."""
 
-FIGURE_EIGHT_RADIUS = 1.6
-"""Metres: at a walk of 1 m/s, turns of 36 degrees per second, first one way, then the other."""
+FIGURE_EIGHT_RADIUS = 1.2
+"""Metres: at a walk of 0.8 m/s, turns of 38 degrees per second, first one way, then the other."""
 
 
 def demo(
