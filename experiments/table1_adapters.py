@@ -4,11 +4,10 @@ Parent    Mason 2018 §7.1 and Table 1: full, diagonal and CP adapters of rank 3
 Question  do the three adapters cost here what they cost there, and is a network that is CP-decomposed in every layer
           as small and fast as the paper's aside says (136 MB to 1 MB, 3 to 4 times faster)?
 Expect    memory as in the paper (4.01/50.1, .016/.20, .120/.125 MB), whose megabytes are 2^20 bytes for full and
-          diagonal and 10^6 bytes for CP. On 2 cores shared with other work, training 94, 32 and 37 s with compilation
-          (paper 99, 44, 50); by lookup all adapters cost the same, as full and diagonal ones are added into the table
-          and a CP one is two thin products. The CP network is 340 times smaller than the 50 slices of the full one
-          (112 to .33 MB), and 4.9 times faster at the exact spline, 2.1 times by lookup, 7.4 times in a crowd.
-          Times of an idle machine are not yet measured.
+          diagonal and 10^6 bytes for CP. On 2 cores, training 16.4, 5.7 and 6.7 s with compilation (paper: 99, 44 and
+          50 s on a GPU); by lookup the adapters cost the same (.24 to .28 ms), as full and diagonal ones are added into
+          the table and a CP one is two thin products. The CP network is 340 times smaller than the 50 slices of the
+          full one (112 to .33 MB), and 4.3 times faster at the exact spline, 3.8 times by lookup, 8.2 in a crowd.
 Run       python -m experiments.table1_adapters --out runs/table1_adapters
           Frames are random: neither time nor memory depends on them.
 """
