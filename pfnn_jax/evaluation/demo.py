@@ -34,7 +34,7 @@ from pfnn_jax.training.run import Run
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """Sizes of the demo; the defaults take some three minutes on two cores.
+    """Sizes of the demo; the defaults take some two minutes on two cores.
 
     Attributes:
         seconds_per_style: of motion of each of the 8 pretraining styles, before mirroring.
@@ -50,7 +50,7 @@ class DemoConfig:
     seconds_per_style: float = 60.0
     clip_seconds: float = 3.0
     test_seconds: float = 8.0
-    hidden: int = 256
+    hidden: int = 512
     steps: int = 2500
     batch_size: int = 128
     learning_rate: float = 1e-3
