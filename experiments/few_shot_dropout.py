@@ -36,7 +36,7 @@ from pfnn_jax.models.network import Network
 from pfnn_jax.motion.bvh import write_whole
 from pfnn_jax.motion.clip import mirror_clip
 from pfnn_jax.motion.dataset import Dataset, load_dataset, stack
-from pfnn_jax.motion.features import Features, clip_features
+from pfnn_jax.motion.features import Features, clip_features, join_rows
 from pfnn_jax.motion.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.phase import mirror_phase
@@ -117,7 +117,7 @@ def procedural_task(config: Config, layout: FrameLayout) -> Task:
             schedule = np.full(frames, np.deg2rad(rate)), np.full(frames, speed * factor)
             walk, labels = synthesise(UNSEEN_STYLE, *schedule, seed=2000 + number)
             parts.append(clip_features(walk, layout, labels))
-        return _join(parts)
+        return join_rows(parts)
 
     learn, held_out = hold_out(_parts(clip, layout, config.mirror), FewShotConfig().held_out)
     return Task(learn, held_out, {"straight": takes((0.0,), (0.9, 1.0, 1.1)), "turning": takes(TURNS, (1.0,))})
@@ -129,7 +129,7 @@ def recorded_task(config: Config, layout: FrameLayout) -> Task:
     clip = load_labelled(ClipFile(config.clip, config.clip.stem), layout.fps)
     learn, held_out = hold_out(_parts(clip, layout, config.mirror), FewShotConfig().held_out, str(config.clip))
     turns = [load_labelled(ClipFile(path, config.clip.stem), layout.fps) for path in config.turning]
-    turning = _join([clip_features(take.clip, layout, take.labels, take.gait) for take in turns])
+    turning = join_rows([clip_features(take.clip, layout, take.labels, take.gait) for take in turns])
     return Task(learn, held_out, {"straight": held_out[0], "turning": turning})
 
 
@@ -138,10 +138,6 @@ def _parts(take: LabelledClip, layout: FrameLayout, mirror: bool) -> list[Featur
     if mirror:
         parts.append(clip_features(mirror_clip(take.clip), layout, mirror_phase(take.labels), take.gait))
     return parts
-
-
-def _join(parts: Sequence[Features]) -> Features:
-    return Features(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("x", "y", "phase", "frames")))
 
 
 def pretrained(dataset: Dataset, config: Config, seed: int) -> Network:

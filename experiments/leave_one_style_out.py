@@ -30,8 +30,9 @@ import tyro
 from experiments.leave_one_style_out_table import write_summary
 from pfnn_jax.evaluation.style_methods import GRIDS, compare_methods
 from pfnn_jax.evaluation.style_test import StyleTest, join_takes
+from pfnn_jax.motion.bvh import write_whole
 from pfnn_jax.motion.clip import mirror_clip
-from pfnn_jax.motion.features import Features, clip_features
+from pfnn_jax.motion.features import Features, clip_features, join_rows, select_rows
 from pfnn_jax.motion.labelled import load_labelled
 from pfnn_jax.motion.layout import FrameLayout, mason2018
 from pfnn_jax.motion.normaliser import Normaliser, fit_normaliser
@@ -41,7 +42,7 @@ from pfnn_jax.motion.sources import list_clips
 from pfnn_jax.runtime.turning import predictor_of
 from pfnn_jax.training.few_shot import FewShotConfig, train_grid
 from pfnn_jax.training.pretraining import PretrainConfig, init_state, train
-from pfnn_jax.training.style_data import first_rows, to_batch
+from pfnn_jax.training.style_data import to_batch
 
 
 @dataclass(frozen=True)
@@ -120,10 +121,10 @@ def load_takes(config: Config) -> tuple[list[Take], FrameLayout, Skeleton]:
 def balanced(takes: Sequence[Take], styles: Sequence[str], seed: int) -> dict[str, Features]:
     """Equal numbers of rows of each style, chosen at random, mirrored ones included."""
     rng = np.random.default_rng(seed)
-    rows = {s: join_takes([p for t in takes if t.style == s for p in (t.rows, t.mirrored)], ()).rows for s in styles}
+    rows = {s: join_rows([p for t in takes if t.style == s for p in (t.rows, t.mirrored)]) for s in styles}
     count = min(len(part.x) for part in rows.values())
     picks = {style: rng.permutation(len(part.x))[:count] for style, part in rows.items()}
-    return {s: Features(p.x[picks[s]], p.y[picks[s]], p.phase[picks[s]], p.frames[picks[s]]) for s, p in rows.items()}
+    return {style: select_rows(part, picks[style]) for style, part in rows.items()}
 
 
 def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, seed: int):
@@ -151,11 +152,11 @@ def make_fold(takes: Sequence[Take], style: str, seed: int, layout, skeleton, st
     turns = [take for take in own if "turn" in take.content]
     clip, count = walks[seed % len(walks)], round(config.seconds * layout.fps)
     others = [take for take in walks if take is not clip]
-    rows = first_rows(clip.rows, count)
+    rows = select_rows(clip.rows, slice(0, count))
     straight = join_takes([take.rows for take in others], [take.name for take in others])
     turning = join_takes([take.rows for take in turns], [take.name for take in turns])
     test = StyleTest(layout, skeleton, rows, straight, turning, std, config.circle_seconds)
-    return Fold(clip=(rows, first_rows(clip.mirrored, count)), test=test, turns=tuple(turns))
+    return Fold(clip=(rows, select_rows(clip.mirrored, slice(0, count))), test=test, turns=tuple(turns))
 
 
 def bound(shared, normaliser: Normaliser, fold: Fold, config: Config, seed: int) -> dict[str, Any]:
@@ -227,9 +228,7 @@ def main(config: Config) -> None:
             if neutral is None:
                 neutral = pretrained(balanced(takes, [config.neutral], seed), layout, config, seed)[:2]
             fold = run_fold(takes, style, seed, layout, skeleton, neutral, config)
-            temporary = file.with_suffix(".tmp")
-            temporary.write_text(json.dumps(fold, indent=1))
-            temporary.replace(file)
+            write_whole(file, json.dumps(fold, indent=1))
             error = fold["rows"]["CP"]["measures"]["turning"]["pose_velocity"]
             print(f"{style} seed {seed}: CP {error:.3f} on turns, {fold['seconds']:.0f} s", flush=True)
     folds = [json.loads(file.read_text()) for file in sorted(config.out.glob("fold_*.json"))]

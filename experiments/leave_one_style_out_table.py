@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.markdown import markdown_table
 from pfnn_jax.evaluation.plots import error_bars, save_figure
 
 REFERENCE = "CP"
@@ -166,15 +167,15 @@ def _key(choice: Mapping[str, float]) -> str:
 
 def _markdown(rows: Mapping[str, Mapping[str, Any]], paired: Mapping[str, Mapping[str, float]]) -> str:
     head = ["method", *COLUMNS, "± seeds", "turning, ratio to CP", "takes worse than CP"]
-    lines = ["| " + " | ".join(head) + " |", "| " + " | ".join("---" for _ in head) + " |"]
+    lines = []
     for name, row in rows.items():
         spread = row["turning, spread over seeds"]
         pair = paired.get(name)
-        cells = [name, *(f"{row[column]:.3f}" for column in COLUMNS), "–" if spread is None else f"{spread:.3f}"]
-        cells.append("–" if pair is None else f"{pair['ratio']:.2f} ({pair['low']:.2f}-{pair['high']:.2f})")
-        cells.append("–" if pair is None else f"{100 * pair['worse']:.0f} %")
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        cells = [name, *(f"{row[column]:.3f}" for column in COLUMNS), None if spread is None else f"{spread:.3f}"]
+        cells.append(None if pair is None else f"{pair['ratio']:.2f} ({pair['low']:.2f}-{pair['high']:.2f})")
+        cells.append(None if pair is None else f"{100 * pair['worse']:.0f} %")
+        lines.append(cells)
+    return markdown_table(head, lines)
 
 
 def held_out_against_turning(folds: Sequence[Fold]) -> Figure:

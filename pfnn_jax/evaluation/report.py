@@ -6,7 +6,6 @@ import base64
 import html
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
 from importlib.resources import files
@@ -19,6 +18,7 @@ from matplotlib.figure import Figure
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.player import Track, player_assets, player_html
 from pfnn_jax.evaluation.plots import png_bytes
+from pfnn_jax.motion.bvh import write_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +97,8 @@ def write_report(
     text = json.dumps(to_plain(result), indent=2, allow_nan=False) + "\n"
     rendered = render_report(sections, title=title, subtitle=subtitle, facts=facts)
     folder.mkdir(parents=True, exist_ok=True)
-    _replace(data, text)
-    _replace(page, rendered)
+    write_whole(data, text)
+    write_whole(page, rendered)
     return page
 
 
@@ -201,9 +201,3 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, np.generic) or hasattr(value, "__array__"):
         return to_plain(np.asarray(value).tolist())
     raise TypeError(f"A report cannot hold a {type(value).__name__}.")
-
-
-def _replace(path: Path, text: str) -> None:
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)

@@ -21,7 +21,7 @@ from pfnn_jax.evaluation.metrics import (
     resting_heights,
     skating_ratio,
 )
-from pfnn_jax.motion.features import Features
+from pfnn_jax.motion.features import Features, join_rows, select_rows
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 from pfnn_jax.runtime.predictor import Predictor, evaluate
@@ -49,8 +49,7 @@ class Takes:
 
 def join_takes(parts: Sequence[Features], names: Sequence[str]) -> Takes:
     """Takes from the features of each."""
-    rows = Features(*(np.concatenate([getattr(p, field) for p in parts]) for field in ("x", "y", "phase", "frames")))
-    return Takes(rows, np.repeat(np.arange(len(parts)), [len(p.x) for p in parts]), tuple(names))
+    return Takes(join_rows(parts), np.repeat(np.arange(len(parts)), [len(p.x) for p in parts]), tuple(names))
 
 
 @jax.jit
@@ -195,8 +194,7 @@ class StyleTest:
     def measure(self, predictor: Predictor) -> dict[str, Any]:
         """`straight` and `turning` one-step errors, `locked` rollout error, and the measures of `circle_test`."""
         rows = self.turning.rows
-        fast = is_turning(rows.y, self.layout)
-        turning = Features(rows.x[fast], rows.y[fast], rows.phase[fast], rows.frames[fast])
+        turning = select_rows(rows, is_turning(rows.y, self.layout))
         num_frames = round(LOCKED_SECONDS * self.layout.fps)
         return {
             "straight": one_step_test(predictor, self.straight, self.layout, self.std),

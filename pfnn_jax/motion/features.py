@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +60,16 @@ class Features:
     y: np.ndarray
     phase: np.ndarray
     frames: np.ndarray
+
+
+def select_rows(part: Features, rows: slice | np.ndarray) -> Features:
+    """Some rows of a part: a slice, indices or a mask."""
+    return Features(part.x[rows], part.y[rows], part.phase[rows], part.frames[rows])
+
+
+def join_rows(parts: Sequence[Features]) -> Features:
+    """The rows of all parts, one after another."""
+    return Features(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("x", "y", "phase", "frames")))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from flax import struct
 from pfnn_jax.models.layers import Layer
 from pfnn_jax.models.network import Network, forward
 from pfnn_jax.models.spline import catmull_rom_basis
+from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.training.run import Run, load_style
 
 
@@ -41,15 +42,14 @@ def make_predictor(run: Run, style: str | None = None) -> Predictor:
     Raises:
         InputError: for an unknown style, or one that does not belong to the run's shared network.
     """
-    inputs, outputs = run.normaliser.inputs, run.normaliser.outputs
-    return Predictor(
-        network=run.shared,
-        adapter=load_style(run, style),
-        input_mean=jnp.asarray(inputs.mean, jnp.float32),
-        input_std=jnp.asarray(inputs.std, jnp.float32),
-        output_mean=jnp.asarray(outputs.mean, jnp.float32),
-        output_std=jnp.asarray(outputs.std, jnp.float32),
-    )
+    return assemble_predictor(run.shared, load_style(run, style), run.normaliser)
+
+
+def assemble_predictor(network: Network, adapter: Layer | None, normaliser: Normaliser) -> Predictor:
+    """The predictor of parameters in memory; `adapter` None for style-agnostic motion."""
+    inputs, outputs = normaliser.inputs, normaliser.outputs
+    statistics = (inputs.mean, inputs.std, outputs.mean, outputs.std)
+    return Predictor(network, adapter, *(jnp.asarray(value, jnp.float32) for value in statistics))
 
 
 def evaluate(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Array:

@@ -13,7 +13,7 @@ from pfnn_jax.models.network import Network
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.runtime.paths import circle
-from pfnn_jax.runtime.predictor import Predictor, evaluate
+from pfnn_jax.runtime.predictor import Predictor, assemble_predictor, evaluate
 from pfnn_jax.runtime.rollout import Frames, Stability, follow_path, make_track, stability
 from pfnn_jax.runtime.state import initial_state
 from pfnn_jax.training.few_shot import assemble
@@ -34,9 +34,7 @@ LEAST_TURN = 0.5
 def predictor_of(trained: Any, shared: Network, normaliser: Normaliser) -> Predictor:
     """A predictor from few-shot training's result: an adapter beside `shared`, or a whole network."""
     network, adapter = assemble(trained, shared)
-    inputs, outputs = normaliser.inputs, normaliser.outputs
-    statistics = (inputs.mean, inputs.std, outputs.mean, outputs.std)
-    return Predictor(network, adapter, *(jnp.asarray(value, jnp.float32) for value in statistics))
+    return assemble_predictor(network, adapter, normaliser)
 
 
 def mean_speed(y: np.ndarray, layout: FrameLayout) -> float:

@@ -7,17 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.features import Features
+from pfnn_jax.motion.features import Features, join_rows, select_rows
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.training.batches import Batch
 
 
 def to_batch(parts: Sequence[Features], normaliser: Normaliser) -> Batch:
     """All rows [N, ...] of the parts, one after another, normalised float32."""
+    rows = join_rows(parts)
     return Batch(
-        x=normaliser.inputs.apply(np.concatenate([part.x for part in parts])).astype(np.float32),
-        y=normaliser.outputs.apply(np.concatenate([part.y for part in parts])).astype(np.float32),
-        phase=np.concatenate([part.phase for part in parts]).astype(np.float32),
+        x=normaliser.inputs.apply(rows.x).astype(np.float32),
+        y=normaliser.outputs.apply(rows.y).astype(np.float32),
+        phase=rows.phase.astype(np.float32),
     )
 
 
@@ -34,15 +35,6 @@ def hold_out(parts: Sequence[Features], share: float, source: str = "clip") -> t
         count = round(len(part.x) * (1 - share))
         if not 0 < count < len(part.x):
             raise InputError(source, "frames", len(part.x), f"holding out {share:g} must leave some on each side")
-        learn.append(_rows(part, slice(0, count)))
-        choose.append(_rows(part, slice(count, None)))
+        learn.append(select_rows(part, slice(0, count)))
+        choose.append(select_rows(part, slice(count, None)))
     return learn, choose
-
-
-def first_rows(part: Features, count: int) -> Features:
-    """The first `count` rows of a part."""
-    return _rows(part, slice(0, count))
-
-
-def _rows(part: Features, rows: slice) -> Features:
-    return Features(part.x[rows], part.y[rows], part.phase[rows], part.frames[rows])
