@@ -1,0 +1,98 @@
+"""Hand ends as joints: the tips that `mason2022` layouts take for the hands' end effectors."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.skeleton import Roles, Skeleton, need_roles
+
+
+def extend_hands(clip: MotionClip) -> MotionClip:
+    """The clip with the hands' End Sites as joints, as Mason et al. 2022 count joints (section 4.2).
+
+    Where both hands end in an End Site away from the wrist, each becomes a joint `<wrist>Site` right after its wrist,
+    with no rotation of its own, and is the hand in the roles from then on: 23 joints of a 100STYLE file become 25.
+    Elsewhere (a wrist without an End Site, or with one at the wrist itself, as in the Bandai-Namco files) the clip
+    stays as it is. So it does where the joints are there already; then only the roles move to them.
+
+    Args:
+        clip: of J joints, with roles.
+
+    Returns:
+        A clip of J + 2 or J joints.
+
+    Raises:
+        InputError: if the skeleton has no roles.
+    """
+    skeleton = clip.skeleton
+    roles = need_roles(skeleton, clip.source)
+    hands = (roles.left_hand, roles.right_hand)
+    present = [_site_joint(skeleton, hand) for hand in hands]
+    if None not in present:
+        roles = replace(roles, left_hand=present[0], right_hand=present[1])
+        return replace(clip, skeleton=replace(skeleton, roles=roles))
+    sites = {hand: tip for hand in hands if (tip := _tip(skeleton, hand)) is not None}
+    if len(sites) < 2:
+        return clip
+    order = np.insert(np.arange(skeleton.num_joints), np.sort(hands) + 1, -1)
+    rotations = np.zeros((clip.num_frames, len(order), 4))
+    rotations[..., 0] = 1.0
+    rotations[:, order >= 0] = clip.rotations
+    return replace(clip, skeleton=_insert(skeleton, roles, sites, order), rotations=rotations)
+
+
+def _insert(skeleton: Skeleton, roles: Roles, sites: dict[int, int], order: np.ndarray) -> Skeleton:
+    """The skeleton with new joints where `order` (old joints in their new places) has -1.
+
+    Args:
+        skeleton: J joints.
+        roles: of it.
+        sites: hand joint -> index in `end_sites` of the site that becomes a joint.
+        order: [J + 2].
+    """
+    place = np.flatnonzero(order >= 0)  # new index of every old joint
+    names, offsets = list(skeleton.names), list(skeleton.offsets)
+    parents = [int(place[parent]) if parent >= 0 else -1 for parent in skeleton.parents]
+    mirror = place[skeleton.mirror].tolist()
+    for hand in sorted(sites):
+        at = int(place[hand]) + 1
+        names.insert(at, f"{skeleton.names[hand]}Site")
+        offsets.insert(at, skeleton.end_sites[sites[hand]][1])
+        parents.insert(at, at - 1)
+        mirror.insert(at, int(place[skeleton.mirror[hand]]) + 1)
+    ends = tuple(
+        (int(place[joint]), site) for i, (joint, site) in enumerate(skeleton.end_sites) if i not in sites.values()
+    )
+    moved = _move(roles, place)
+    moved = replace(moved, left_hand=moved.left_hand + 1, right_hand=moved.right_hand + 1)
+    return Skeleton(tuple(names), np.array(parents), np.array(offsets), ends, np.array(mirror), moved)
+
+
+def _move(roles: Roles, place: np.ndarray) -> Roles:
+    """The roles of joints that now stand at `place`."""
+    moved: dict[str, Any] = {
+        role: tuple(int(place[joint]) for joint in joints) if isinstance(joints, tuple) else int(place[joints])
+        for role, joints in asdict(roles).items()
+    }
+    return Roles(**moved)
+
+
+def _site_joint(skeleton: Skeleton, hand: int) -> int | None:
+    """The joint that stands for the hand's tip: the hand itself, or its child, after an earlier extension."""
+    if skeleton.names[hand].endswith("Site"):
+        return hand
+    name = f"{skeleton.names[hand]}Site"
+    found = [joint for joint in np.flatnonzero(skeleton.parents == hand) if skeleton.names[joint] == name]
+    return int(found[0]) if found else None
+
+
+def _tip(skeleton: Skeleton, hand: int) -> int | None:
+    """Index in `end_sites` of the hand's End Site away from the hand."""
+    for index, (joint, offset) in enumerate(skeleton.end_sites):
+        if joint == hand and np.linalg.norm(offset) > 0:
+            return index
+    return None
