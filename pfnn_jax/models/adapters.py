@@ -1,23 +1,42 @@
-"""Style adapters: which layer is added to the second layer of the shared network for one style."""
+"""Styles: what one style adds to the shared network, and where."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias, get_args
 
 import jax
+from flax import struct
 
-from pfnn_jax.models.layers import Layer, init_bias, init_blended, init_cp, init_diagonal
+from pfnn_jax.models.film import Film, identity_film
+from pfnn_jax.models.layers import BiasLayer, Layer, init_bias, init_blended, init_cp, init_dense, init_diagonal
 
-AdapterKind = Literal["cp", "full", "diagonal", "bias"]
+AdapterKind = Literal["cp", "full", "diagonal", "bias", "dense", "one_hot", "film"]
+
+
+@struct.dataclass(kw_only=True)
+class OneHot:
+    """A style that is one more input, always 1: its blended column of first-layer weights.
+
+    It is added to the first layer's output before activation, which is what the input with the style's number set
+    would add.
+    """
+
+    shift: BiasLayer  # biases [K, H]
+
+
+# A layer is a residual beside the second layer, a one-hot style shifts the first, a Film modulates both.
+Style: TypeAlias = Layer | OneHot | Film
 
 
 @dataclass(frozen=True)
 class AdapterConfig:
-    """The form of a style's adapter.
+    """The form of a style.
 
     Attributes:
-        kind: `cp` (Mason 2018 Eq. 6), `full` (a blended matrix), `diagonal`, or `bias` (a blended bias alone).
+        kind: a residual on the second layer, namely `cp` (Mason 2018 Eq. 6), `full` (a blended matrix), `diagonal`,
+            `bias` (a blended bias alone) or `dense` (a matrix that is not blended, Mason 2022 §5.2.1); or `one_hot`
+            (a blended shift of the first layer); or `film` (scales and shifts of both hidden layers, Mason 2022 Eq. 3).
         rank: R of the CP factors; the other kinds have none and ignore it.
     """
 
@@ -25,14 +44,19 @@ class AdapterConfig:
     rank: int = 30
 
     def __post_init__(self):
-        if self.kind not in ("cp", "full", "diagonal", "bias"):
-            raise ValueError(f"AdapterConfig.kind must be cp, full, diagonal or bias, got {self.kind!r}.")
+        kinds = get_args(AdapterKind)
+        if self.kind not in kinds:
+            rule = ", ".join(kinds[:-1]) + f" or {kinds[-1]}"
+            raise ValueError(f"AdapterConfig.kind must be {rule}, got {self.kind!r}.")
         if self.rank < 1:
             raise ValueError(f"AdapterConfig.rank must be at least 1, got {self.rank}.")
 
 
-def init_adapter(config: AdapterConfig, hidden: int, num_control_points: int, key: jax.Array) -> Layer:
-    """A fresh adapter H -> H of the configured kind (shapes in `pfnn_jax.models.layers`)."""
+def init_adapter(config: AdapterConfig, hidden: int, num_control_points: int, key: jax.Array) -> Style:
+    """A fresh style of the configured kind for a network of H hidden units and K control points or experts.
+
+    Bias and one-hot start at zero and Film at scale 1, shift 0; the others with the authors' small uniform weights.
+    """
     match config.kind:
         case "cp":
             return init_cp(key, num_control_points, hidden, hidden, config.rank)
@@ -42,3 +66,9 @@ def init_adapter(config: AdapterConfig, hidden: int, num_control_points: int, ke
             return init_diagonal(key, num_control_points, hidden)
         case "bias":
             return init_bias(num_control_points, hidden)
+        case "dense":
+            return init_dense(key, hidden, hidden)
+        case "one_hot":
+            return OneHot(shift=init_bias(num_control_points, hidden))
+        case "film":
+            return identity_film(hidden)

@@ -67,15 +67,26 @@ class BiasLayer:
         return self.biases.shape[0]
 
 
-Layer: TypeAlias = BlendedLayer | CPLayer | DiagonalLayer | BiasLayer
+@struct.dataclass(kw_only=True)
+class DenseLayer:
+    """An ordinary layer `y = x W + b`, the same at every phase: it ignores the coefficients.
+
+    As an adapter: the residual that Mason 2022 gives to networks without a global phase (§5.2.1).
+    """
+
+    weights: jax.Array  # [I, O]
+    biases: jax.Array  # [O]
+
+
+Layer: TypeAlias = BlendedLayer | CPLayer | DiagonalLayer | BiasLayer | DenseLayer
 
 
 def linear(layer: Layer, coefficients: jax.Array, x: jax.Array) -> jax.Array:
     """One frame through one layer.
 
     Args:
-        layer: any of the four records.
-        coefficients: [K] blending coefficients c.
+        layer: any of the five records.
+        coefficients: [K] blending coefficients c (a dense layer ignores them, whatever their number).
         x: [I] input of one frame.
 
     Returns:
@@ -95,7 +106,12 @@ def linear(layer: Layer, coefficients: jax.Array, x: jax.Array) -> jax.Array:
             return (coefficients @ weights) * x + coefficients @ biases
         case BiasLayer(biases=biases):
             return coefficients @ biases
-    raise TypeError(f"`layer` must be a BlendedLayer, CPLayer, DiagonalLayer or BiasLayer, got {type(layer).__name__}.")
+        case DenseLayer(weights=weights, biases=biases):
+            chex.assert_shape(weights, (x.shape[0], None))
+            return x @ weights + biases
+    raise TypeError(
+        f"`layer` must be a BlendedLayer, CPLayer, DiagonalLayer, BiasLayer or DenseLayer, got {type(layer).__name__}."
+    )
 
 
 def _uniform(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
@@ -138,3 +154,8 @@ def init_diagonal(key: jax.Array, num_control_points: int, hidden: int) -> Diago
 def init_bias(num_control_points: int, hidden: int) -> BiasLayer:
     """A bias layer of zeros: the identity as an adapter, and its gradient does not vanish there."""
     return BiasLayer(biases=jnp.zeros((num_control_points, hidden)))
+
+
+def init_dense(key: jax.Array, inputs: int, outputs: int) -> DenseLayer:
+    """A dense layer [I, O] with the authors' uniform weights and zero biases."""
+    return DenseLayer(weights=_uniform(key, (inputs, outputs)), biases=jnp.zeros(outputs))
