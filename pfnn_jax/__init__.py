@@ -25,6 +25,7 @@ _ROOMS = {
         "mason2022_pfnn",
         "pfnn2017",
     ),
+    "motion.local_phase": ("LocalPhaseConfig", "clip_local_phases", "fit_axes", "mirror_local_phases", "toe_contacts"),
     "motion.phase": ("label_phase", "read_phase", "write_phase"),
     "motion.preparation": ("PrepareConfig",),
     "motion.sources": ("ClipFile", "list_clips"),

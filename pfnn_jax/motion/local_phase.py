@@ -1,0 +1,197 @@
+"""Local phases: for each hand and foot, where it is in its own cycle of movement (Mason et al. 2022, section 4.1).
+
+A source function per bone says how the cycle goes: its contacts with the ground where it has some, else its way along
+the first principal axis of its movement. The source is normalised in a window of one second and smoothed, a sinusoid is
+fitted around every frame, and the sinusoid's phase at that frame is written as a vector (sin, cos) whose length is the
+fitted amplitude times the speed of the bone: a bone that hardly moves has no phase, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.signal import butter, sosfiltfilt
+
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.end_effectors import EndEffectors, end_effectors
+from pfnn_jax.motion.sinusoid import HIGHEST, fit_sinusoids
+
+WINDOW_SECONDS = 1.0
+"""Window of the normalisation and of the speed."""
+
+FIT_SECONDS = 0.5
+"""Window of the fit: 31 frames at 60 fps."""
+
+REST_PERCENTILE = 5.0  # height of a foot's point at rest, among the frames in which it is slow
+FLAT = 1e-6  # share of a source's range below which its deviation in a window is rounding
+MOST = 0.98  # of the frames in contact, or out of it: such a foot has no cycle of contacts
+
+
+@dataclass(frozen=True)
+class LocalPhaseConfig:
+    """How local phases are extracted.
+
+    Attributes:
+        max_height: metres above its resting height up to which a toe touches the ground.
+        max_speed: metres per second below which a toe touches the ground.
+        majority_seconds: each frame's contact becomes that of most frames this near to it (5 frames at 60 fps in the
+            published code, absent from the paper); 0 for none.
+    """
+
+    max_height: float = 0.01
+    max_speed: float = 0.15
+    majority_seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.max_height > 0 and self.max_speed > 0 and self.majority_seconds >= 0):
+            raise ValueError("max_height and max_speed must be positive, and majority_seconds not negative.")
+
+
+@dataclass(frozen=True, eq=False)
+class PrincipalAxes:
+    """First principal axis of each bone's movement, in the order of `END_EFFECTORS`.
+
+    Attributes:
+        directions: [4, 3] unit, directed forward.
+        means: [4, 3] metres, mean positions from the hips.
+    """
+
+    directions: np.ndarray
+    means: np.ndarray
+
+
+def principal_axis(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Direction of greatest variance of points [N, 3], directed to positive z (to positive x where z is 0), and mean.
+
+    Directed, so that bones that move forward together have equal phases, and bones that take turns opposite ones.
+    """
+    mean = points.mean(axis=0)
+    centred = points - mean
+    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
+    return (-axis if (axis[2] or axis[0]) < 0 else axis), mean
+
+
+def fit_axes(clips: Sequence[MotionClip | EndEffectors]) -> PrincipalAxes:
+    """Principal axes of the bones over all takes of one style and gait."""
+    local = np.concatenate([_ends(clip).local for clip in clips])
+    axes = [principal_axis(local[:, bone]) for bone in range(local.shape[1])]
+    return PrincipalAxes(np.stack([axis for axis, _ in axes]), np.stack([mean for _, mean in axes]))
+
+
+def contact_source(points: np.ndarray, fps: float, config: LocalPhaseConfig | None = None) -> np.ndarray:
+    """[T] bool: frames in which points [T, 3] of the world stand on the ground: low and slow.
+
+    Height counts from the point's own resting height in the clip: floors of recorded files are not at zero.
+    """
+    config = config or LocalPhaseConfig()
+    speed = speeds(points, fps)
+    slow = speed < config.max_speed
+    rest = np.percentile(points[slow, 1], REST_PERCENTILE) if slow.any() else points[:, 1].min()
+    contact = slow & (points[:, 1] < rest + config.max_height)
+    around = round(config.majority_seconds * fps)
+    if around == 0:
+        return contact
+    return uniform_filter1d(contact.astype(float), 2 * around + 1, mode="nearest") > 0.5
+
+
+def toe_contacts(clip: MotionClip | EndEffectors, config: LocalPhaseConfig | None = None) -> np.ndarray:
+    """[T, 2] bool: right and left toe on the ground."""
+    ends = _ends(clip)
+    return np.stack([contact_source(ends.world[:, bone], ends.fps, config) for bone in (3, 2)], axis=1)
+
+
+def speeds(points: np.ndarray, fps: float) -> np.ndarray:
+    """[T] metres per second of points [T, 3] by central differences."""
+    if len(points) < 2:
+        return np.zeros(len(points))
+    return np.linalg.norm(np.gradient(points, 1 / fps, axis=0), axis=-1)
+
+
+def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarray:
+    """Phase vectors of one bone (Mason et al. 2022, Eq. 1).
+
+    Args:
+        source: [T] source function in any unit; neither its scale nor its offset matters.
+        speed: [T] metres per second of the bone seen from the hips.
+        fps: frames per second.
+
+    Returns:
+        [T, 2] amplitude times largest speed within half a second times (sin φ, cos φ).
+    """
+    frames = len(source)
+    half = min(round(FIT_SECONDS * fps / 2), (frames - 1) // 2)
+    if half < 2:
+        return np.zeros((frames, 2))
+    wave = _smooth(_normalise(source, fps), fps)
+    fit = fit_sinusoids(np.lib.stride_tricks.sliding_window_view(wave, 2 * half + 1), fps)
+    centre = np.clip(np.arange(frames), half, frames - 1 - half)
+    phase = fit.phase[centre - half] + 2 * np.pi * fit.frequency[centre - half] * (np.arange(frames) - centre) / fps
+    direction = np.stack([np.sin(phase), np.cos(phase)], axis=-1)
+    around = 2 * round(WINDOW_SECONDS * fps / 2) + 1
+    length = fit.amplitude[centre - half] * maximum_filter1d(speed, around, mode="nearest")
+    return length[:, None] * direction
+
+
+def clip_local_phases(
+    clip: MotionClip | EndEffectors, *, axes: PrincipalAxes | None = None, config: LocalPhaseConfig | None = None
+) -> np.ndarray:
+    """Local phases of a clip: [T, 4, 2] as (sin, cos), in the order left hand, right hand, left toe, right toe.
+
+    Args:
+        clip: the motion, or its `end_effectors` where they are known already.
+        axes: principal axes of the clip's style and gait; fitted on this clip by default.
+        config: contacts' thresholds.
+
+    Raises:
+        InputError: if the skeleton's roles are not known.
+    """
+    ends = _ends(clip)
+    axes = axes or fit_axes([ends])
+    sources = source_functions(ends, axes, config)
+    return np.stack(
+        [local_phases(sources[:, bone], speeds(ends.local[:, bone], ends.fps), ends.fps) for bone in range(4)], axis=1
+    )
+
+
+def source_functions(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhaseConfig | None = None) -> np.ndarray:
+    """[T, 4] source of each bone: its contact (0 or 1) for toes that have any, else metres along its principal axis."""
+    sources = np.einsum("tbi,bi->tb", ends.local - axes.means, axes.directions)
+    contacts = toe_contacts(ends, config)[:, ::-1]
+    for bone, contact in zip((2, 3), contacts.T, strict=True):
+        if 1 - MOST < contact.mean() < MOST:
+            sources[:, bone] = contact
+    return sources
+
+
+def mirror_local_phases(phases: np.ndarray) -> np.ndarray:
+    """Local phases [..., 4, 2] of the mirrored clip: left and right exchanged."""
+    return phases[..., [1, 0, 3, 2], :]
+
+
+def _ends(clip: MotionClip | EndEffectors) -> EndEffectors:
+    return clip if isinstance(clip, EndEffectors) else end_effectors(clip)
+
+
+def _normalise(source: np.ndarray, fps: float) -> np.ndarray:
+    """Less its mean and over its deviation in the second around each frame; at the ends in what there is of it."""
+    source = source - source.mean()
+    largest = np.abs(source).max()
+    if largest == 0:
+        return source
+    source, half = source / largest, round(WINDOW_SECONDS * fps / 2)
+    frames = np.arange(len(source))
+    first, last = np.maximum(frames - half, 0), np.minimum(frames + half + 1, len(source))
+    count = last - first
+    sums, squares = (np.concatenate([[0.0], np.cumsum(values)]) for values in (source, source**2))
+    mean = (sums[last] - sums[first]) / count
+    deviation = np.sqrt(np.maximum((squares[last] - squares[first]) / count - mean**2, 0.0))
+    return (source - mean) / np.where(deviation > FLAT, deviation, 1.0)
+
+
+def _smooth(values: np.ndarray, fps: float) -> np.ndarray:
+    """Butterworth of two poles at `HIGHEST` Hz, forwards and backwards along the first axis."""
+    low_pass = butter(2, HIGHEST, fs=fps, output="sos")
+    return sosfiltfilt(low_pass, values, axis=0, padlen=min(round(fps / HIGHEST), len(values) - 1))
