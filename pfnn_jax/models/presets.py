@@ -1,0 +1,109 @@
+"""The seven models of Mason 2022 Table 2: three synthesis networks, four ways of modulating a style."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import jax
+
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.film_generator import GeneratorConfig, film_generator, paper_count
+from pfnn_jax.models.network import NetworkConfig, init_network, num_parameters
+
+Backbone = Literal["pfnn", "mann", "lpn"]
+
+# The frame layout each synthesis network reads and writes.
+LAYOUT_OF: dict[Backbone, str] = {"pfnn": "mason2022_pfnn", "mann": "mason2022_mann", "lpn": "mason2022"}
+
+JOINTS, HIDDEN = 25, 512  # of the paper's character and networks
+
+
+class _Sizes(NamedTuple):
+    beside_pose: int  # outputs that are neither trajectory nor pose
+    phase_size: int
+    num_control_points: int
+
+
+_SIZES: dict[Backbone, _Sizes] = {
+    "pfnn": _Sizes(beside_pose=3, phase_size=0, num_control_points=4),  # two contacts, the phase update
+    "mann": _Sizes(beside_pose=2, phase_size=12, num_control_points=8),  # two contacts
+    "lpn": _Sizes(beside_pose=18, phase_size=8, num_control_points=8),  # phases, their updates, two contacts
+}
+
+
+@dataclass(frozen=True)
+class Preset:
+    """One model: a synthesis network and the form of its styles."""
+
+    backbone: Backbone
+    adapter: AdapterConfig
+
+
+TABLE2: dict[str, Preset] = {
+    "pfnn_one_hot": Preset("pfnn", AdapterConfig("one_hot")),
+    "lpn_one_hot": Preset("lpn", AdapterConfig("one_hot")),
+    "pfnn_resad": Preset("pfnn", AdapterConfig("cp", rank=30)),
+    "lpn_resad": Preset("lpn", AdapterConfig("dense")),
+    "pfnn_film": Preset("pfnn", AdapterConfig("film")),
+    "mann_film": Preset("mann", AdapterConfig("film")),
+    "lpn_film": Preset("lpn", AdapterConfig("film")),
+}
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Numbers of parameters, the columns of Mason 2022 Table 2.
+
+    Attributes:
+        synthesis: of the animation synthesis network, its gating network included.
+        modulation: of what makes the styles: all styles' parameters, or the FiLM generator.
+        per_style: of one style at run time.
+        modulation_published: as the paper prints it, which differs for the FiLM generator alone.
+    """
+
+    synthesis: int
+    modulation: int
+    per_style: int
+    modulation_published: int
+
+
+def network_config(backbone: Backbone, num_joints: int = JOINTS, hidden: int = HIDDEN) -> NetworkConfig:
+    """Sizes of a synthesis network for a character of `num_joints` joints (Mason 2022 §4.3).
+
+    Raises:
+        ValueError: for an unknown backbone.
+    """
+    if backbone not in _SIZES:
+        raise ValueError(f"`backbone` must be pfnn, mann or lpn, got {backbone!r}.")
+    sizes = _SIZES[backbone]
+    return NetworkConfig(
+        input_size=48 + 12 * num_joints,
+        output_size=24 + 12 * num_joints + sizes.beside_pose,
+        hidden=hidden,
+        num_control_points=sizes.num_control_points,
+        phase_size=sizes.phase_size,
+    )
+
+
+def counts(name: str, num_styles: int = 95) -> Counts:
+    """Parameters of a model of `TABLE2` for the paper's character, counted in the records themselves.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if name not in TABLE2:
+        raise ValueError(f"`name` must be one of {', '.join(TABLE2)}, got {name!r}.")
+    preset, key = TABLE2[name], jax.random.key(0)
+    config = network_config(preset.backbone)
+    synthesis = _count(lambda: init_network(config, key))
+    per_style = _count(lambda: init_adapter(preset.adapter, HIDDEN, config.num_control_points, key))
+    if preset.adapter.kind != "film":
+        return Counts(synthesis, num_styles * per_style, per_style, num_styles * per_style)
+    generator = GeneratorConfig(features=12 * JOINTS, film_hidden=HIDDEN)
+    modulation = _count(lambda: film_generator(generator).init(key))
+    return Counts(synthesis, modulation, per_style, paper_count(generator))
+
+
+def _count(make) -> int:
+    return num_parameters(jax.eval_shape(make))
