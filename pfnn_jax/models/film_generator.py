@@ -9,7 +9,6 @@ from typing import Any
 
 import chex
 import jax
-import jax.numpy as jnp
 from flax import nnx
 
 from pfnn_jax.models.dropout import drop, need_key
