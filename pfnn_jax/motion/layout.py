@@ -203,10 +203,10 @@ def layout_for(name: str, skeleton: Skeleton) -> FrameLayout:
         InputError: if the layout uses end effectors and the skeleton has no roles.
     """
     layout = LAYOUTS[name](skeleton.num_joints)
-    return replace(layout, ends=end_effectors(skeleton)) if layout.phase_size else layout
+    return replace(layout, ends=end_joints(skeleton)) if layout.phase_size else layout
 
 
-def end_effectors(skeleton: Skeleton) -> tuple[int, ...]:
+def end_joints(skeleton: Skeleton) -> tuple[int, ...]:
     """Joints of left hand, right hand, left toe and right toe, the order of local phases.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.layout import Block, FrameLayout
+from pfnn_jax.motion.frame_layout import FrameLayout
 
 JOINT_INPUT_WEIGHT = 0.1
 """Scale of normalised joint inputs under grouped statistics, as the authors' code has it."""
@@ -21,6 +21,8 @@ CONSTANT = 1e-6
 CHUNK = 16384  # rows per pass: bounds memory where the arrays are memory-mapped
 
 Arrays = np.ndarray | Sequence[np.ndarray]
+
+SIDES = ("x", "y", "p")  # first letters of the files
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +48,22 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Normaliser:
-    """Statistics of x and of y."""
+    """Statistics of x, of y and, where it is no scalar, of what the blending coefficients depend on.
+
+    Attributes:
+        inputs: of x.
+        outputs: of y.
+        phases: of `phase` [N, G]; None for a scalar phase.
+    """
 
     inputs: Statistics
     outputs: Statistics
+    phases: Statistics | None = None
 
 
-def fit_normaliser(x: Arrays, y: Arrays, layout: FrameLayout, grouped: bool = False) -> Normaliser:
+def fit_normaliser(
+    x: Arrays, y: Arrays, layout: FrameLayout, grouped: bool = False, phase: Arrays | None = None
+) -> Normaliser:
     """One normaliser over all rows of all styles.
 
     By default every column has its own deviation (the paper); constant columns get 1. With `grouped`, as the authors'
@@ -65,23 +76,33 @@ def fit_normaliser(x: Arrays, y: Arrays, layout: FrameLayout, grouped: bool = Fa
         y: [N, Dy] likewise.
         layout: names the blocks.
         grouped: average deviations over blocks.
+        phase: [N, G] likewise, where the layout's `phase_size` is G > 0; None leaves its statistics out. Every column
+            has its own deviation. A scalar phase is not normalised.
 
     Raises:
         InputError: for no rows, another width than the layout's, or a value that is not finite.
     """
-    inputs = _fit(x, layout.inputs, "x", layout)
-    outputs = _fit(y, layout.outputs, "y", layout)
+    inputs = _fit(x, layout.input_names, "x", layout)
+    outputs = _fit(y, layout.output_names, "y", layout)
+    phases = None
+    if phase is not None and layout.phase_size:
+        phases = _guard(_fit(phase, (layout.phase_kind,) * layout.phase_size, "phase", layout))
     if grouped:
-        inputs = _average(inputs, layout.inputs, _input_group)
-        outputs = _average(outputs, layout.outputs, _output_group)
-    return Normaliser(_guard(inputs), _guard(outputs))
+        inputs = _average(inputs, layout.input_names, _input_group)
+        outputs = _average(outputs, layout.output_names, _output_group)
+    return Normaliser(_guard(inputs), _guard(outputs), phases)
 
 
 def save_normaliser(folder: Path, normaliser: Normaliser) -> None:
-    """Writes four `.npy` files into a folder, which is made where it is absent."""
+    """Writes four `.npy` files, or six where phases have statistics, into a folder, made where it is absent."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, value in _files(normaliser).items():
-        np.save(folder / name, value, allow_pickle=False)
+    for side, statistics in zip(SIDES, (normaliser.inputs, normaliser.outputs, normaliser.phases), strict=True):
+        for name in ("mean", "std"):
+            path = folder / f"{side}_{name}.npy"
+            if statistics is None:
+                path.unlink(missing_ok=True)  # of a normaliser that stood here before
+            else:
+                np.save(path, getattr(statistics, name), allow_pickle=False)
 
 
 def load_normaliser(folder: Path) -> Normaliser:
@@ -90,27 +111,16 @@ def load_normaliser(folder: Path) -> Normaliser:
     Raises:
         InputError: if a file is missing, is no array of one axis, or holds a value that is not finite.
     """
-    found = {name: _load(folder / name) for name in ("x_mean.npy", "x_std.npy", "y_mean.npy", "y_std.npy")}
-    for side in "xy":
-        mean, std = found[f"{side}_mean.npy"], found[f"{side}_std.npy"]
-        if mean.shape != std.shape or not (std > 0).all():
-            raise InputError(
-                folder / f"{side}_std.npy",
-                "array",
-                f"shape {std.shape}, least {std.min(initial=np.inf)}",
-                f"deviations are positive, one for each of {len(mean)} means",
-            )
-    return Normaliser(
-        Statistics(found["x_mean.npy"], found["x_std.npy"]), Statistics(found["y_mean.npy"], found["y_std.npy"])
-    )
+    phases = any((folder / f"p_{name}.npy").exists() for name in ("mean", "std"))
+    return Normaliser(*(_load_side(folder, side) for side in (SIDES if phases else SIDES[:2])))
 
 
-def require_finite(values: np.ndarray, blocks: tuple[Block, ...], source: str | Path, name: str) -> None:
+def require_finite(values: np.ndarray, names: Sequence[str], source: str | Path, name: str) -> None:
     """Refuses rows that hold NaN or infinity.
 
     Args:
         values: [N, D].
-        blocks: (name, size) of the columns.
+        names: [D] block of every column, as `layout.input_names`.
         source: file the rows come from.
         name: of the array.
 
@@ -121,14 +131,12 @@ def require_finite(values: np.ndarray, blocks: tuple[Block, ...], source: str | 
     if finite.all():
         return
     row, column = (int(i) for i in np.argwhere(~finite)[0])
-    starts = np.cumsum([size for _, size in blocks])
-    block = blocks[int(np.searchsorted(starts, column, side="right"))][0]
-    raise InputError(source, f"{name} row {row}, {block}", values[row, column], "every value must be finite")
+    raise InputError(source, f"{name} row {row}, {names[column]}", values[row, column], "every value must be finite")
 
 
-def _fit(arrays: Arrays, blocks: tuple[Block, ...], name: str, layout: FrameLayout) -> Statistics:
+def _fit(arrays: Arrays, names: Sequence[str], name: str, layout: FrameLayout) -> Statistics:
     arrays = [arrays] if isinstance(arrays, np.ndarray) else list(arrays)
-    width = sum(size for _, size in blocks)
+    width = len(names)
     for array in arrays:
         if array.ndim != 2 or array.shape[1] != width:
             raise InputError(name, "array", f"shape {array.shape}", f"layout {layout.name} has {width} columns")
@@ -137,7 +145,7 @@ def _fit(arrays: Arrays, blocks: tuple[Block, ...], name: str, layout: FrameLayo
         raise InputError(name, "array", "0 rows", "statistics need at least one row")
     total = np.zeros(width)
     for chunk in _chunks(arrays):
-        require_finite(chunk, blocks, name, "array")
+        require_finite(chunk, names, name, "array")
         total += chunk.sum(axis=0, dtype=np.float64)
     mean, square = total / count, np.zeros(width)
     for chunk in _chunks(arrays):
@@ -160,9 +168,9 @@ def _output_group(block: str) -> tuple[str, float]:
     return block.removesuffix("_x").removesuffix("_z"), 1.0
 
 
-def _average(found: Statistics, blocks: tuple[Block, ...], group: Callable[[str], tuple[str, float]]) -> Statistics:
-    names = np.repeat([group(block)[0] for block, _ in blocks], [size for _, size in blocks])
-    weights = np.repeat([group(block)[1] for block, _ in blocks], [size for _, size in blocks])
+def _average(found: Statistics, blocks: Sequence[str], group: Callable[[str], tuple[str, float]]) -> Statistics:
+    grouped = [group(block) for block in blocks]
+    names, weights = np.array([name for name, _ in grouped]), np.array([weight for _, weight in grouped])
     std = np.empty_like(found.std)
     for name in dict.fromkeys(names):
         std[names == name] = found.std[names == name].mean()
@@ -174,13 +182,16 @@ def _guard(found: Statistics) -> Statistics:
     return Statistics(found.mean.astype(np.float32), np.where(constant, 1.0, found.std).astype(np.float32))
 
 
-def _files(normaliser: Normaliser) -> dict[str, np.ndarray]:
-    return {
-        "x_mean.npy": normaliser.inputs.mean,
-        "x_std.npy": normaliser.inputs.std,
-        "y_mean.npy": normaliser.outputs.mean,
-        "y_std.npy": normaliser.outputs.std,
-    }
+def _load_side(folder: Path, side: str) -> Statistics:
+    mean, std = (_load(folder / f"{side}_{name}.npy") for name in ("mean", "std"))
+    if mean.shape != std.shape or not (std > 0).all():
+        raise InputError(
+            folder / f"{side}_std.npy",
+            "array",
+            f"shape {std.shape}, least {std.min(initial=np.inf)}",
+            f"deviations are positive, one for each of {len(mean)} means",
+        )
+    return Statistics(mean, std)
 
 
 def _load(path: Path) -> np.ndarray:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.layout import TRAJECTORY_OFFSETS
 from pfnn_jax.motion.skeleton import Roles
 
@@ -52,12 +53,34 @@ def root_motion(positions: np.ndarray, roles: Roles, fps: float, smoothing_secon
     """
     across = positions[:, roles.left_shoulder] - positions[:, roles.right_shoulder]
     across = across + positions[:, roles.left_hip] - positions[:, roles.right_hip]
-    across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
-    # across × (0, 1, 0), without its y, which is zero
-    forward = np.stack([-across[:, 2], across[:, 0]], axis=-1)
+    forward = _across_up(across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9))
     if smoothing_seconds > 0:
         forward = gaussian_filter1d(forward, smoothing_seconds * fps, axis=0, mode="nearest")
     return Root(positions[:, roles.hips][:, [0, 2]], _unit(forward))
+
+
+def hips_root(positions: np.ndarray, roles: Roles) -> Root:
+    """Root position and facing direction of the hips alone, without smoothing (Mason et al. 2022, section 4.2).
+
+    Forward = across × up with across along left - right hip joint, so that no axis of the hips need point forward.
+
+    Args:
+        positions: [T, J, 3] metres, world joint positions.
+        roles: hips.
+    """
+    across = positions[:, roles.left_hip] - positions[:, roles.right_hip]
+    return Root(positions[:, roles.hips][:, [0, 2]], _unit(_across_up(across)))
+
+
+def layout_root(positions: np.ndarray, roles: Roles, layout: FrameLayout) -> Root:
+    """The root that a layout's rows are relative to: `hips_root` or `root_motion`.
+
+    Args:
+        positions: [T, J, 3] metres, world joint positions at the layout's frame rate.
+        roles: hips and shoulders.
+        layout: says which.
+    """
+    return hips_root(positions, roles) if layout.hips_heading else root_motion(positions, roles, layout.fps)
 
 
 def trajectory_windows(root: Root, fps: float) -> tuple[np.ndarray, np.ndarray]:
@@ -125,6 +148,11 @@ def _turn(yaw: np.ndarray, v: np.ndarray) -> np.ndarray:
     if v.shape[-1] == 3:
         turned[..., 1] = v[..., 1]
     return turned
+
+
+def _across_up(across: np.ndarray) -> np.ndarray:
+    """[T, 2] of across [T, 3] × (0, 1, 0), without its y, which is zero."""
+    return np.stack([-across[:, 2], across[:, 0]], axis=-1)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

@@ -106,10 +106,12 @@ def test_wrong_width_and_no_rows_are_refused(rows):
 
 
 def test_damaged_files_are_refused(rows, tmp_path):
-    save_normaliser(tmp_path, fit_normaliser(rows[0], rows[1], LAYOUT))
+    normaliser = fit_normaliser(rows[0], rows[1], LAYOUT)
+    save_normaliser(tmp_path, normaliser)
     np.save(tmp_path / "x_std.npy", np.zeros(LAYOUT.input_size, np.float32))
     with pytest.raises(InputError, match="x_std.npy.*deviations are positive"):
         load_normaliser(tmp_path)
+    save_normaliser(tmp_path, normaliser)
     (tmp_path / "y_mean.npy").write_bytes(b"no array")
     with pytest.raises(InputError, match="y_mean.npy"):
         load_normaliser(tmp_path)
