@@ -12,23 +12,24 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.dataset import Dataset, stack
+from pfnn_jax.motion.dataset import Dataset
 from pfnn_jax.motion.skeleton import skeleton_to_json
-from pfnn_jax.training.batches import Batch
+from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.log import append_metrics, rewind_metrics
-from pfnn_jax.training.pretraining import PretrainConfig, Progress, init_state, train
+from pfnn_jax.training.pretraining import Progress, init_state, styles_of, train
 from pfnn_jax.training.run import (
     Run,
-    RunConfig,
     create_run,
-    load_config,
     load_run,
     load_train_state,
+    save_generator,
     save_shared,
     save_style,
     save_train_state,
 )
+from pfnn_jax.training.run_config import RunConfig, load_config
 from pfnn_jax.training.steps import PretrainState
+from pfnn_jax.training.stored import dataset_rows
 
 
 def pretrain(
@@ -40,7 +41,9 @@ def pretrain(
     overwrite: bool = False,
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Run:
-    """Trains a shared network and an adapter per style, and writes them as a run.
+    """Trains a shared network and a style for each name, and writes them as a run.
+
+    With FiLM the generator is written too, and the styles are the mean Films over all windows of each.
 
     The training state is saved every `config.save_every` steps; the shared parameters and the styles are written
     once, at the end. A run killed before resumes from its last complete state and repeats the rest bit for bit.
@@ -59,8 +62,8 @@ def pretrain(
     """
     out = Path(out)
     run_config = run_config_of(dataset, config)
-    data = Batch(*stack(dataset))
-    state = init_state(config, dataset.layout.input_size, dataset.layout.output_size, len(dataset.styles))
+    data = dataset_rows(dataset, limit=config.device_bytes)
+    state = init_state(config, dataset.layout, len(dataset.styles))
     if resume:
         state = _resumed(out, run_config, state)
     else:
@@ -73,7 +76,7 @@ def pretrain(
         on_progress(progress)
 
     state = train(state, data, config, dataset.styles, on_dispatch=on_dispatch)
-    _save_result(out, state, dataset)
+    _save_result(out, state, dataset, styles_of(state, data, config))
     return load_run(out)
 
 
@@ -81,13 +84,14 @@ def run_config_of(dataset: Dataset, config: PretrainConfig) -> RunConfig:
     """The configuration that a run of this dataset carries."""
     layout = dataset.layout
     return RunConfig(
-        network=config.network(layout.input_size, layout.output_size),
+        network=config.network(layout),
         adapter=config.adapter,
         layout=layout.name,
         num_joints=layout.num_joints,
         styles=tuple(dataset.styles),
         skeleton=skeleton_to_json(dataset.skeleton),
-        pretrain={**asdict(config), "dataset": str(dataset.path), "frames_per_style": dataset.frames_per_style},
+        pretrain={**asdict(config), "dataset": str(dataset.path), "frames": dict(dataset.frames)},
+        generator=config.generator(layout),
     )
 
 
@@ -114,9 +118,11 @@ def _differing(old: Any, new: Any) -> str:
     return str(old)
 
 
-def _save_result(out: Path, state: PretrainState, dataset: Dataset) -> None:
+def _save_result(out: Path, state: PretrainState, dataset: Dataset, bank: Any) -> None:
     save_shared(out, state.shared)
+    if load_config(out).generator is not None:
+        save_generator(out, state.modulation)
     for index, style in enumerate(dataset.styles):
-        adapter = jax.tree.map(lambda leaf, i=index: np.asarray(leaf[i]), state.bank)
-        info = {"source": str(dataset.path), "frames": dataset.frames_per_style, "steps": int(state.step)}
+        adapter = jax.tree.map(lambda leaf, i=index: np.asarray(leaf[i]), bank)
+        info = {"source": str(dataset.path), "frames": dataset.frames[style], "steps": int(state.step)}
         save_style(out, style, adapter, info, overwrite=True)

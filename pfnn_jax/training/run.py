@@ -3,7 +3,8 @@
 RUN/config.json     sizes, adapter, layout, skeleton, styles, settings, versions: enough to rebuild the run
 RUN/normaliser/     statistics of the pretraining data, reused by every later style
 RUN/shared/         style-agnostic parameters, with shared.json (their fingerprint)
-RUN/styles/NAME/    one style's adapter, with style.json (fingerprint of the shared parameters beside which it was
+RUN/generator/      the FiLM generator, where styles come from one, with generator.json
+RUN/styles/NAME/    one style's adapter or Film, with style.json (fingerprint of the shared parameters beside which it was
                     trained, form of the adapter, source clip, settings, metrics)
 RUN/train_state/    optimiser state and step, with train_state.json, to resume exactly
 RUN/metrics.jsonl   one line for each interval of training
@@ -11,9 +12,8 @@ RUN/metrics.jsonl   one line for each interval of training
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,10 +21,13 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
-from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DiagonalLayer, Layer
-from pfnn_jax.models.network import Network, NetworkConfig, init_network, num_parameters
-from pfnn_jax.motion.layout import LAYOUTS, FrameLayout
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, OneHot, Style, init_adapter
+from pfnn_jax.models.film import Film
+from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
+from pfnn_jax.models.network import Network, init_network, num_parameters
+from pfnn_jax.motion.frame_layout import FrameLayout
+from pfnn_jax.motion.layout import layout_for
 from pfnn_jax.motion.normaliser import Normaliser, load_normaliser, save_normaliser
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
 from pfnn_jax.motion.sources import check_style_name
@@ -32,57 +35,15 @@ from pfnn_jax.training.checkpoint import (
     fingerprint,
     load_record,
     locate,
-    read_json,
     read_note,
     replacing,
     save_record,
     saved_names,
     write_json,
 )
+from pfnn_jax.training.run_config import RUN_RULE, RunConfig, load_config
 
 State = TypeVar("State")
-
-_RUN_RULE = "must be a run directory, as `pfnn-jax pretrain` or `pfnn-jax import-released` writes it"
-
-
-def _versions() -> dict[str, str]:
-    return {"pfnn_jax": importlib.metadata.version("pfnn-jax"), "jax": jax.__version__}
-
-
-@dataclass(frozen=True)
-class RunConfig:
-    """Everything needed to rebuild a run.
-
-    Attributes:
-        network: sizes of the shared network.
-        adapter: form of the adapters that pretraining learned; a later style may have another kind.
-        layout: name of the frame layout.
-        num_joints: J.
-        styles: names of the pretraining styles, in the order of the adapter bank.
-        skeleton: as `skeleton_to_json` returns it.
-        pretrain: settings of pretraining, or where the parameters came from.
-        versions: of pfnn_jax and jax at the time of writing.
-    """
-
-    network: NetworkConfig
-    adapter: AdapterConfig
-    layout: str
-    num_joints: int
-    styles: tuple[str, ...]
-    skeleton: Mapping[str, Any]
-    pretrain: Mapping[str, Any] = field(default_factory=dict)
-    versions: Mapping[str, str] = field(default_factory=_versions)
-
-    def __post_init__(self):
-        if self.layout not in LAYOUTS:
-            raise ValueError(f"RunConfig.layout must be one of {', '.join(LAYOUTS)}, got {self.layout!r}.")
-        layout = LAYOUTS[self.layout](self.num_joints)
-        sizes = (self.network.input_size, self.network.output_size)
-        if sizes != (layout.input_size, layout.output_size):
-            raise ValueError(
-                f"RunConfig.network must have {layout.input_size} inputs and {layout.output_size} outputs "
-                f"for layout {self.layout} with {self.num_joints} joints, got {sizes[0]} and {sizes[1]}."
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,23 +96,6 @@ def create_run(path: str | Path, config: RunConfig, normaliser: Normaliser, over
     return path
 
 
-def load_config(path: str | Path) -> RunConfig:
-    """Reads RUN/config.json; the shared parameters need not exist yet.
-
-    Raises:
-        InputError: if it is absent or malformed, or a value breaks a rule.
-    """
-    file = (locate(Path(path)) or Path(path)) / "config.json"
-    data = read_json(file, _RUN_RULE)
-    try:
-        network, adapter = NetworkConfig(**data.pop("network")), AdapterConfig(**data.pop("adapter"))
-        return RunConfig(network=network, adapter=adapter, styles=tuple(data.pop("styles")), **data)
-    except KeyError as error:
-        raise InputError(file, "entry", f"{error.args[0]} is absent", _RUN_RULE) from error
-    except (TypeError, ValueError) as error:
-        raise InputError(file, "entries", str(error).removesuffix("."), _RUN_RULE) from error
-
-
 def load_run(path: str | Path, layout: str | None = None) -> Run:
     """Loads a run as it was after its last completed save.
 
@@ -167,6 +111,10 @@ def load_run(path: str | Path, layout: str | None = None) -> Run:
     if layout is not None and layout != config.layout:
         raise InputError(path, "layout", config.layout, f"must be {layout}: layouts cannot be mixed")
     normaliser = load_normaliser(path / "normaliser")
+    widths = (len(normaliser.phases.mean) if normaliser.phases else 0), config.network.phase_size
+    if widths[0] != widths[1]:
+        rule = f"must equal phase_size {widths[1]} of config.json"
+        raise InputError(path / "normaliser", "phase columns", widths[0], rule)
     for statistics, size in ((normaliser.inputs, "input_size"), (normaliser.outputs, "output_size")):
         if len(statistics.mean) != getattr(config.network, size):
             rule = f"must equal {size} {getattr(config.network, size)} of config.json"
@@ -174,11 +122,12 @@ def load_run(path: str | Path, layout: str | None = None) -> Run:
     if locate(path / "shared") is None:
         raise InputError(path, "shared", "absent", "pretraining must have saved once; run it (again) to the end")
     shared = load_record(path / "shared", _abstract(lambda: init_network(config.network, jax.random.key(0))))
+    skeleton = skeleton_from_json(config.skeleton, path / "config.json")
     return Run(
         path=path,
         config=config,
-        layout=LAYOUTS[config.layout](config.num_joints),
-        skeleton=skeleton_from_json(config.skeleton, path / "config.json"),
+        layout=layout_for(config.layout, skeleton),
+        skeleton=skeleton,
         normaliser=normaliser,
         shared=shared,
         fingerprint=fingerprint(shared),
@@ -191,7 +140,29 @@ def save_shared(path: str | Path, shared: Network) -> None:
     save_record(Path(path) / "shared", shared, "shared.json", note)
 
 
-def save_style(path: str | Path, name: str, adapter: Layer, info: Mapping[str, Any], overwrite: bool = False) -> Path:
+def save_generator(path: str | Path, parameters: Any) -> None:
+    """Saves the FiLM generator of a run whose configuration has one."""
+    note = {"shared": shared_fingerprint(path), "parameters": num_parameters(parameters)}
+    save_record(Path(path) / "generator", parameters, "generator.json", note)
+
+
+def load_generator(run: Run) -> Any:
+    """The parameters of the run's FiLM generator.
+
+    Raises:
+        InputError: if the run has none, it is damaged, or was trained beside another shared network.
+    """
+    folder, sizes = run.path / "generator", run.config.generator
+    if sizes is None or locate(folder) is None:
+        raise InputError(run.path, "generator", "absent", "must be a run pretrained with `--adapter.kind film`")
+    note = read_note(folder, "generator.json", RUN_RULE)
+    if note.get("shared") != run.fingerprint:
+        rule = f"must be {_short(run.fingerprint)}: the generator was trained beside another shared network"
+        raise InputError(folder, "shared network", _short(note.get("shared")), rule)
+    return load_record(folder, _abstract(lambda: film_generator(sizes).init(jax.random.key(0))))
+
+
+def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, Any], overwrite: bool = False) -> Path:
     """Saves one style's adapter, tied to the run's shared parameters as they are on disk.
 
     Args:
@@ -222,7 +193,7 @@ def save_style(path: str | Path, name: str, adapter: Layer, info: Mapping[str, A
     return folder
 
 
-def load_style(run: Run, name: str | None) -> Layer | None:
+def load_style(run: Run, name: str | None) -> Style | None:
     """One style's adapter, or None for style-agnostic motion where `name` is None.
 
     Raises:
@@ -261,23 +232,35 @@ def style_note(path: str | Path, name: str) -> dict[str, Any]:
 
 
 def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) -> None:
-    """Refuses a CP adapter of another rank than the run's, where that has CP adapters; training asks this first."""
+    """Refuses a style that does not fit the run's network; training asks this first.
+
+    Raises:
+        InputError: for a CP adapter of another rank than the run's, where that has CP adapters, and for a Film beside
+            a network trained with adapters or the reverse: with a Film the hidden layers are normalised.
+    """
     own = config.adapter
     if form.kind == own.kind == "cp" and form.rank != own.rank:
         raise InputError(source, "adapter rank", form.rank, f"must be {own.rank}, the rank of the run's adapters")
+    if (form.kind == "film") != (own.kind == "film"):
+        rule = "must be film" if own.kind == "film" else "must not be film"
+        raise InputError(source, "adapter kind", form.kind, f"{rule}, as the run's styles are {own.kind}")
 
 
-def adapter_form(adapter: Layer) -> AdapterConfig:
-    """Kind and rank of an adapter's parameters."""
-    match adapter:
-        case CPLayer(d=d):
-            return AdapterConfig(kind="cp", rank=d.shape[-1])
-        case BlendedLayer():
-            return AdapterConfig(kind="full")
-        case DiagonalLayer():
-            return AdapterConfig(kind="diagonal")
-        case BiasLayer():
-            return AdapterConfig(kind="bias")
+_KINDS: dict[type, AdapterKind] = {
+    BlendedLayer: "full",
+    DiagonalLayer: "diagonal",
+    BiasLayer: "bias",
+    DenseLayer: "dense",
+    OneHot: "one_hot",
+    Film: "film",
+}
+
+
+def adapter_form(adapter: Style) -> AdapterConfig:
+    """Kind and rank of a style's parameters."""
+    if isinstance(adapter, CPLayer):
+        return AdapterConfig(kind="cp", rank=adapter.d.shape[-1])
+    return AdapterConfig(kind=_KINDS[type(adapter)])
 
 
 def save_train_state(path: str | Path, state: Any, step: int) -> None:
@@ -298,7 +281,7 @@ def load_train_state(path: str | Path, abstract_state: State) -> State | None:
 def train_step(path: str | Path) -> int | None:
     """Step of the last completely saved state, or None where there is none."""
     folder = Path(path) / "train_state"
-    return None if locate(folder) is None else int(read_note(folder, "train_state.json", _RUN_RULE)["step"])
+    return None if locate(folder) is None else int(read_note(folder, "train_state.json", RUN_RULE)["step"])
 
 
 def shared_fingerprint(path: str | Path) -> str:
@@ -311,7 +294,7 @@ def _abstract(make: Callable[[], State]) -> State:
     return jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, np.float32), jax.eval_shape(make))
 
 
-def _abstract_adapter(config: RunConfig, form: AdapterConfig) -> Layer:
+def _abstract_adapter(config: RunConfig, form: AdapterConfig) -> Style:
     network = config.network
     return _abstract(lambda: init_adapter(form, network.hidden, network.num_control_points, jax.random.key(0)))
 

@@ -3,89 +3,209 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from flax import struct
 
-from pfnn_jax.models.layers import Layer
-from pfnn_jax.models.network import Dropout, Network, forward
-from pfnn_jax.models.spline import catmull_rom_basis
-from pfnn_jax.training.batches import Batch, gather
-from pfnn_jax.training.losses import PenaltyNorm, l1_penalty, squared_error
+from pfnn_jax.models.adapters import Style
+from pfnn_jax.models.dropout import Dropout
+from pfnn_jax.models.film import Film
+from pfnn_jax.models.film_generator import FilmGenerator
+from pfnn_jax.models.network import Network, coefficients, forward
+from pfnn_jax.motion.frame_layout import FrameLayout
+from pfnn_jax.training.batches import Batch, Draw, Rows
+from pfnn_jax.training.losses import PenaltyNorm, bone_length_loss, l1_penalty, squared_error
 
 
-def predict_batch(network: Network, adapter: Layer | None, batch: Batch, dropout: Dropout | None, key) -> jax.Array:
-    """Normalised outputs [B, O] of a batch, with dropout in training and without it (None) otherwise."""
+@dataclass(frozen=True, eq=False)
+class Bones:
+    """What the bone-length loss needs to know.
 
-    def one(x, phase, key):
-        coefficients = catmull_rom_basis(phase, network.layers[0].num_control_points)
-        return forward(network, adapter, coefficients, x, dropout=dropout, key=key)
+    Attributes:
+        layout: says which columns are joint positions.
+        parents: [J], -1 for the root.
+        std, mean: [Dy] statistics of the outputs.
+    """
 
-    if dropout is None:
-        return jax.vmap(lambda x, phase: one(x, phase, None))(batch.x, batch.phase)
-    return jax.vmap(one)(batch.x, batch.phase, jax.random.split(key, batch.phase.shape[0]))
+    layout: FrameLayout
+    parents: np.ndarray
+    std: np.ndarray
+    mean: np.ndarray
+
+    def loss(self, prediction: jax.Array, target: jax.Array | np.ndarray) -> jax.Array:
+        """`bone_length_loss` of normalised outputs [B, Dy]."""
+        return bone_length_loss(prediction, target, self.layout, self.parents, self.std, self.mean)
+
+
+def bones_of(data: Rows) -> Bones:
+    """The bones of training data.
+
+    Raises:
+        ValueError: if it does not tell its parents and the statistics of its outputs.
+    """
+    if data.parents is None or data.outputs is None:
+        raise ValueError("`data` must tell `parents` and `outputs` where a bone-length loss is asked for.")
+    return Bones(data.layout, np.asarray(data.parents), data.outputs.std, data.outputs.mean)
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """The loss of a minibatch: squared error + l1 · |weights| + bone_length · bone-length loss.
+
+    Attributes:
+        dropout: drop probabilities; `main` also in the FiLM generator.
+        l1, l1_norm: weight and kind of the L1 penalty; 0 for none.
+        bone_length: weight of the bone-length loss; 0 for none.
+        bones: needed where `bone_length` is set.
+    """
+
+    dropout: Dropout
+    l1: float = 0.0
+    l1_norm: PenaltyNorm = "mean"
+    bone_length: float = 0.0
+    bones: Bones | None = None
+
+    def loss(self, prediction: jax.Array, target: jax.Array | np.ndarray, parameters: Any) -> tuple[Any, jax.Array]:
+        """(loss, squared error) of normalised outputs [B, Dy] and the trees of parameters that are trained."""
+        loss = error = squared_error(prediction, target)
+        if self.l1:
+            loss = loss + self.l1 * sum(l1_penalty(tree, self.l1_norm) for tree in parameters)
+        if self.bone_length and self.bones is not None:
+            loss = loss + self.bone_length * self.bones.loss(prediction, target)
+        return loss, error
+
+
+def predict_batch(
+    network: Network,
+    style: Style | None,
+    batch: Batch,
+    dropout: Dropout | None,
+    key: jax.Array | None,
+    *,
+    style_per_frame: bool = False,
+) -> jax.Array:
+    """Normalised outputs [B, O] of a batch, with dropout in training and without it (None) otherwise.
+
+    Args:
+        network: shared parameters.
+        style: of all frames, or with `style_per_frame` a tree of leaves [B, ...].
+        batch: B frames.
+        dropout: drop probabilities.
+        key: needed with `dropout`; every frame draws masks of its own.
+        style_per_frame: whether every frame has a style of its own.
+    """
+
+    def one(style, x, phase, key):
+        blend = coefficients(network, phase, dropout=dropout, key=key)
+        return forward(network, style, blend, x, dropout=dropout, key=key)
+
+    keys = None if dropout is None or key is None else jax.random.split(key, batch.phase.shape[0])
+    axes = (0 if style_per_frame else None, 0, 0, None if keys is None else 0)
+    return jax.vmap(one, in_axes=axes)(style, batch.x, batch.phase, keys)
+
+
+def generate_films(
+    generator: FilmGenerator, parameters: Any, clips: Any, dropout: jax.Array | None, key: jax.Array | None
+) -> Film:
+    """Films, leaves [C, 2, H], of clips [C, T, F]; every clip goes through the generator once."""
+    if dropout is None or key is None:
+        return jax.vmap(lambda clip: generator.apply(parameters, clip))(clips)
+    keys = jax.random.split(key, clips.shape[0])
+    return jax.vmap(lambda clip, key: generator.apply(parameters, clip, dropout=dropout, key=key))(clips, keys)
+
+
+def film_predictions(
+    network: Network, generator: FilmGenerator, parameters: Any, batch: Batch, dropout: Dropout, key: jax.Array
+) -> jax.Array:
+    """Normalised outputs [B, O] of frames of which equal shares, in order, are modulated by each clip's Film."""
+    film_key, key = jax.random.split(key)
+    films = generate_films(generator, parameters, batch.clip, dropout.main, film_key)
+    share = batch.phase.shape[0] // films.scale.shape[0]
+    styles = jax.tree.map(lambda leaf: jnp.repeat(leaf, share, axis=0), films)
+    return predict_batch(network, styles, batch, dropout, key, style_per_frame=True)
 
 
 @struct.dataclass
 class PretrainState:
-    """Everything pretraining changes; the bank holds the adapters of S styles on a leading axis."""
+    """Everything pretraining changes.
+
+    What modulates the network is a bank, the styles of S styles on a leading axis, each with an optimiser state of
+    its own; or, for FiLM, the parameters of one generator.
+    """
 
     shared: Network
-    bank: Layer  # leaves [S, ...]
+    modulation: Any
     shared_optimiser: Any
-    bank_optimiser: Any  # leaves [S, ...]
+    modulation_optimiser: Any
     step: jax.Array  # [] int32
 
 
-def init_pretrain_state(shared: Any, bank: Any, optimiser: optax.GradientTransformation) -> PretrainState:
-    """A state at step 0; each style of the bank has an optimiser state of its own."""
-    return PretrainState(
-        shared=shared,
-        bank=bank,
-        shared_optimiser=optimiser.init(shared),
-        bank_optimiser=jax.vmap(optimiser.init)(bank),
-        step=jnp.zeros((), jnp.int32),
-    )
+def init_pretrain_state(
+    shared: Any, modulation: Any, optimiser: optax.GradientTransformation, *, is_bank: bool = True
+) -> PretrainState:
+    """A state at step 0; each style of a bank has an optimiser state of its own."""
+    init = jax.vmap(optimiser.init) if is_bank else optimiser.init
+    return PretrainState(shared, modulation, optimiser.init(shared), init(modulation), jnp.zeros((), jnp.int32))
 
 
-def pretrain_loss(shared, adapter, batch: Batch, dropout: Dropout, key, l1: float, norm: PenaltyNorm):
-    """Mason 2018 Eq. 3 for one minibatch of one style; returns (loss, squared error)."""
-    error = squared_error(predict_batch(shared, adapter, batch, dropout, key), batch.y)
-    return error + l1 * (l1_penalty(shared, norm) + l1_penalty(adapter, norm)), error
+def pretrain_loss(
+    shared: Network,
+    modulation: Any,
+    batch: Batch,
+    objective: Objective,
+    key: jax.Array,
+    generator: FilmGenerator | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """(loss, squared error) of one minibatch of one style.
+
+    `modulation` is that style's parameters, or those of the generator where there is one.
+    """
+    if generator is None:
+        prediction = predict_batch(shared, modulation, batch, objective.dropout, key)
+    else:
+        prediction = film_predictions(shared, generator, modulation, batch, objective.dropout, key)
+    return objective.loss(prediction, batch.y, (shared, modulation))
 
 
 PretrainStep = Callable[[PretrainState, Batch, jax.Array], tuple[PretrainState, jax.Array]]
 
 
 def make_pretrain_step(
-    optimiser: optax.GradientTransformation, dropout: Dropout, l1: float, norm: PenaltyNorm
+    optimiser: optax.GradientTransformation, objective: Objective, generator: FilmGenerator | None = None
 ) -> PretrainStep:
     """A pure step (state, batch of style `step mod S`, run key) -> (state, squared error).
 
-    Only that style's adapter, and its optimiser state, change beside the shared parameters.
+    Of a bank only that style, and its optimiser state, change beside the shared parameters; a generator changes as a
+    whole at every step.
     """
+    gradient = jax.grad(partial(pretrain_loss, generator=generator), argnums=(0, 1), has_aux=True)
 
-    def step(state: PretrainState, batch: Batch, run_key: jax.Array):
-        num_styles = jax.tree.leaves(state.bank)[0].shape[0]
-        style = state.step % num_styles
-        adapter, adapter_optimiser = jax.tree.map(lambda leaf: leaf[style], (state.bank, state.bank_optimiser))
+    def update(state: PretrainState, modulation: Any, moments: Any, batch: Batch, run_key: jax.Array):
         key = jax.random.fold_in(run_key, state.step)
-        gradient = jax.grad(pretrain_loss, argnums=(0, 1), has_aux=True)
-        (to_shared, to_adapter), error = gradient(state.shared, adapter, batch, dropout, key, l1, norm)
-        shared, shared_optimiser = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
-        adapter, adapter_optimiser = descend(optimiser, to_adapter, adapter_optimiser, adapter)
-        bank, bank_optimiser = jax.tree.map(
-            lambda all_styles, one: all_styles.at[style].set(one),
-            (state.bank, state.bank_optimiser),
-            (adapter, adapter_optimiser),
-        )
-        return PretrainState(shared, bank, shared_optimiser, bank_optimiser, state.step + 1), error
+        (to_shared, to_modulation), error = gradient(state.shared, modulation, batch, objective, key)
+        shared = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
+        return *shared, *descend(optimiser, to_modulation, moments, modulation), error
 
-    return step
+    def bank_step(state: PretrainState, batch: Batch, run_key: jax.Array):
+        bank = state.modulation, state.modulation_optimiser
+        number = state.step % jax.tree.leaves(state.modulation)[0].shape[0]
+        one = jax.tree.map(lambda leaf: leaf[number], bank)
+        shared, shared_moments, *changed, error = update(state, *one, batch, run_key)
+        style, moments = jax.tree.map(lambda leaf, new: leaf.at[number].set(new), bank, tuple(changed))
+        return PretrainState(shared, style, shared_moments, moments, state.step + 1), error
+
+    def generator_step(state: PretrainState, batch: Batch, run_key: jax.Array):
+        whole = state.modulation, state.modulation_optimiser
+        shared, shared_moments, parameters, moments, error = update(state, *whole, batch, run_key)
+        return PretrainState(shared, parameters, shared_moments, moments, state.step + 1), error
+
+    return bank_step if generator is None else generator_step
 
 
 def descend(optimiser: optax.GradientTransformation, gradient: Any, state: Any, parameters: Any) -> tuple[Any, Any]:
@@ -94,29 +214,28 @@ def descend(optimiser: optax.GradientTransformation, gradient: Any, state: Any, 
     return jax.tree.map(jnp.add, parameters, update), state
 
 
-def make_run_steps(step: PretrainStep):
-    """Many steps in one dispatch, the data staying on the device: (state, data, frames [n, B], key) -> (state, [n]).
+def make_run_steps(step: Callable, gather: Callable[[Batch, Draw], Batch]):
+    """Many steps in one dispatch, the data staying on the device: (state, data, draw of n steps, key) -> (state, [n]).
 
     The state is donated: its buffers are reused, and the argument must not be read afterwards.
+
+    Args:
+        step: (state, batch, key) -> (state, squared error).
+        gather: as `make_gather` returns it.
     """
 
     @partial(jax.jit, donate_argnums=0)
-    def run_steps(state: PretrainState, data: Batch, frames: jax.Array, run_key: jax.Array):
-        num_styles = data.phase.shape[0]
-
-        def body(state, frames):
-            return step(state, gather(data, state.step % num_styles, frames), run_key)
-
-        return jax.lax.scan(body, state, frames)
+    def run_steps(state: Any, data: Batch, draw: Draw, run_key: jax.Array):
+        return jax.lax.scan(lambda state, draw: step(state, gather(data, draw), run_key), state, draw)
 
     return run_steps
 
 
-def make_run_batches(step: PretrainStep):
+def make_run_batches(step: Callable):
     """As `make_run_steps` for data too large for the device: (state, batches [n, B, ...], key) -> (state, [n])."""
 
     @partial(jax.jit, donate_argnums=0)
-    def run_batches(state: PretrainState, batches: Batch, run_key: jax.Array):
+    def run_batches(state: Any, batches: Batch, run_key: jax.Array):
         return jax.lax.scan(lambda state, batch: step(state, batch, run_key), state, batches)
 
     return run_batches
