@@ -29,6 +29,7 @@ _ROOMS = {
     "motion.phase": ("label_phase", "read_phase", "write_phase"),
     "motion.preparation": ("PrepareConfig",),
     "motion.sources": ("ClipFile", "list_clips"),
+    "motion.takes": ("load_take", "take_features"),
     "motion.synthetic": ("synthesise", "synthetic_clips"),
     "models.adapters": ("AdapterConfig", "OneHot", "init_adapter"),
     "models.film": ("Film", "identity_film", "layer_norm", "layer_norm_sample", "mix", "modulate"),

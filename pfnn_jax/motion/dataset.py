@@ -1,9 +1,12 @@
-"""Prepared datasets: features of many clips on disk, one folder per style, balanced to equal frames per style.
+"""Prepared datasets: features of many clips on disk, one folder per style, with all of its rows.
 
 DATASET/
   dataset.json     layout, skeleton, styles, clips used, clips left out and why, versions
-  normaliser/      one for all styles
-  STYLE/           x.npy, y.npy, phase.npy in layout units, clip.npy (index into the clips of dataset.json), frame.npy
+  normaliser/      one for all styles, of the rows to train on
+  STYLE/           x.npy, y.npy, phase.npy in layout units, clip.npy (index into the clips of dataset.json), frame.npy,
+                   windows.npy (first row and number of rows of each window)
+    validation/    the same of the rows kept for choosing, and
+    test/          of those kept for testing, where they were asked for
 """
 
 from __future__ import annotations
@@ -19,10 +22,13 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.layout import LAYOUTS, FrameLayout
+from pfnn_jax.motion.frame_layout import FrameLayout
+from pfnn_jax.motion.layout import layout_for
 from pfnn_jax.motion.normaliser import Normaliser, load_normaliser
-from pfnn_jax.motion.preparation import ARRAYS, FORMAT, PrepareConfig, Progress, Source, write_dataset
+from pfnn_jax.motion.preparation import FORMAT, PrepareConfig, Progress, write_dataset
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
+from pfnn_jax.motion.style_writer import ARRAYS, split_folder
+from pfnn_jax.motion.takes import Source
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +40,12 @@ class Dataset:
         layout: of the rows.
         skeleton: the joints, with the bones of the first clip.
         styles: names, in alphabetical order.
-        normaliser: over all styles.
-        frames_per_style: rows of each style.
-        clips: what each clip index stands for: file, style, content, mirrored, frames (before balancing).
+        normaliser: over all styles' rows to train on.
+        rows: split (`train`, and `validation` and `test` where they were asked for) -> style -> rows.
+        clips: what each clip index stands for: file, style, content, mirrored, frames.
         skipped: clips left out: file, style, reason.
+        notes: what was odd about clips that are used: file, style, note.
+        takes_without_window: split -> style -> takes, mirrored ones included, shorter than a whole window.
     """
 
     path: Path
@@ -45,38 +53,70 @@ class Dataset:
     skeleton: Skeleton
     styles: tuple[str, ...]
     normaliser: Normaliser
-    frames_per_style: int
+    rows: dict[str, dict[str, int]]
     clips: tuple[dict[str, Any], ...]
     skipped: tuple[dict[str, str], ...]
+    notes: tuple[dict[str, str], ...]
+    takes_without_window: dict[str, dict[str, int]]
 
-    def arrays(self, style: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """x [N, Dx], y [N, Dy] and phase [N] of a style: read-only memory maps, layout units, not normalised.
+    @property
+    def frames(self) -> dict[str, int]:
+        """Style -> rows to train on."""
+        return self.rows["train"]
+
+    @property
+    def frames_per_style(self) -> int:
+        """Rows to train on of the style that has fewest: an epoch is one pass through them."""
+        return min(self.frames.values())
+
+    def arrays(self, style: str, split: str = "train") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """x [N, Dx], y [N, Dy] and phase [N] or [N, G] of a style: read-only memory maps, not normalised.
+
+        Rows are in layout units, take after take, in time order; a take's mirror image follows the take.
 
         Raises:
-            InputError: for an unknown style.
+            InputError: for an unknown style, or a split that the dataset does not have.
         """
-        x, y, phase = (self._load(style, name) for name in ARRAYS[:3])
+        x, y, phase = (self._load(style, split, name) for name in ARRAYS[:3])
         return x, y, phase
 
-    def sources(self, style: str) -> tuple[np.ndarray, np.ndarray]:
+    def sources(self, style: str, split: str = "train") -> tuple[np.ndarray, np.ndarray]:
         """Clip index [N] into `clips`, and frame [N] in that clip at the layout's rate, of each row of a style.
 
         Raises:
-            InputError: for an unknown style.
+            InputError: for an unknown style, or a split that the dataset does not have.
         """
-        clip, frame = (self._load(style, name) for name in ARRAYS[3:])
+        clip, frame = (self._load(style, split, name) for name in ARRAYS[3:])
         return clip, frame
 
-    def _load(self, style: str, name: str) -> np.ndarray:
+    def clips_of(self, style: str, split: str = "train") -> np.ndarray:
+        """[C, 2] int32 first row and number of rows of the windows of a style.
+
+        A window is 240 consecutive rows of one take, 120 rows after the one before; a take without so many gives one
+        shorter window, which its user pads by its ends.
+
+        Raises:
+            InputError: for an unknown style, or a split that the dataset does not have.
+        """
+        windows = self._load(style, split, "windows")
+        rows = self.rows[split][style]
+        if windows.ndim != 2 or windows.shape[1] != 2 or (windows.sum(axis=1) > rows).any() or (windows < 0).any():
+            place = split_folder(self.path, style, split) / "windows.npy"
+            raise InputError(place, "array", f"shape {windows.shape}", f"first row and length within {rows} rows")
+        return windows
+
+    def _load(self, style: str, split: str, name: str) -> np.ndarray:
         if style not in self.styles:
             raise InputError(self.path, "style", style, f"must be one of {', '.join(self.styles)}")
-        path = self.path / style / f"{name}.npy"
+        if split not in self.rows:
+            raise InputError(self.path, "split", split, f"this dataset was prepared with {', '.join(self.rows)}")
+        path, rows = split_folder(self.path, style, split) / f"{name}.npy", self.rows[split][style]
         try:
-            array = np.load(path, mmap_mode="r", allow_pickle=False)
+            array = np.load(path, mmap_mode="r" if rows else None, allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise InputError(path, "array", error, "must be as prepare wrote it") from error
-        if len(array) != self.frames_per_style:
-            raise InputError(path, "rows", len(array), f"must be {self.frames_per_style}, as in dataset.json")
+        if name != "windows" and len(array) != rows:
+            raise InputError(path, "rows", len(array), f"must be {rows}, as in dataset.json")
         return array
 
 
@@ -88,35 +128,41 @@ def prepare(
     roles_file: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
+    workers: int | None = None,
 ) -> Dataset:
     """Features of many clips, written to a folder.
 
-    A `.phase` file beside a BVH file wins over the labeller. Clips without steps, or too short, are left out and named
-    in `dataset.json`. Symmetric styles get mirrored copies, in which left and right change places and the phase moves
-    by π. Every style is cut to the frames of the smallest, chosen at random; of a symmetric style the chosen frames
-    come with their mirrored twins. The folder appears whole or not at all.
+    Where the layout wants the phase of the gait cycle, a `.phase` file beside a BVH file wins over the labeller, and
+    clips without steps are left out and named in `dataset.json`, as are clips too short for any layout, and idle takes
+    under the `mason2022` layouts. Symmetric styles get mirrored copies, in which left and right change places. Every
+    style keeps all of its rows. Rows kept for validation and testing are one contiguous block each of every clip, and
+    the same of its mirror image; transitions between gaits are all trained on. The folder appears whole or not at all,
+    and is the same whatever the order of the clips and the number of processes.
 
     Args:
         clips: files as `sources.list_clips` returns them, or labelled clips in memory, or both.
         out: folder to make.
-        config: layout, mirroring, statistics, seed.
+        config: layout, mirroring, statistics, splits.
         roles_file: JSON naming the joints' roles.
         overwrite: replace an existing folder.
         progress: called with (clips done, clips in all, name) after each clip.
+        workers: processes; None for one per processor (at most 8) where there is much to read.
 
     Raises:
-        InputError: for no clips, a style of which nothing remains, skeletons that differ, bad files, an existing
-            folder, or one that cannot be written.
+        InputError: for no clips, no workers, a style of which nothing remains, skeletons that differ, bad files, an
+            existing folder, or one that cannot be written.
     """
     out = Path(out)
     if out.exists() and not overwrite:
         raise InputError(out, "folder", "exists", "overwriting must be asked for")
     if not clips:
         raise InputError(out, "clips", "none", "a dataset needs at least one clip")
+    if workers is not None and workers < 1:
+        raise InputError(out, "workers", workers, "at least one process must work")
     work = out.with_name(f".{out.name}.{os.getpid()}")
     try:
         work.mkdir(parents=True)
-        write_dataset(clips, work, config, roles_file, progress)
+        write_dataset(clips, work, config, roles_file, progress, workers)
         _swap(work, out)
     except OSError as error:
         raise InputError(out, "folder", error, "must be writable, with space for the dataset") from error
@@ -140,7 +186,8 @@ def load_dataset(path: Path) -> Dataset:
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         found = data.get("format") if isinstance(data, dict) else type(data).__name__
         raise InputError(file, "format", found, f"this version reads format {FORMAT}")
-    layout = LAYOUTS[data["layout"]](len(data["skeleton"]["names"]))
+    skeleton = skeleton_from_json(data["skeleton"], file)
+    layout = layout_for(data["layout"], skeleton)
     normaliser = load_normaliser(path / "normaliser")
     sizes = len(normaliser.inputs.mean), len(normaliser.outputs.mean)
     if sizes != (layout.input_size, layout.output_size):
@@ -153,17 +200,19 @@ def load_dataset(path: Path) -> Dataset:
     return Dataset(
         path=path,
         layout=layout,
-        skeleton=skeleton_from_json(data["skeleton"], file),
+        skeleton=skeleton,
         styles=tuple(data["styles"]),
         normaliser=normaliser,
-        frames_per_style=data["frames_per_style"],
+        rows=data["rows"],
         clips=tuple(data["clips"]),
         skipped=tuple(data["skipped"]),
+        notes=tuple(data["notes"]),
+        takes_without_window=data["takes_without_window"],
     )
 
 
 def stack(dataset: Dataset, styles: Sequence[str] | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x [S, N, Dx], y [S, N, Dy] and phase [S, N] of several styles, normalised, float32.
+    """x [S, N, Dx], y [S, N, Dy] and phase [S, N] of several styles, normalised, float32: the first rows of each.
 
     Args:
         dataset: prepared.
@@ -172,7 +221,8 @@ def stack(dataset: Dataset, styles: Sequence[str] | None = None) -> tuple[np.nda
     Raises:
         InputError: for an unknown style.
     """
-    rows = [dataset.arrays(style) for style in (dataset.styles if styles is None else styles)]
+    chosen = dataset.styles if styles is None else styles
+    rows = [[array[: dataset.frames_per_style] for array in dataset.arrays(style)] for style in chosen]
     statistics = dataset.normaliser.inputs, dataset.normaliser.outputs
     x, y = (np.stack([statistics[k].apply(row[k]) for row in rows]).astype(np.float32) for k in (0, 1))
     return x, y, np.stack([row[2] for row in rows])

@@ -1,35 +1,32 @@
-"""Writing a prepared dataset: reading, labelling, mirroring and balancing the clips, one style after another."""
+"""Writing a prepared dataset: takes become rows in several processes, and are written in their order by this one."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.clip import MotionClip, mirror_clip
-from pfnn_jax.motion.features import Features, clip_features
-from pfnn_jax.motion.footsteps import NoGaitError
-from pfnn_jax.motion.labelled import LabelledClip, load_labelled
+from pfnn_jax.motion.clip_file import ClipFile
 from pfnn_jax.motion.layout import LAYOUTS, FrameLayout
+from pfnn_jax.motion.moments import NO_ROWS, Moments
 from pfnn_jax.motion.normaliser import fit_normaliser, save_normaliser
-from pfnn_jax.motion.phase import mirror_phase
-from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_to_json
-from pfnn_jax.motion.sources import ClipFile
+from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
+from pfnn_jax.motion.splits import SPLITS
+from pfnn_jax.motion.style_writer import StyleWriter
+from pfnn_jax.motion.takes import Group, Prepared, Source, TakeRows, content_of, name_of, prepare_group, style_of
+from pfnn_jax.motion.workers import default_workers, map_in_order
 
-FORMAT = 1
+FORMAT = 2
 """Version of the files on disk."""
 
-ARRAYS = ("x", "y", "phase", "clip", "frame")
-"""Arrays of a style's folder."""
-
-Source = ClipFile | LabelledClip
-"""A clip on disk, or one in memory with its labels."""
+FEW_BYTES = 16_000_000
+"""Files that are read sooner than other processes start."""
 
 Progress = Callable[[int, int, str], None]
 """Called with (clips done, clips in all, name of the clip)."""
@@ -44,13 +41,17 @@ class PrepareConfig:
         fps: frames per second; the layout's.
         mirror: add the mirrored copy of every clip of a symmetric style.
         grouped_std: average deviations over blocks (`fit_normaliser`).
-        seed: of the choice of frames where a style has more than the smallest.
+        validation: share of every clip's rows, in one block, kept from training for choosing (Mason 2022: 0.1).
+        test: likewise for testing.
+        seed: of the places of those blocks.
     """
 
     layout: str = "mason2018"
     fps: float = 60.0
     mirror: bool = True
     grouped_std: bool = False
+    validation: float = 0.0
+    test: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -59,8 +60,17 @@ class PrepareConfig:
         wanted = LAYOUTS[self.layout](1).fps
         if self.fps != wanted:
             raise InputError("PrepareConfig", "fps", self.fps, f"layout {self.layout} is made for {wanted:g}")
+        for name in ("validation", "test"):
+            if not 0 <= getattr(self, name) < 0.5:
+                raise InputError("PrepareConfig", name, getattr(self, name), "a share from 0 to below a half")
         if self.seed < 0:
             raise InputError("PrepareConfig", "seed", self.seed, "must not be negative")
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Parts that the dataset has."""
+        shares = (1.0, self.validation, self.test)
+        return tuple(name for name, share in zip(SPLITS, shares, strict=True) if share)
 
 
 def same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path) -> None:
@@ -98,159 +108,142 @@ def write_dataset(
     config: PrepareConfig,
     roles_file: Path | None,
     progress: Progress | None,
+    workers: int | None = None,
 ) -> None:
     """Writes a dataset into an existing empty folder; `dataset.json` comes last.
 
     Args:
-        clips: at least one.
+        clips: at least one, in any order.
         folder: to fill.
-        config: layout, mirroring, statistics, seed.
+        config: layout, mirroring, statistics, splits.
         roles_file: JSON naming the joints' roles.
         progress: called after each clip.
+        workers: processes; None for one per processor where there is much to read. The files are the same.
 
     Raises:
         InputError: for a style of which nothing remains, skeletons that differ, or bad files.
         OSError: if the folder cannot be written.
     """
-    builder = _Builder(folder, config, roles_file, progress, len(clips))
-    by_style: dict[str, list[Source]] = {}
-    for source in clips:
-        by_style.setdefault(_style(source), []).append(source)
-    for style in sorted(by_style):
-        builder.add_style(style, by_style[style])
+    groups = _groups(clips, config, roles_file)
+    builder, done = _Builder(folder, config), 0
+    with closing(_prepared(groups, _workers(clips, workers))) as prepared:
+        for style, items in groupby(prepared, key=lambda item: item.style):
+            with closing(builder):
+                for item in items:
+                    builder.add(item)
+                    done += 1
+                    if progress is not None:
+                        progress(done, len(clips), Path(item.name).name)
+            builder.end_style(style)
     builder.finish()
 
 
-class _Builder:
-    """Collects one style after another, so that only one is in memory."""
+def _groups(clips: Sequence[Source], config: PrepareConfig, roles_file: Path | None) -> list[Group]:
+    """Takes by style, content and name, so that their order does not matter; together where they share axes."""
 
-    def __init__(
-        self, folder: Path, config: PrepareConfig, roles_file: Path | None, progress: Progress | None, total: int
-    ):
-        self.folder, self.config, self.roles_file = folder, config, roles_file
-        self.progress, self.done, self.total = progress, 0, total
+    def place(source: Source) -> tuple[str, ...]:
+        return style_of(source), content_of(source), Path(name_of(source)).name, name_of(source)
+
+    def key(source: Source) -> tuple[str, ...]:
+        return place(source)[:2] if LAYOUTS[config.layout](1).phase_kind == "local" else place(source)
+
+    return [
+        Group(tuple(sources), config.layout, config.mirror, config.validation, config.test, config.seed, roles_file)
+        for _, sources in groupby(sorted(clips, key=place), key=key)
+    ]
+
+
+def _workers(clips: Sequence[Source], asked: int | None) -> int:
+    if asked is not None:
+        return asked
+    files = (Path(clip.path) for clip in clips if isinstance(clip, ClipFile))
+    return default_workers() if sum(file.stat().st_size for file in files if file.is_file()) > FEW_BYTES else 1
+
+
+def _prepared(groups: list[Group], workers: int) -> Generator[Prepared, None, None]:
+    with closing(map_in_order(prepare_group, groups, min(workers, len(groups)))) as results:
+        for result in results:
+            yield from result
+
+
+class _Builder:
+    """Collects what is known of the whole dataset while its styles are written."""
+
+    def __init__(self, folder: Path, config: PrepareConfig):
+        self.folder, self.config = folder, config
         self.skeleton: Skeleton | None = None
         self.layout: FrameLayout | None = None
         self.clips: list[dict[str, Any]] = []
         self.skipped: list[dict[str, str]] = []
-        self.plain: dict[str, int] = {}  # rows of each style that are not mirrored; they come first
-        self.rows: dict[str, int] = {}
+        self.notes: list[dict[str, str]] = []
+        self.moments: tuple[Moments, ...] = ()
+        self.rows: dict[str, dict[str, int]] = {split: {} for split in config.splits}
+        self.short: dict[str, dict[str, int]] = {split: {} for split in config.splits}
+        self.writer: StyleWriter | None = None
 
-    def add_style(self, style: str, sources: Sequence[Source]) -> None:
-        """Reads the clips of a style and writes all of its rows."""
-        plain: list[tuple[Features, int]] = []
-        mirrored: list[tuple[Features, int]] = []
-        for source in sources:
-            try:
-                self._add_clip(source, plain, mirrored)
-            except NoGaitError as error:
-                self.skipped.append({"file": _name(source), "style": style, "reason": f"{error.value}; {error.rule}"})
-            self.done += 1
-            if self.progress is not None:
-                self.progress(self.done, self.total, Path(_name(source)).name)
-        if not plain:
-            reason = next(s["reason"] for s in reversed(self.skipped) if s["style"] == style)
-            raise InputError(_name(sources[0]), f"style {style}", f"{len(sources)} clips, none of use", reason)
-        self.plain[style] = sum(len(features.frames) for features, _ in plain)
-        self.rows[style] = self.plain[style] + sum(len(features.frames) for features, _ in mirrored)
-        _save_rows(self.folder / style, plain + mirrored)
+    def add(self, item: Prepared) -> None:
+        """Writes the rows of a take of the style at hand."""
+        if item.note:
+            self.notes.append({"file": item.name, "style": item.style, "note": item.note})
+        if item.skipped:
+            self.skipped.append({"file": item.name, "style": item.style, "reason": item.skipped})
+        for take in item.takes:
+            layout = self._check(take, item.name)
+            if self.writer is None:
+                self.writer = StyleWriter(self.folder, item.style, self.config.splits, layout)
+            self.writer.add(take, len(self.clips))
+            self.clips.append(take.entry)
+            so_far = self.moments or (NO_ROWS,) * len(take.moments)
+            self.moments = tuple(all_rows.merge(rows) for all_rows, rows in zip(so_far, take.moments, strict=True))
 
-    def _add_clip(self, source: Source, plain: list, mirrored: list) -> None:
-        on_disk = isinstance(source, ClipFile)
-        take = load_labelled(source, self.config.fps, self.roles_file) if on_disk else source
-        layout = self._check(take.clip)
-        plain.append((self._features(take, layout), self._register(_name(source), take)))
-        if self.config.mirror and take.symmetric:
-            twin = replace(take, clip=mirror_clip(take.clip), labels=mirror_phase(take.labels))
-            mirrored.append((self._features(twin, layout), self._register(_name(source), twin)))
+    def close(self) -> None:
+        """Completes the files of the style at hand."""
+        if self.writer is not None:
+            self.writer.close()
 
-    def _features(self, take: LabelledClip, layout: FrameLayout) -> Features:
-        return clip_features(take.clip, layout, take.labels, take.gait)
+    def end_style(self, style: str) -> None:
+        """Counts the rows of a style.
 
-    def _register(self, file: str, take: LabelledClip) -> int:
-        clip = take.clip
-        self.clips.append(
-            {
-                "file": file,
-                "style": clip.style,
-                "content": clip.content,
-                "mirrored": clip.mirrored,
-                "frames": clip.num_frames,
-            }
-        )
-        return len(self.clips) - 1
+        Raises:
+            InputError: if it has none.
+        """
+        if self.writer is None:
+            left_out = [item for item in self.skipped if item["style"] == style]
+            value = f"{len(left_out)} clips, none of use"
+            raise InputError(left_out[0]["file"], f"style {style}", value, left_out[-1]["reason"])
+        for split in self.config.splits:
+            self.rows[split][style] = self.writer.rows[split]
+            self.short[split][style] = self.writer.short[split]
+        self.writer = None
 
-    def _check(self, clip: MotionClip) -> FrameLayout:
-        need_roles(clip.skeleton, clip.source)
+    def _check(self, take: TakeRows, name: str) -> FrameLayout:
+        """The dataset's layout, where the take is of its skeleton."""
         if self.skeleton is None or self.layout is None:
-            self.skeleton = clip.skeleton
-            self.layout = LAYOUTS[self.config.layout](clip.skeleton.num_joints)
-        same_topology(self.skeleton, clip.skeleton, clip.source)
+            self.skeleton, self.layout = take.skeleton, take.layout
+        same_topology(self.skeleton, take.skeleton, name)
+        if take.layout != self.layout:
+            rule = f"all clips share one skeleton, with these at {self.layout.ends}"
+            raise InputError(name, "hands and toes", f"joints {take.layout.ends}", rule)
         return self.layout
 
     def finish(self) -> None:
-        """Balances the styles, fits the normaliser and writes `dataset.json` last."""
+        """Fits the normaliser to the rows to train on and writes `dataset.json` last."""
         assert self.skeleton is not None and self.layout is not None
-        frames = min(self.rows.values())
-        if any(self.plain[style] < self.rows[style] for style in self.rows):
-            frames -= frames % 2
-        for index, style in enumerate(self.rows):
-            rng = np.random.default_rng([self.config.seed, index])
-            _select_rows(self.folder / style, _choose(rng, self.plain[style], self.rows[style], frames))
-        opened = [[np.load(self.folder / s / f"{k}.npy", mmap_mode="r") for s in self.rows] for k in "xy"]
-        normaliser = fit_normaliser(opened[0], opened[1], self.layout, self.config.grouped_std)
+        x, y, *phase = (moments.rows() for moments in self.moments)
+        grouped = self.config.grouped_std
+        normaliser = fit_normaliser(x, y, self.layout, grouped, phase[0] if phase else None)
         save_normaliser(self.folder / "normaliser", normaliser)
         data = {
             "format": FORMAT,
             "layout": self.config.layout,
             "config": asdict(self.config),
             "skeleton": skeleton_to_json(self.skeleton),
-            "styles": list(self.rows),
-            "frames_per_style": frames,
-            "frames_found": self.rows,
+            "styles": list(self.rows["train"]),
+            "rows": self.rows,
+            "takes_without_window": self.short,
             "clips": self.clips,
             "skipped": self.skipped,
+            "notes": self.notes,
             "versions": {"pfnn_jax": version("pfnn-jax"), "numpy": version("numpy")},
         }
         (self.folder / "dataset.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
-
-
-def _style(source: Source) -> str:
-    return source.style if isinstance(source, ClipFile) else source.clip.style
-
-
-def _name(source: Source) -> str:
-    return str(source.path) if isinstance(source, ClipFile) else source.clip.source
-
-
-def _choose(rng: np.random.Generator, plain: int, rows: int, wanted: int) -> np.ndarray:
-    """Rows to keep, in order; those of a symmetric style with their mirrored twins, which follow `plain` rows on."""
-    if plain == rows:
-        return np.sort(rng.choice(rows, wanted, replace=False))
-    kept = np.sort(rng.choice(plain, wanted // 2, replace=False))
-    return np.concatenate([kept, kept + plain])
-
-
-def _save_rows(folder: Path, takes: list[tuple[Features, int]]) -> None:
-    folder.mkdir()
-    rows = {
-        "x": [f.x for f, _ in takes],
-        "y": [f.y for f, _ in takes],
-        "phase": [f.phase for f, _ in takes],
-        "clip": [np.full(len(f.frames), index, np.int32) for f, index in takes],
-        "frame": [f.frames.astype(np.int32) for f, _ in takes],
-    }
-    for name, parts in rows.items():
-        np.save(folder / f"{name}.npy", np.concatenate(parts), allow_pickle=False)
-
-
-def _select_rows(folder: Path, kept: np.ndarray) -> None:
-    for name in ARRAYS:
-        path = folder / f"{name}.npy"
-        array = np.load(path, mmap_mode="r")
-        if len(array) == len(kept):
-            continue
-        chosen = array[kept]
-        del array
-        path.unlink()
-        np.save(path, chosen, allow_pickle=False)

@@ -14,7 +14,6 @@ Five conventions are known, by their file names:
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,21 +22,10 @@ from pathlib import Path
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import CENTIMETRE, CMU, read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut, resample, swap_sides
+from pfnn_jax.motion.clip_file import ASYMMETRIC, ClipFile, is_symmetric
+from pfnn_jax.motion.style100 import CUTS, STYLE_GAIT, read_lines, style100_files
 
 BANDAI = re.compile(r"(dataset-\d+)_([a-z-]+)_([a-z]+)_(\d+)", re.IGNORECASE)
-GAITS = {
-    "FW": "walk",
-    "FR": "run",
-    "BW": "walk-back",
-    "BR": "run-back",
-    "SW": "walk-side",
-    "SR": "run-side",
-    "ID": "idle",
-    "TR1": "transition-1",
-    "TR2": "transition-2",
-    "TR3": "transition-3",
-}
-STYLE_GAIT = re.compile(rf"(\w+?)_({'|'.join(GAITS)})")
 XIA = re.compile(r"([a-z]+)_(\d\d)_(\d{3})", re.IGNORECASE)
 XIA_CONTENTS = {"01": "walk", "13": "run", "16": "jump", "18": "punch"}  # others keep their number
 
@@ -49,42 +37,6 @@ BANDAI_MISLABELLED = {
     "dataset-2_walk-turn-right_masculine_007",
     "dataset-2_walk-turn-right_normal_004",
 }
-
-# Mason et al. 2018, few-shot styles not mirrored, then the asymmetric styles of 100STYLE
-ASYMMETRIC = frozenset(
-    name.lower()
-    for name in (
-        *("Bouncy", "Dance3", "DragLeg", "Hobble", "HurtLeg", "LeanRight", "LeftHop", "PainfulLeftknee"),
-        *("WoundedLeg", "Yokogeri"),
-        *("ArmsFolded", "Balance", "BouncyLeft", "BouncyRight", "DragLeftLeg", "DragRightLeg", "LeanLeft"),
-        *("RightHop", "LimpLeft", "LimpRight", "Lunge", "Monk", "Old", "OnPhoneLeft", "OnPhoneRight", "Punch"),
-        *("RaisedLeftArm", "RaisedRightArm", "ShieldedLeft", "ShieldedRight", "SpinAntiClock", "SpinClock"),
-        *("Superman", "Swat", "Sweep", "Teapot", "WalkingStickLeft", "WalkingStickRight"),
-    )
-)
-
-
-@dataclass(frozen=True)
-class ClipFile:
-    """One clip on disk and what is known of it before it is read.
-
-    Attributes:
-        path: the BVH file.
-        style: name of the style, fit to be a file name.
-        content: what is done, as `walk` or `walk-turn-left`; empty where unknown.
-        symmetric: whether the style may be mirrored.
-        start, stop: frames used, at the file's own rate; stop None means to the end. A stop beyond the take, as in
-            shortened takes, means the end too.
-        unit: metres per unit of the file, None to guess it.
-    """
-
-    path: Path
-    style: str
-    content: str = ""
-    symmetric: bool = True
-    start: int = 0
-    stop: int | None = None
-    unit: float | None = None
 
 
 def list_clips(folder: str | Path, kind: str = "auto") -> list[ClipFile]:
@@ -121,7 +73,7 @@ def find_kind(folder: Path) -> str:
         InputError: if there is none.
     """
     stems = [path.stem for path in _bvh_files(folder)]
-    if (folder / "Frame_Cuts.csv").is_file():
+    if (folder / CUTS).is_file():
         return "100style"
     for kind, pattern in (("bandai", BANDAI), ("xia", XIA), ("100style", STYLE_GAIT)):
         if stems and all(pattern.fullmatch(stem) for stem in stems):
@@ -135,17 +87,53 @@ def find_kind(folder: Path) -> str:
     raise InputError(folder, "folder", found, rule)
 
 
-def load_clip(clip_file: ClipFile, *, fps: float = 60.0, roles_file: str | Path | None = None) -> MotionClip:
-    """Read a listed clip, cut it to its frames and resample it.
+@dataclass(frozen=True, eq=False)
+class Take:
+    """A clip as its file has it, cut but not resampled.
+
+    Attributes:
+        clip: the frames used, at the file's rate.
+        start: frame of the file that is the clip's first.
+        frames_in_file: all of the file's frames.
+        note: what was found odd about it; empty for nothing.
+    """
+
+    clip: MotionClip
+    start: int
+    frames_in_file: int
+    note: str = ""
+
+
+def read_take(clip_file: ClipFile, roles_file: str | Path | None = None) -> Take:
+    """Reads a listed clip and cuts it to its frames.
+
+    A stop beyond the take means its end, and is noted.
 
     Raises:
-        InputError: as `read_bvh`; or if the cut starts beyond the take.
+        InputError: as `read_bvh`; or if the cut starts beyond the take, naming the table that says so.
     """
-    clip = read_bvh(clip_file.path, unit=clip_file.unit, roles_file=roles_file)
-    if clip_file.start or clip_file.stop is not None:
-        stop = clip.num_frames if clip_file.stop is None else min(clip_file.stop, clip.num_frames)
-        clip = cut(clip, clip_file.start, stop)
-    return replace(resample(clip, fps), style=clip_file.style, content=clip_file.content)
+    path = Path(clip_file.path)
+    whole = read_bvh(path, unit=clip_file.unit, roles_file=roles_file)
+    stop = whole.num_frames if clip_file.stop is None else clip_file.stop
+    file, place = clip_file.cut_by or (path, "cut")
+    if clip_file.start >= whole.num_frames:
+        rule = f"must lie within the {whole.num_frames} frames of {path.name}"
+        raise InputError(file, place, f"start {clip_file.start}", rule)
+    note = ""
+    if stop > whole.num_frames:
+        note = f"{place}: stop {stop} lies beyond the take's {whole.num_frames} frames, its end is used"
+    part = cut(whole, clip_file.start, min(stop, whole.num_frames))
+    part = replace(part, style=clip_file.style, content=clip_file.content)
+    return Take(part, clip_file.start, whole.num_frames, note)
+
+
+def load_clip(clip_file: ClipFile, *, fps: float = 60.0, roles_file: str | Path | None = None) -> MotionClip:
+    """Reads a listed clip, cut to its frames and resampled.
+
+    Raises:
+        InputError: as `read_take`.
+    """
+    return resample(read_take(clip_file, roles_file).clip, fps)
 
 
 def check_style_name(name: str, source: str | Path = "style") -> str:
@@ -161,11 +149,6 @@ def check_style_name(name: str, source: str | Path = "style") -> str:
         rule = "must be a file name: 1 to 100 printable characters, no slash, no leading dot"
         raise InputError(source, "style name", shown, rule)
     return name
-
-
-def is_symmetric(style: str) -> bool:
-    """Whether a style may be mirrored, by the papers' lists of styles that were not."""
-    return style.lower() not in ASYMMETRIC
 
 
 def _bvh_files(folder: Path) -> list[Path]:
@@ -196,8 +179,8 @@ def _single(path: Path) -> ClipFile:
         clip = _bandai_file(path)
     elif XIA.fullmatch(path.stem):
         clip = _xia_file(path)
-    elif (path.parent / "Frame_Cuts.csv").is_file() and STYLE_GAIT.fullmatch(path.stem):
-        clip = _100style_files(path.parent, [path])[0]
+    elif (path.parent / CUTS).is_file() and STYLE_GAIT.fullmatch(path.stem):
+        clip = style100_files(path.parent, [path])[0]
     else:
         clip = ClipFile(path, path.stem, "", is_symmetric(path.stem))
     check_style_name(clip.style, path)
@@ -219,7 +202,7 @@ def _list_pfnn(folder: Path) -> list[ClipFile]:
 
 def _list_folders(folder: Path) -> list[ClipFile]:
     listed = folder / "asymmetric.txt"
-    asymmetric = {line.strip().lower() for line in _read_lines(listed)} - {""} if listed.is_file() else ASYMMETRIC
+    asymmetric = {line.strip().lower() for line in read_lines(listed)} - {""} if listed.is_file() else ASYMMETRIC
     styles = sorted(child for child in folder.iterdir() if child.is_dir() and _bvh_files(child))
     unknown = asymmetric - {child.name.lower() for child in styles}
     if unknown and listed.is_file():
@@ -233,67 +216,7 @@ def _list_folders(folder: Path) -> list[ClipFile]:
 
 def _list_100style(folder: Path) -> list[ClipFile]:
     inner = [path for child in sorted(folder.iterdir()) if child.is_dir() for path in _bvh_files(child)]
-    return _100style_files(folder, _bvh_files(folder) + inner)
-
-
-def _100style_files(folder: Path, paths: list[Path]) -> list[ClipFile]:
-    cuts_file, list_file = folder / "Frame_Cuts.csv", folder / "Dataset_List.csv"
-    cuts = _read_table(cuts_file, "STYLE_NAME")
-    symmetric = {}
-    if list_file.is_file():
-        for style, (line, row) in _read_table(list_file, "Style Name").items():
-            symmetric[style] = _yes(list_file, line, row.get("Symmetric"))
-    clips = []
-    for path in paths:
-        style, gait = _match(STYLE_GAIT, path, "STYLE_GAIT").groups()
-        start, stop = _frame_cut(cuts_file, cuts, style, gait)
-        mirrored = symmetric.get(style, is_symmetric(style))
-        clips.append(ClipFile(path, style, GAITS[gait], mirrored, start, stop, CENTIMETRE))
-    return clips
-
-
-def _frame_cut(file: Path, cuts: dict, style: str, gait: str) -> tuple[int, int]:
-    if style not in cuts:
-        raise InputError(file, f"style {style}", "no row", "every take needs its first and last frame")
-    line, row = cuts[style]
-    found = row.get(f"{gait}_START"), row.get(f"{gait}_STOP")
-    try:
-        start, stop = (int(value or "") for value in found)
-    except ValueError:
-        start, stop = 0, 0
-    if not 0 <= start < stop:
-        shown = f"{gait}_START {found[0]}, {gait}_STOP {found[1]}"
-        raise InputError(file, f"line {line}", shown, "must be whole frame numbers, the start before the stop")
-    return start, stop
-
-
-def _yes(file: Path, line: int, value: str | None) -> bool:
-    if value not in ("Yes", "No"):
-        raise InputError(file, f"line {line}", f"Symmetric {value}", "must be Yes or No")
-    return value == "Yes"
-
-
-def _read_lines(file: Path) -> list[str]:
-    try:
-        return file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            file, "file", getattr(error, "strerror", None) or "not text", "must be readable text"
-        ) from None
-
-
-def _read_table(file: Path, key: str) -> dict[str, tuple[int, dict]]:
-    """Rows of a CSV file by the value of one column, with their line numbers."""
-    if not file.is_file():
-        raise InputError(file, "file", "absent", "100STYLE takes start with calibration and must be cut by this table")
-    reader = csv.DictReader(_read_lines(file))
-    try:
-        rows = [(reader.line_num, row) for row in reader]
-    except csv.Error as error:
-        raise InputError(file, f"line {reader.line_num}", error, "must be a table of comma-separated values") from None
-    if key not in (reader.fieldnames or ()):
-        raise InputError(file, "line 1", f"no column {key}", f"the first line names the columns, {key} among them")
-    return {row[key]: (line, row) for line, row in rows}
+    return style100_files(folder, _bvh_files(folder) + inner)
 
 
 KINDS: dict[str, Callable[[Path], list[ClipFile]]] = {

@@ -1,0 +1,233 @@
+"""From a take to its rows: loaded, labelled, mirrored and divided, whatever the layout wants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pfnn_jax.motion.clip import MotionClip, mirror_clip
+from pfnn_jax.motion.clip_file import ClipFile
+from pfnn_jax.motion.features import Features, clip_features, select_rows
+from pfnn_jax.motion.footsteps import NoGaitError
+from pfnn_jax.motion.hands import extend_hands
+from pfnn_jax.motion.labelled import LabelledClip, load_labelled
+from pfnn_jax.motion.layout import LAYOUTS, FrameLayout, layout_for
+from pfnn_jax.motion.local_phase import PrincipalAxes, clip_local_phases, fit_axes, mirror_local_phases
+from pfnn_jax.motion.moments import Moments, moments_of
+from pfnn_jax.motion.phase import label_phase, mirror_phase
+from pfnn_jax.motion.skeleton import Skeleton, need_roles
+from pfnn_jax.motion.splits import SPLITS, row_windows, split_blocks, take_generator
+from pfnn_jax.motion.style100 import IDLE, TRANSITION
+
+Source = ClipFile | LabelledClip
+"""A clip on disk, or one in memory with its labels."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Takes that are learned from together: of one style and content, whose hands share their axes.
+
+    Attributes:
+        sources: the takes.
+        layout: name in `LAYOUTS`.
+        mirror: add the mirrored copy of every take of a symmetric style.
+        validation, test: shares of a take's rows.
+        seed: of the places of those shares.
+        roles_file: JSON naming the joints' roles.
+    """
+
+    sources: tuple[Source, ...]
+    layout: str
+    mirror: bool
+    validation: float
+    test: float
+    seed: int
+    roles_file: Path | None
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Rows of a take, or of its mirror image, that belong to one split.
+
+    Attributes:
+        rows: at least one.
+        windows: [C, 2] (first row, number of rows) within them.
+    """
+
+    rows: Features
+    windows: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class TakeRows:
+    """All rows of a take or of its mirror image.
+
+    Attributes:
+        entry: what `dataset.json` says of it.
+        skeleton: its own, with hand ends where the layout has them.
+        layout: its own.
+        parts: split -> rows; only splits that have any.
+        moments: of x, y and, where it is no scalar, phase, over the rows to train on.
+    """
+
+    entry: dict[str, Any]
+    skeleton: Skeleton
+    layout: FrameLayout
+    parts: dict[str, Part]
+    moments: tuple[Moments, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What became of one source: its rows and those of its mirror image, or why it is left out."""
+
+    style: str
+    name: str
+    takes: tuple[TakeRows, ...] = ()
+    skipped: str = ""
+    note: str = ""
+
+
+def style_of(source: Source) -> str:
+    """Its style's name."""
+    return source.style if isinstance(source, ClipFile) else source.clip.style
+
+
+def content_of(source: Source) -> str:
+    """What is done in it."""
+    return source.content if isinstance(source, ClipFile) else source.clip.content
+
+
+def name_of(source: Source) -> str:
+    """The file it is from."""
+    return str(source.path) if isinstance(source, ClipFile) else source.clip.source
+
+
+def load_take(clip_file: ClipFile, layout: str, roles_file: Path | None = None) -> LabelledClip:
+    """A clip as a layout wants it: at its rate, with hand ends and phase labels where it uses them.
+
+    Args:
+        clip_file: the clip and the frames used.
+        layout: name in `LAYOUTS`.
+        roles_file: JSON naming the joints' roles.
+
+    Raises:
+        NoGaitError: if the layout needs a phase of the gait cycle and there are no steps.
+        InputError: for bad files, or a skeleton without roles.
+    """
+    wanted = LAYOUTS[layout](1)
+    take = load_labelled(clip_file, wanted.fps, roles_file, phase=wanted.phase_kind == "global")
+    return _with_hands(take, wanted)
+
+
+def take_features(take: LabelledClip, layout: FrameLayout, mirror: bool = False) -> list[Features]:
+    """A take's rows and, with `mirror`, those of its mirror image: of the same frames.
+
+    Args:
+        take: as `load_take` gives it.
+        layout: of its joints.
+        mirror: whether to add the mirror image.
+
+    Raises:
+        NoGaitError: for a clip too short or, where a phase is needed, without steps.
+        InputError: for a clip of another frame rate or number of joints.
+    """
+    axes = _fit_axes([take.clip], layout)
+    return [features for _, features in _images(take, layout, mirror, axes)]
+
+
+def prepare_group(group: Group) -> list[Prepared]:
+    """The rows of every take of a group, in the group's order.
+
+    Raises:
+        InputError: for bad files. Takes without use are no errors: the reason stands in `Prepared.skipped`.
+    """
+    loaded = [_load(source, group) for source in group.sources]
+    takes = [take for take in loaded if isinstance(take, LabelledClip)]
+    axes = _fit_axes([take.clip for take in takes], LAYOUTS[group.layout](1))
+    return [_prepare(source, take, group, axes) for source, take in zip(group.sources, loaded, strict=True)]
+
+
+def _load(source: Source, group: Group) -> LabelledClip | str:
+    """The take, or why it is left out."""
+    wanted = LAYOUTS[group.layout](1)
+    if wanted.next_frame and content_of(source) == IDLE:
+        return "an idle take; the layout is of locomotion"
+    try:
+        if isinstance(source, ClipFile):
+            return load_take(source, group.layout, group.roles_file)
+        if source.labels is None and wanted.phase_kind == "global":
+            source = replace(source, labels=label_phase(source.clip))
+        return _with_hands(source, wanted)
+    except NoGaitError as error:
+        return f"{error.value}; {error.rule}"
+
+
+def _with_hands(take: LabelledClip, layout: FrameLayout) -> LabelledClip:
+    need_roles(take.clip.skeleton, take.clip.source)
+    return replace(take, clip=extend_hands(take.clip)) if layout.next_frame else take
+
+
+def _fit_axes(clips: Sequence[MotionClip], layout: FrameLayout) -> PrincipalAxes | None:
+    return fit_axes(clips) if clips and layout.phase_kind == "local" else None
+
+
+def _prepare(source: Source, take: LabelledClip | str, group: Group, axes: PrincipalAxes | None) -> Prepared:
+    style, name = style_of(source), name_of(source)
+    if isinstance(take, str):
+        return Prepared(style, name, skipped=take)
+    layout = layout_for(group.layout, take.clip.skeleton)
+    try:
+        images = _images(take, layout, group.mirror and take.symmetric, axes)
+    except NoGaitError as error:
+        return Prepared(style, name, skipped=f"{error.value}; {error.rule}")
+    part_of = _part_of_frames(images[0][1].frames, take.clip, name, group)
+    rows = [_take_rows(image, features, part_of, name, layout) for image, features in images]
+    return Prepared(style, name, tuple(rows), note=take.note)
+
+
+def _images(
+    take: LabelledClip, layout: FrameLayout, mirror: bool, axes: PrincipalAxes | None
+) -> list[tuple[MotionClip, Features]]:
+    """The take and, with `mirror`, its mirror image, each with its rows."""
+    clip, labels = take.clip, take.labels
+    phases = None if axes is None else clip_local_phases(clip, axes=axes)
+    images = [(clip, clip_features(clip, layout, labels, take.gait, phases))]
+    if mirror:
+        twin = mirror_clip(clip)
+        labels = None if labels is None else mirror_phase(labels)
+        phases = None if phases is None else mirror_local_phases(phases)
+        images.append((twin, clip_features(twin, layout, labels, take.gait, phases)))
+    return images
+
+
+def _part_of_frames(frames: np.ndarray, clip: MotionClip, name: str, group: Group) -> np.ndarray:
+    """[T] split of each frame of a clip that has a row."""
+    part_of = np.zeros(clip.num_frames, np.int8)
+    if not clip.content.startswith(TRANSITION):
+        rng = take_generator(group.seed, clip.style, Path(name).name)
+        part_of[frames] = split_blocks(len(frames), group.validation, group.test, rng)
+    return part_of
+
+
+def _take_rows(clip: MotionClip, features: Features, part_of: np.ndarray, name: str, layout: FrameLayout) -> TakeRows:
+    parts = {}
+    for index, split in enumerate(SPLITS):
+        chosen = part_of[features.frames] == index
+        if chosen.any():
+            rows = features if chosen.all() else select_rows(features, chosen)
+            parts[split] = Part(rows, row_windows(rows.frames))
+    trained = parts[SPLITS[0]].rows
+    arrays = (trained.x, trained.y) if trained.phase.ndim == 1 else (trained.x, trained.y, trained.phase)
+    entry = {
+        "file": name,
+        "style": clip.style,
+        "content": clip.content,
+        "mirrored": clip.mirrored,
+        "frames": clip.num_frames,
+    }
+    return TakeRows(entry, clip.skeleton, layout, parts, tuple(moments_of(array) for array in arrays))
