@@ -11,6 +11,7 @@ from typing import Any
 import tyro
 
 from pfnn_jax.cli.data import LabelPhase, Prepare
+from pfnn_jax.cli.download import Download
 from pfnn_jax.cli.learning import Demo, FewShot, Pretrain
 from pfnn_jax.cli.running import Benchmark, Evaluate, Generate, ImportReleased, Predict
 from pfnn_jax.errors import InputError, TrainingError
@@ -19,6 +20,7 @@ from pfnn_jax.motion.bvh import write_whole
 
 COMMANDS = {
     "demo": Demo,
+    "download": Download,
     "prepare": Prepare,
     "pretrain": Pretrain,
     "few-shot": FewShot,

@@ -8,12 +8,15 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import (
     BarColumn,
+    DownloadColumn,
     MofNCompleteColumn,
     Progress,
     ProgressColumn,
     SpinnerColumn,
+    TaskID,
     TextColumn,
     TimeRemainingColumn,
+    TransferSpeedColumn,
 )
 
 from pfnn_jax.training.pretraining import Progress as TrainingProgress
@@ -46,6 +49,21 @@ def clip_progress() -> Iterator[Callable[[int, int, str], None]]:
     with _bar(*columns, TextColumn("{task.fields[note]}")) as bar:
         task = bar.add_task("clips", total=None, note="")
         yield lambda done, total, name: bar.update(task, total=total, completed=done, note=name)
+
+
+@contextmanager
+def byte_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """A bar over bytes for each thing done with them: fetched, verified, unpacked."""
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    with _bar(*columns, TimeRemainingColumn()) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def on_bytes(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage)
+            bar.update(tasks[stage], total=total, completed=done)
+
+        yield on_bytes
 
 
 @contextmanager

@@ -1,0 +1,51 @@
+"""Files and folders that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from pfnn_jax.errors import InputError
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file so that it appears whole or not at all; text as UTF-8, its line ends as they are.
+
+    Raises:
+        InputError: if it cannot be written, as on a full disk; nothing is left behind.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(path, "output", error.strerror or error, "must be writable and the disk have room") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def swap_folder(new: Path, target: Path) -> None:
+    """Put a finished folder in its place; what stood there is kept until the new one does, then removed.
+
+    Args:
+        new: the finished folder, beside `target` so that it can be renamed.
+        target: its place, with or without something there.
+
+    Raises:
+        OSError: if it cannot be renamed; then what stood there still does.
+    """
+    old = new.with_name(f"{new.name}.old")
+    if not target.exists():
+        new.rename(target)
+        return
+    target.rename(old)
+    try:
+        new.rename(target)
+    except OSError:
+        old.rename(target)
+        raise
+    if old.is_dir():
+        shutil.rmtree(old)
+    else:
+        old.unlink()
