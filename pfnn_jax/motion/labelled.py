@@ -22,14 +22,14 @@ class LabelledClip:
 
     Attributes:
         clip: T frames.
-        labels: phase of the T frames; None where the layout wants no phase of the gait cycle, or it is to be found.
+        labels: phase of the T frames; no frame is labelled where the layout wants no phase of the gait cycle.
         gait: [T, 6], or None where no `.gait` file lies beside the BVH file.
         symmetric: whether the clip's style may be mirrored.
         note: what was found odd about the clip's file; empty for nothing.
     """
 
     clip: MotionClip
-    labels: PhaseLabels | None
+    labels: PhaseLabels
     gait: np.ndarray | None = None
     symmetric: bool = True
     note: str = ""
@@ -57,7 +57,7 @@ def load_labelled(
     take = read_take(clip_file, roles_file)
     roles = need_roles(take.clip.skeleton, path)
     clip = resample(take.clip, fps)
-    labels = _labels(path.with_suffix(".phase"), take, clip) if phase else None
+    labels = _labels(path.with_suffix(".phase"), take, clip) if phase else _no_phase(clip.num_frames)
     gait = _gait(path.with_suffix(".gait"), take, clip, roles)
     return LabelledClip(clip, labels, gait, clip_file.symmetric, take.note)
 
@@ -67,6 +67,11 @@ def _labels(file: Path, take: Take, clip: MotionClip) -> PhaseLabels:
         return label_phase(clip)
     labels = cut_phase(read_phase(file, take.frames_in_file), take.start, take.start + take.clip.num_frames)
     return resample_phase(labels, take.clip.fps, clip.fps, clip.num_frames)
+
+
+def _no_phase(num_frames: int) -> PhaseLabels:
+    none = np.empty(0, np.int64)
+    return PhaseLabels(np.zeros(num_frames), np.zeros(num_frames, bool), none, none)
 
 
 def _gait(file: Path, take: Take, clip: MotionClip, roles: Roles) -> np.ndarray | None:

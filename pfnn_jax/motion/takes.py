@@ -18,7 +18,7 @@ from pfnn_jax.motion.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.layout import LAYOUTS, FrameLayout, layout_for
 from pfnn_jax.motion.local_phase import PrincipalAxes, clip_local_phases, fit_axes, mirror_local_phases
 from pfnn_jax.motion.moments import Moments, moments_of
-from pfnn_jax.motion.phase import label_phase, mirror_phase
+from pfnn_jax.motion.phase import mirror_phase
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 from pfnn_jax.motion.splits import SPLITS, row_windows, split_blocks, take_generator
 from pfnn_jax.motion.style100 import IDLE, TRANSITION
@@ -160,8 +160,6 @@ def _load(source: Source, group: Group) -> LabelledClip | str:
     try:
         if isinstance(source, ClipFile):
             return load_take(source, group.layout, group.roles_file)
-        if source.labels is None and wanted.phase_kind == "global":
-            source = replace(source, labels=label_phase(source.clip))
         return _with_hands(source, wanted)
     except NoGaitError as error:
         return f"{error.value}; {error.rule}"
@@ -199,7 +197,7 @@ def _images(
     images = [(clip, clip_features(clip, layout, labels, take.gait, phases))]
     if mirror:
         twin = mirror_clip(clip)
-        labels = None if labels is None else mirror_phase(labels)
+        labels = mirror_phase(labels)
         phases = None if phases is None else mirror_local_phases(phases)
         images.append((twin, clip_features(twin, layout, labels, take.gait, phases)))
     return images
