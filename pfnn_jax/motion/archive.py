@@ -9,7 +9,7 @@ import shutil
 import stat
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
@@ -114,13 +114,9 @@ def _write_member(archive: Path, opened: zipfile.ZipFile, info: zipfile.ZipInfo,
             target.mkdir(parents=True, exist_ok=True)
             return 0
         target.parent.mkdir(parents=True, exist_ok=True)
-        with opened.open(info) as source, target.open("xb") as file:
-            while block := source.read(BLOCK):
+        with target.open("xb") as file:
+            for block in _blocks(archive, opened, info):
                 written += file.write(block)
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
-        raise ArchiveError(
-            archive, f"member {_shown(info)}", error, "must be whole, with the CRC of its entry"
-        ) from error
     except (FileExistsError, NotADirectoryError):
         value, rule = "file and folder of one name", "every member needs a place of its own"
         raise ArchiveError(archive, f"member {_shown(info)}", value, rule) from None
@@ -130,6 +126,18 @@ def _write_member(archive: Path, opened: zipfile.ZipFile, info: zipfile.ZipInfo,
         rule = f"must be {info.file_size} as its entry says"
         raise ArchiveError(archive, f"member {_shown(info)}", f"{written} bytes", rule)
     return written
+
+
+def _blocks(archive: Path, opened: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[bytes]:
+    """A member piece by piece; whatever is wrong in reading is the archive's fault."""
+    try:
+        with opened.open(info) as source:
+            while block := source.read(BLOCK):
+                yield block
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError) as error:
+        raise ArchiveError(
+            archive, f"member {_shown(info)}", error, "must be whole, with the CRC of its entry"
+        ) from error
 
 
 def _need_room(folder: Path, size: int) -> None:
