@@ -1,0 +1,80 @@
+"""Windows of motion as a style classifier sees them: from a clip, from joint positions, from a rollout."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from pfnn_jax.motion.clip import MotionClip, mirror_clip
+from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.skeleton import Roles, need_roles
+from pfnn_jax.motion.trajectory import root_motion, to_local
+
+WINDOW_FPS = 60.0
+"""Frame rate of the windows."""
+
+WINDOW_FRAMES = 60
+"""Frames of a window: one second, about one gait cycle."""
+
+STRIDE = 30
+"""Frames between the starts of two windows."""
+
+
+def motion_windows(
+    positions: np.ndarray, roles: Roles, fps: float, *, frames: int = WINDOW_FRAMES, stride: int = STRIDE
+) -> np.ndarray:
+    """Joint positions and velocities of every frame, seen from that frame's own root.
+
+    The root is found from the joints (`root_motion`), for real and for generated motion alike. Heights are kept; the
+    place on the ground, the heading and the number of the frame are not.
+
+    Args:
+        positions: [T, J, 3] metres, world joint positions.
+        roles: hips, shoulders.
+        fps: frames per second; another rate than `WINDOW_FPS` is resampled linearly.
+        frames: of a window, at `WINDOW_FPS`.
+        stride: frames between the starts of two windows.
+
+    Returns:
+        [N, frames, 6 J] float32, positions in metres and velocities in metres per second; N is 0 for motion shorter
+        than a window.
+    """
+    positions = _at_rate(np.asarray(positions, np.float64), fps)
+    if len(positions) < frames + 1:
+        return np.zeros((0, frames, 6 * positions.shape[1]), np.float32)
+    root = root_motion(positions, roles, WINDOW_FPS)
+    yaw = root.yaw
+    seen = positions.copy()
+    seen[..., [0, 2]] -= root.positions[:, None]
+    velocities = to_local(yaw[1:], np.diff(positions, axis=0) * WINDOW_FPS)
+    rows = np.concatenate([to_local(yaw, seen)[1:], velocities], axis=1).reshape(len(positions) - 1, -1)
+    starts = np.arange(0, len(rows) - frames + 1, stride)
+    return rows[starts[:, None] + np.arange(frames)].astype(np.float32)
+
+
+def clip_windows(
+    clip: MotionClip, *, mirror: bool = False, frames: int = WINDOW_FRAMES, stride: int = STRIDE
+) -> np.ndarray:
+    """`motion_windows` of a clip with roles, followed by those of its mirror image where asked for."""
+    roles = need_roles(clip.skeleton, clip.source)
+    parts = [
+        motion_windows(_world(one), roles, one.fps, frames=frames, stride=stride)
+        for one in ((clip, mirror_clip(clip)) if mirror else (clip,))
+    ]
+    return np.concatenate(parts)
+
+
+def _world(clip: MotionClip) -> np.ndarray:
+    return forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)[0]
+
+
+def _at_rate(positions: np.ndarray, fps: float) -> np.ndarray:
+    if abs(fps - WINDOW_FPS) < 1e-6:
+        return positions
+    step = float(Fraction(fps / WINDOW_FPS).limit_denominator(1000))
+    times = np.arange(int(np.floor((len(positions) - 1) / step + 1e-6)) + 1) * step
+    before = np.minimum(times.astype(int), len(positions) - 1)
+    after = np.minimum(before + 1, len(positions) - 1)
+    share = (times - before)[:, None, None]
+    return positions[before] * (1 - share) + positions[after] * share
