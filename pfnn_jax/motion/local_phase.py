@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from pfnn_jax.motion.clip import MotionClip
@@ -25,7 +25,7 @@ WINDOW_SECONDS = 1.0
 FIT_SECONDS = 0.5
 """Window of the fit: 31 frames at 60 fps."""
 
-REST_PERCENTILE = 5.0  # height of a foot's point at rest, among the frames in which it is slow
+REST_PERCENTILE = 25.0  # height of a toe at rest, among the frames in which it is slow
 FLAT = 1e-6  # share of a source's range below which its deviation in a window is rounding
 MOST = 0.98  # of the frames in contact, or out of it: such a foot has no cycle of contacts
 
@@ -111,28 +111,32 @@ def speeds(points: np.ndarray, fps: float) -> np.ndarray:
 
 
 def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarray:
-    """Phase vectors of one bone (Mason et al. 2022, Eq. 1).
+    """Phase vectors of one bone: amplitude times speed times (sin φ, cos φ) (Mason et al. 2022, Eq. 1).
+
+    The vectors are smoothed like the source. Where two fits beside each other disagree their vectors cancel, so the
+    phase turns without a jump and the length says that it is uncertain. Frames within a quarter of a second of an end
+    take the phase that the outermost whole window's sinusoid has there.
 
     Args:
         source: [T] source function in any unit; neither its scale nor its offset matters.
-        speed: [T] metres per second of the bone seen from the hips.
+        speed: [T] metres per second of the bone seen from the hips; its mean over the second around a frame counts.
         fps: frames per second.
 
     Returns:
-        [T, 2] amplitude times largest speed within half a second times (sin φ, cos φ).
+        [T, 2] metres per second, φ growing with time; zero for clips shorter than five frames.
     """
     frames = len(source)
     half = min(round(FIT_SECONDS * fps / 2), (frames - 1) // 2)
     if half < 2:
         return np.zeros((frames, 2))
-    wave = _smooth(_normalise(source, fps), fps)
-    fit = fit_sinusoids(np.lib.stride_tricks.sliding_window_view(wave, 2 * half + 1), fps)
-    centre = np.clip(np.arange(frames), half, frames - 1 - half)
-    phase = fit.phase[centre - half] + 2 * np.pi * fit.frequency[centre - half] * (np.arange(frames) - centre) / fps
-    direction = np.stack([np.sin(phase), np.cos(phase)], axis=-1)
+    windows = np.lib.stride_tricks.sliding_window_view(_smooth(normalise_source(source, fps), fps), 2 * half + 1)
+    fit = fit_sinusoids(windows, fps)
+    nearest = np.clip(np.arange(frames), half, frames - 1 - half)
+    seconds = (np.arange(frames) - nearest) / fps
+    phase = fit.phase[nearest - half] + 2 * np.pi * fit.frequency[nearest - half] * seconds
     around = 2 * round(WINDOW_SECONDS * fps / 2) + 1
-    length = fit.amplitude[centre - half] * maximum_filter1d(speed, around, mode="nearest")
-    return length[:, None] * direction
+    length = fit.amplitude[nearest - half] * uniform_filter1d(speed, around, mode="nearest")
+    return _smooth(length[:, None] * np.stack([np.sin(phase), np.cos(phase)], axis=-1), fps)
 
 
 def clip_local_phases(
@@ -175,8 +179,11 @@ def _ends(clip: MotionClip | EndEffectors) -> EndEffectors:
     return clip if isinstance(clip, EndEffectors) else end_effectors(clip)
 
 
-def _normalise(source: np.ndarray, fps: float) -> np.ndarray:
-    """Less its mean and over its deviation in the second around each frame; at the ends in what there is of it."""
+def normalise_source(source: np.ndarray, fps: float) -> np.ndarray:
+    """Source [T] less its mean and over its deviation in the second around each frame; zero where it is constant.
+
+    At the ends of the clip the window holds what there is of that second.
+    """
     source = source - source.mean()
     largest = np.abs(source).max()
     if largest == 0:

@@ -18,10 +18,11 @@ LOWEST, HIGHEST = 0.25, 4.0
 """Hz: bounds of the frequency."""
 
 GRID = 48  # frequencies: 0.08 Hz apart, where the error over half a second varies over about 1 Hz
-NEWTON_STEPS = 6  # of the multiplier: each doubles the digits
 NEAR = 0.01  # share of a window's power: minima this near to the best of the grid are refined too
-REFINEMENTS = 4  # of the frequency, inside its bracket
-BLOCK = 4096  # windows at a time, so that what they need stays in the processor's cache
+REFINEMENTS = 24  # most steps of the frequency; few windows need more than four
+ENOUGH = 1e-11  # share of a window's power that a step must be able to gain
+NEWTON_STEPS = 5  # of the multiplier: each doubles its digits
+BLOCK = 2048  # windows at a time, so that what they need stays in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +46,42 @@ class Sinusoids:
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """What the fit reads of windows [N, W]: sums and differences around the centre, and bounds."""
+    """What the fit reads of windows [N, W] with W = 2h + 1, less their means: halves folded around the centre."""
 
-    even: np.ndarray  # [N, h + 1] centre, then y(t) + y(-t)
-    odd: np.ndarray  # [N, h] y(t) - y(-t)
+    odd: np.ndarray  # [h, N] y(t) - y(-t): all that a sine sees
+    even: np.ndarray  # [h, N] y(t) + y(-t): all that a cosine sees
+    centre: np.ndarray  # [N] y(0)
     mean: np.ndarray  # [N]
-    low: np.ndarray  # [N]
+    low: np.ndarray  # [N] lowest value, less the mean
     high: np.ndarray  # [N]
-    power: np.ndarray  # [N] sum of squares around the mean
+    power: np.ndarray  # [N] sum of squares
+
+    def take(self, index: np.ndarray) -> _Windows:
+        return _Windows(*(getattr(self, name)[..., index] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
+class _Bounds:
+    """What limits a fit, for each of N."""
+
+    low: np.ndarray
+    high: np.ndarray
+    power: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Gram:
+    """Sums over a window of the three functions' products, at angular frequency x per sample."""
+
+    sin: np.ndarray  # of sin²
+    cos: np.ndarray  # of cos²
+    total: np.ndarray  # of cos; those of sin, and of sin cos, are zero
+    count: int
+
+    @property
+    def free(self) -> np.ndarray:
+        """Sum of squares of the cosine less its mean."""
+        return self.cos - self.total**2 / self.count
 
 
 def fit_sinusoids(windows: np.ndarray, fps: float, lowest: float = LOWEST, highest: float = HIGHEST) -> Sinusoids:
@@ -63,94 +92,95 @@ def fit_sinusoids(windows: np.ndarray, fps: float, lowest: float = LOWEST, highe
     Args:
         windows: [N, W] values at equal times, W odd and at least 5.
         fps: values per second.
-        lowest, highest: Hz.
+        lowest, highest: Hz, below half of fps.
 
     Raises:
-        ValueError: if W is even or too small.
+        ValueError: if W is even or too small, or the frequencies are not 0 < lowest < highest < fps / 2.
     """
     windows = np.asarray(windows, dtype=float)
     if windows.ndim != 2 or windows.shape[1] < 5 or windows.shape[1] % 2 == 0:
         raise ValueError(f"windows must be [N, W] with W odd and at least 5, got {windows.shape}.")
-    parts = [_fit_block(windows[i : i + BLOCK], fps, lowest, highest) for i in range(0, len(windows), BLOCK)]
-    names = Sinusoids.__dataclass_fields__
-    if not parts:
-        return Sinusoids(**{name: np.zeros(0) for name in names})
-    return Sinusoids(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+    if not 0 < lowest < highest < fps / 2:
+        raise ValueError(f"Frequencies must be 0 < lowest < highest < {fps / 2:g} Hz, got {lowest:g} and {highest:g}.")
+    grid = 2 * np.pi * np.linspace(lowest, highest, GRID) / fps
+    parts = [_fit_block(windows[i : i + BLOCK], grid) for i in range(0, max(len(windows), 1), BLOCK)]
+    a, b, offset, error, x = np.concatenate(parts, axis=1)
+    phase = np.arctan2(b, a) % (2 * np.pi)
+    return Sinusoids(np.hypot(a, b), x * fps / (2 * np.pi), phase, offset, np.sqrt(error / windows.shape[1]))
 
 
-def _fit_block(windows: np.ndarray, fps: float, lowest: float, highest: float) -> Sinusoids:
-    data, times = _read(windows), np.arange(1, windows.shape[1] // 2 + 1) / fps
-    grid = np.linspace(lowest, highest, GRID)
-    window, start = _starts(data, _grid_errors(data, times, grid))
-    below, above = grid[np.maximum(start - 1, 0)], grid[np.minimum(start + 1, GRID - 1)]
-    frequency, (a, b, offset, error) = _refine(_take(data, window), times, below, grid[start], above)
-    best = _best_of_each(window, error)
-    a, b, offset, error = a[best], b[best], offset[best], error[best]
-    rms = np.sqrt(np.maximum(error, 0.0) / windows.shape[1])
-    return Sinusoids(np.hypot(a, b), frequency[best], np.arctan2(b, a) % (2 * np.pi), data.mean + offset, rms)
+def _fit_block(windows: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """[5, N]: a, b, offset, squared error, and angular frequency per sample."""
+    data = _read(windows)
+    errors = _grid_errors(data, grid)
+    window, start = _minima(errors, NEAR * data.power)
+    fit = _refine(data.take(window), grid, start, _curvature(errors, window, start, grid[1] - grid[0]))
+    # candidates of one window stand together: the first after sorting by error is its best
+    order = np.lexsort((fit[3], window))
+    best = fit[:, order[np.flatnonzero(np.diff(window[order], prepend=-1))]]
+    best[2] += data.mean
+    best[3] = np.maximum(best[3], 0.0)
+    return best
 
 
 def _read(windows: np.ndarray) -> _Windows:
     half = windows.shape[1] // 2
-    low, high = windows.min(axis=1), windows.max(axis=1)
-    mean = np.clip(windows.mean(axis=1), low, high)  # exact where the window is constant
-    centred = windows - mean[:, None]
-    after, before = centred[:, half + 1 :], centred[:, half - 1 :: -1] if half > 0 else centred[:, :0]
-    even = np.concatenate([centred[:, half : half + 1], after + before], axis=1)
-    return _Windows(even, after - before, mean, low - mean, high - mean, np.einsum("nw,nw->n", centred, centred))
+    columns = np.ascontiguousarray(windows.T)
+    low, high = columns.min(axis=0), columns.max(axis=0)
+    mean = np.clip(columns.mean(axis=0), low, high)  # exact where the window is constant
+    columns -= mean
+    after, before = columns[half + 1 :], columns[:half][::-1]
+    power = np.einsum("wn,wn->n", columns, columns)
+    return _Windows(after - before, after + before, columns[half], mean, low - mean, high - mean, power)
 
 
-def _take(data: _Windows, index: np.ndarray) -> _Windows:
-    return _Windows(*(getattr(data, name)[index] for name in _Windows.__dataclass_fields__))
+def _gram(x: np.ndarray, count: int) -> _Gram:
+    """Closed forms: the sum of cos over a window is Dirichlet's kernel."""
+    double = np.sin(count * x) / np.sin(x)
+    return _Gram((count - double) / 2, (count + double) / 2, np.sin(count * x / 2) / np.sin(x / 2), count)
 
 
-def _sums(times: np.ndarray, frequency: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Over a window: sum of sin², of cos² and of cos, at frequencies [...]; and the angles [..., h] after the centre."""
-    angle = 2 * np.pi * frequency[..., None] * times
-    sin, cos = np.sin(angle), np.cos(angle)
-    return 2 * np.sum(sin**2, -1), 1 + 2 * np.sum(cos**2, -1), 1 + 2 * np.sum(cos, -1), sin, cos
-
-
-def _grid_errors(data: _Windows, times: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """[N, G] squared error of every window at every frequency; infinite where it cannot be near the best.
+def _grid_errors(data: _Windows, grid: np.ndarray) -> np.ndarray:
+    """[G, N] squared error of every window at every frequency; infinite where it cannot be near the best.
 
     Without bounds the error is two projections. Bounds can only add to it, so frequencies whose unbounded error is
     above the best error within bounds need no exact solution.
     """
-    sum_sin, sum_cos, total, sin, cos = _sums(times, grid)
-    count = 2 * len(times) + 1
-    p_sin, p_cos = data.odd @ sin.T, data.even[:, :1] + data.even[:, 1:] @ cos.T
-    free = sum_cos - total**2 / count
-    a, b = p_sin / sum_sin, p_cos / free
-    error = data.power[:, None] - a * p_sin - b * p_cos
-    offset = b * (-total / count)
-    reach = (data.high - data.low)[:, None]
-    outside = (a * a + b * b > reach * reach) | (offset < data.low[:, None]) | (offset > data.high[:, None])
-    bound = np.where(outside, np.inf, error).min(axis=1) + NEAR * data.power
-    rows, columns = np.nonzero(outside & (error <= bound[:, None]))
+    half = len(data.odd)
+    angles = grid[:, None] * np.arange(1, half + 1)
+    gram = _gram(grid, 2 * half + 1)
+    p, q = np.sin(angles) @ data.odd, np.cos(angles) @ data.even + data.centre
+    a, b = p / gram.sin[:, None], q / gram.free[:, None]
+    error = data.power - a * p - b * q
+    # the mean is zero, so the best offset is minus the cosine's share of it
+    offset = b * (-gram.total / gram.count)[:, None]
+    reach = data.high - data.low
+    outside = (a * a + b * b > reach * reach) | (offset < data.low) | (offset > data.high)
+    bound = np.where(outside, np.inf, error).min(axis=0) + NEAR * data.power
+    rows, columns = np.nonzero(outside & (error <= bound))
     error[outside] = np.inf
-    sums = sum_sin[columns], sum_cos[columns], total[columns]
-    error[rows, columns] = _solve(_take(data, rows), p_sin[rows, columns], p_cos[rows, columns], sums, count)[3]
+    bounds = _Bounds(data.low[columns], data.high[columns], data.power[columns])
+    chosen = _Gram(gram.sin[rows], gram.cos[rows], gram.total[rows], gram.count)
+    error[rows, columns] = _solve(bounds, p[rows, columns], q[rows, columns], chosen)[3]
     return error
 
 
-def _solve(data: _Windows, p_sin: np.ndarray, p_cos: np.ndarray, sums: tuple, count: int) -> tuple[np.ndarray, ...]:
-    """(a, b, offset, squared error) [N] of the best sinusoid of a given frequency within the bounds.
+def _solve(bounds: _Windows | _Bounds, p: np.ndarray, q: np.ndarray, gram: _Gram) -> np.ndarray:
+    """[4, N]: a, b, offset and squared error of the best sinusoid of a given frequency within the bounds.
 
     The best error as a function of the offset is convex, so where the best offset lies outside its bounds, the nearest
     bound is best.
     """
-    sum_sin, sum_cos, total = sums
-    reach = data.high - data.low
-    a, b = _within(p_sin, p_cos, sum_sin, sum_cos - total**2 / count, reach)
-    best = -b * total / count
-    offset = np.clip(best, data.low, data.high)
+    reach = bounds.high - bounds.low
+    a, b = _within(p, q, gram.sin, gram.free, reach)
+    best = -b * gram.total / gram.count
+    offset = np.clip(best, bounds.low, bounds.high)
     held = np.flatnonzero(offset != best)
     if len(held):
-        shifted = p_cos[held] - offset[held] * total[held]
-        a[held], b[held] = _within(p_sin[held], shifted, sum_sin[held], sum_cos[held], reach[held])
-    error = data.power - 2 * (a * p_sin + b * p_cos) + a * a * sum_sin + b * b * sum_cos
-    return a, b, offset, error + offset * (offset * count + 2 * b * total)
+        left = q[held] - offset[held] * gram.total[held]
+        a[held], b[held] = _within(p[held], left, gram.sin[held], gram.cos[held], reach[held])
+    error = bounds.power + a * (a * gram.sin - 2 * p) + b * (b * gram.cos - 2 * q)
+    return np.stack([a, b, offset, error + offset * (offset * gram.count + 2 * b * gram.total)])
 
 
 def _within(p: np.ndarray, q: np.ndarray, g: np.ndarray, h: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -171,61 +201,82 @@ def _on_circle(p: np.ndarray, q: np.ndarray, g: np.ndarray, h: np.ndarray, reach
     for _ in range(NEWTON_STEPS):
         a, b = p / (g + m), q / (h + m)
         square = a * a + b * b
-        slope = a * a / (g + m) + b * b / (h + m)
-        m = m + (np.sqrt(square) / reach - 1.0) * square / slope
+        m += (np.sqrt(square) / reach - 1.0) * square / (a * a / (g + m) + b * b / (h + m))
     a, b = p / (g + m), q / (h + m)
-    scale = reach / np.hypot(a, b)
+    scale = reach / np.sqrt(a * a + b * b)
     return a * scale, b * scale
 
 
-def _starts(data: _Windows, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(window, frequency index) of each local minimum over the grid that may hold the window's best."""
-    wall = np.full((len(error), 1), np.inf)
-    left, right = np.concatenate([wall, error[:, :-1]], 1), np.concatenate([error[:, 1:], wall], 1)
-    bound = error.min(axis=1) + NEAR * data.power
-    return np.nonzero((error <= left) & (error < right) & (error <= bound[:, None]))
+def _minima(errors: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(window, grid index) of each local minimum over the grid that may hold its window's best."""
+    low = errors <= errors.min(axis=0) + margin
+    low[1:] &= errors[1:] <= errors[:-1]
+    low[:-1] &= errors[:-1] < errors[1:]
+    start, window = np.nonzero(low)
+    return window, start
 
 
-def _refine(data: _Windows, times: np.ndarray, low: np.ndarray, start: np.ndarray, high: np.ndarray) -> tuple:
-    """Frequency [N] of least error between `low` and `high`, from `start`, and what `_solve` returns there.
+def _curvature(errors: np.ndarray, window: np.ndarray, start: np.ndarray, step: float) -> np.ndarray:
+    """Second derivative of the error at grid points, infinite or less where their neighbours do not give it."""
+    inner = np.clip(start, 1, len(errors) - 2)
+    return (errors[inner - 1, window] - 2 * errors[inner, window] + errors[inner + 1, window]) / step**2
 
-    The derivative of the best error by frequency is that at fixed a, b and offset, since the bounds do not depend on
-    frequency; its root is found by the secant rule inside a bracket.
+
+def _refine(data: _Windows, grid: np.ndarray, start: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+    """[5, N]: what `_solve` returns at the frequency of least error between a grid point's neighbours, and that.
+
+    One step of Newton's method from the grid point, then the secant rule, both inside a bracket that closes. Where a
+    bound begins to hold the slope has a corner, on which the secant rule is slow: every third step halves the bracket.
+    Windows leave when a straight slope to the bracket's end would gain nothing more.
     """
-    frequency, slopes = start, None
-    best_f, best, last = start, None, None
-    for _ in range(REFINEMENTS + 1):
-        fit, slope = _evaluate(data, times, frequency)
-        if best is None:
-            best = fit
-        better = fit[3] < best[3]
-        best_f = np.where(better, frequency, best_f)
-        best = tuple(np.where(better, new, old) for new, old in zip(fit, best, strict=True))
-        low, high = np.where(slope < 0, frequency, low), np.where(slope > 0, frequency, high)
-        following = 0.5 * (low + high)
-        if last is not None:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                secant = frequency - slope * (frequency - last) / (slope - slopes)
-            following = np.where((secant > low) & (secant < high), secant, following)
-        last, slopes, frequency = frequency, slope, following
-    return best_f, best
+    low, x, high = grid[np.maximum(start - 1, 0)], grid[start], grid[np.minimum(start + 1, len(grid) - 1)]
+    best = np.full((5, len(x)), np.inf)
+    left, last_x, last_slope = np.arange(len(x)), x, x
+    for step in range(REFINEMENTS):
+        fit, slope = _evaluate(data, x)
+        best[:, left] = np.where(fit[3] < best[3, left], [*fit, x], best[:, left])
+        low, high = np.where(slope < 0, x, low), np.where(slope > 0, x, high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            following = x - slope / (curvature if step == 0 else (slope - last_slope) / (x - last_x))
+        halve = (step % 3 == 2) | ~((following > low) & (following < high))
+        following = np.where(halve, 0.5 * (low + high), following)
+        going = np.flatnonzero(np.abs(slope) * (high - low) > ENOUGH * data.power)
+        if not len(going):
+            break
+        data, left = data.take(going), left[going]
+        low, high, last_x, last_slope, x = (v[going] for v in (low, high, x, slope, following))
+    return best
 
 
-def _evaluate(data: _Windows, times: np.ndarray, frequency: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    sum_sin, sum_cos, total, sin, cos = _sums(times, frequency)
-    dot = "nk,nk->n"
-    p_sin, p_cos = np.einsum(dot, data.odd, sin), data.even[:, 0] + np.einsum(dot, data.even[:, 1:], cos)
-    fit = _solve(data, p_sin, p_cos, (sum_sin, sum_cos, total), 2 * len(times) + 1)
+def _evaluate(data: _Windows, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `_solve` returns at angular frequencies x [N], and the derivative of the error.
+
+    The bounds do not depend on frequency, so the derivative of the best error is that at fixed a, b and offset.
+    """
+    half = len(data.odd)
+    gram, (sin, cos) = _gram(x, 2 * half + 1), _powers(x, half)
+    k = np.arange(1.0, half + 1)[:, None]
+    dot = "kn,kn->n"
+    p, q = np.einsum(dot, data.odd, sin), np.einsum(dot, data.even, cos) + data.centre
+    fit = _solve(data, p, q, gram)
     a, b, offset, _ = fit
-    t_sin, t_cos = times * sin, times * cos
-    along = a * (np.einsum(dot, data.odd, t_cos) - 2 * a * np.einsum(dot, sin, t_cos))
-    across = b * (
-        np.einsum(dot, data.even[:, 1:], t_sin) - 2 * b * np.einsum(dot, cos, t_sin) - 2 * offset * t_sin.sum(1)
-    )
-    return fit, across - along
+    rise_p, fall_q = np.einsum(dot, k * data.odd, cos), np.einsum(dot, k * data.even, sin)
+    rise_total, rise_double = _kernel_slope(x, gram.count), _kernel_slope(2 * x, gram.count)
+    # error = power + a² (count - D(2x)) / 2 + b² (count + D(2x)) / 2 + 2 b offset D(x) - 2 a p - 2 b q + ...
+    return fit, (b * b - a * a) * rise_double + 2 * (b * offset * rise_total - a * rise_p + b * fall_q)
 
 
-def _best_of_each(window: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Index of the least error of each window; candidates of one window stand together."""
-    order = np.lexsort((error, window))
-    return order[np.flatnonzero(np.diff(window[order], prepend=-1))]
+def _powers(x: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray]:
+    """sin(k x) and cos(k x), [h, N], for k = 1 to h."""
+    sin, cos = np.empty((half, len(x))), np.empty((half, len(x)))
+    sin[0], cos[0] = np.sin(x), np.cos(x)
+    for k in range(1, half):
+        sin[k] = sin[k - 1] * cos[0] + cos[k - 1] * sin[0]
+        cos[k] = cos[k - 1] * cos[0] - sin[k - 1] * sin[0]
+    return sin, cos
+
+
+def _kernel_slope(x: np.ndarray, count: int) -> np.ndarray:
+    """Derivative of Dirichlet's kernel sin(count x / 2) / sin(x / 2)."""
+    sin = np.sin(x / 2)
+    return (count * np.cos(count * x / 2) * sin - np.sin(count * x / 2) * np.cos(x / 2)) / (2 * sin**2)
