@@ -33,10 +33,10 @@ from pfnn_jax.evaluation.plots import loss_curves, save_figure
 from pfnn_jax.evaluation.style_methods import without_adapter
 from pfnn_jax.evaluation.style_test import pose_and_velocity_error, predict_rows
 from pfnn_jax.models.network import Network
-from pfnn_jax.motion.bvh import write_whole
 from pfnn_jax.motion.clip import mirror_clip
 from pfnn_jax.motion.dataset import Dataset, load_dataset, stack
 from pfnn_jax.motion.features import Features, clip_features, join_rows
+from pfnn_jax.motion.files import write_whole
 from pfnn_jax.motion.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.phase import mirror_phase

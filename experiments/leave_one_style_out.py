@@ -30,9 +30,9 @@ import tyro
 from experiments.leave_one_style_out_table import write_summary
 from pfnn_jax.evaluation.style_methods import GRIDS, compare_methods
 from pfnn_jax.evaluation.style_test import StyleTest, join_takes
-from pfnn_jax.motion.bvh import write_whole
 from pfnn_jax.motion.clip import mirror_clip
 from pfnn_jax.motion.features import Features, clip_features, join_rows, select_rows
+from pfnn_jax.motion.files import write_whole
 from pfnn_jax.motion.labelled import load_labelled
 from pfnn_jax.motion.layout import FrameLayout, mason2018
 from pfnn_jax.motion.normaliser import Normaliser, fit_normaliser

@@ -31,7 +31,7 @@ from pfnn_jax.evaluation.benchmark_training import random_frames
 from pfnn_jax.evaluation.timing import Work, interleave, machine, versions
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind
 from pfnn_jax.models.network import NetworkConfig, init_network
-from pfnn_jax.motion.bvh import write_whole
+from pfnn_jax.motion.files import write_whole
 from pfnn_jax.runtime.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.runtime.predictor import Predictor, evaluate
 from pfnn_jax.training.few_shot import FewShotConfig, train_grid

@@ -16,7 +16,7 @@ from pfnn_jax.cli.learning import Demo, FewShot, Pretrain
 from pfnn_jax.cli.running import Benchmark, Evaluate, Generate, ImportReleased, Predict
 from pfnn_jax.errors import InputError, TrainingError
 from pfnn_jax.evaluation.report import to_plain
-from pfnn_jax.motion.bvh import write_whole
+from pfnn_jax.motion.files import write_whole
 
 COMMANDS = {
     "demo": Demo,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from matplotlib.figure import Figure
 
 from pfnn_jax.evaluation.body import Capsule, body_capsules, body_points, capsule_ends
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.files import write_whole
 
 INK, MUTED, GRID = "#1f2733", "#6b7685", "#dfe4ea"
 SERIES = ("#2f6fde", "#e0662f", "#2f9e77", "#9a5bd0", "#c2892b", "#d04a78", "#4aa3c4", "#7a8699", "#5b7f2b", "#a0522d")
@@ -48,11 +48,12 @@ def png_bytes(figure: Figure, dpi: int = 144) -> bytes:
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 144) -> None:
-    """Write the figure as a PNG file, whole or not at all."""
-    path = Path(path)
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_bytes(png_bytes(figure, dpi))
-    os.replace(temporary, path)
+    """Write the figure as a PNG file, whole or not at all.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    write_whole(Path(path), png_bytes(figure, dpi))
 
 
 def loss_curves(

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.player import Track, player_assets, player_html
 from pfnn_jax.evaluation.plots import png_bytes
-from pfnn_jax.motion.bvh import write_whole
+from pfnn_jax.motion.files import write_whole
 
 
 @dataclass(frozen=True, eq=False)

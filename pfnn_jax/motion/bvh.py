@@ -7,7 +7,6 @@ refuses position channels below the root.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh_text import BvhJoint, parse_bvh, shorten
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.files import write_whole
 from pfnn_jax.motion.kinematics import (
     AXES,
     forward_kinematics,
@@ -186,22 +186,6 @@ def write_bvh(path: str | Path, clip: MotionClip, *, unit: float = CENTIMETRE, o
     if clip.num_frames < 1:
         raise InputError(path, "clip", "0 frames", "there must be at least one frame")
     write_whole(path, "\n".join(_hierarchy_lines(clip.skeleton, unit) + _motion_lines(clip, unit)) + "\n")
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file so that it appears whole or not at all.
-
-    Raises:
-        InputError: if it cannot be written, as on a full disk; nothing is left behind.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(path, "output", error.strerror or error, "must be writable and the disk have room") from None
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _depth_first(skeleton: Skeleton) -> list[int]:

@@ -36,7 +36,7 @@ def swap_folder(new: Path, target: Path) -> None:
         OSError: if it cannot be renamed; then what stood there still does.
     """
     old = new.with_name(f"{new.name}.old")
-    if not target.exists():
+    if not target.exists() and not target.is_symlink():
         new.rename(target)
         return
     target.rename(old)
@@ -45,7 +45,7 @@ def swap_folder(new: Path, target: Path) -> None:
     except OSError:
         old.rename(target)
         raise
-    if old.is_dir():
+    if old.is_dir() and not old.is_symlink():
         shutil.rmtree(old)
     else:
         old.unlink()

@@ -5,7 +5,6 @@ Labels are found from the motion (`label_phase`) or read from `.phase` files tha
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.files import write_whole
 from pfnn_jax.motion.footsteps import find_steps, half_cycles
 from pfnn_jax.motion.textfile import read_rows
 from pfnn_jax.motion.trajectory import wrap_angle
@@ -117,7 +117,7 @@ def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> Non
         overwrite: replace an existing file.
 
     Raises:
-        InputError: if the file exists and is not to be replaced.
+        InputError: if the file exists and is not to be replaced, or cannot be written.
     """
     path = Path(path)
     if path.exists() and not overwrite:
@@ -127,12 +127,7 @@ def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> Non
     values = np.round(np.where(labelled, labels.phase / CYCLE, 0.0), 6)
     zero = np.concatenate([[True], values == 0, [True]])
     values[labelled & zero[1:-1] & (zero[:-2] | zero[2:])] = 1.0
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_text("".join(f"{value:.6f}\n" for value in values), encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(path, "".join(f"{value:.6f}\n" for value in values))
 
 
 def resample_phase(labels: PhaseLabels, fps_from: float, fps_to: float, num_frames: int) -> PhaseLabels:

@@ -267,12 +267,12 @@ def test_an_existing_output_is_kept_unless_told_otherwise(tmp_path):
     assert read_bvh(path).num_frames == 5
 
 
-@pytest.mark.parametrize("broken", ["write_text", "replace"])
+@pytest.mark.parametrize("broken", ["write_bytes", "replace"])
 def test_a_full_disk_leaves_nothing_behind(tmp_path, monkeypatch, broken):
     def full(*_args, **_options):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(*((os, "replace", full) if broken == "replace" else (Path, "write_text", full)))
+    monkeypatch.setattr(*((os, "replace", full) if broken == "replace" else (Path, "write_bytes", full)))
     with pytest.raises(InputError, match="output: No space left on device; must be writable"):
         write_bvh(tmp_path / "out.bvh", body_clip())
     assert list(tmp_path.iterdir()) == []
