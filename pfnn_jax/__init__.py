@@ -13,6 +13,7 @@ _ROOMS = {
     "motion.bvh": ("read_bvh", "write_bvh"),
     "motion.clip": ("MotionClip",),
     "motion.dataset": ("Dataset", "load_dataset", "prepare"),
+    "motion.download": ("download_100style",),
     "motion.features": ("clip_features",),
     "motion.hands": ("extend_hands",),
     "motion.labelled": ("LabelledClip", "load_labelled"),
