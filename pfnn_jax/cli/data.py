@@ -12,10 +12,11 @@ from tyro.conf import Positional as Argument
 from pfnn_jax.cli.base import FLAT, Command, refuse_existing
 from pfnn_jax.cli.progress import clip_progress
 from pfnn_jax.motion.bvh import read_bvh
-from pfnn_jax.motion.dataset import prepare
+from pfnn_jax.motion.dataset import Dataset, prepare
 from pfnn_jax.motion.phase import label_phase, write_phase
 from pfnn_jax.motion.preparation import PrepareConfig
 from pfnn_jax.motion.sources import list_clips
+from pfnn_jax.motion.splits import WINDOW
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,7 @@ class Prepare(Command):
         styles: styles to keep; all by default.
         roles: JSON that names the joints' roles where they are not found by themselves.
         overwrite: replace an existing dataset.
+        workers: processes; by default one per processor where there is much to read. The dataset is the same.
         config: how clips become rows.
     """
 
@@ -38,18 +40,43 @@ class Prepare(Command):
     styles: tuple[str, ...] = ()
     roles: Path | None = None
     overwrite: bool = False
+    workers: int | None = None
     config: Annotated[PrepareConfig, FLAT] = field(default_factory=PrepareConfig)
 
     def run(self) -> Any:
         clips = [clip for clip in list_clips(self.source, self.kind) if not self.styles or clip.style in self.styles]
         with clip_progress() as progress:
             dataset = prepare(
-                clips, self.out, self.config, roles_file=self.roles, overwrite=self.overwrite, progress=progress
+                clips,
+                self.out,
+                self.config,
+                roles_file=self.roles,
+                overwrite=self.overwrite,
+                progress=progress,
+                workers=self.workers,
             )
-        for skipped in dataset.skipped:
-            print(f"left out: {skipped['file']}: {skipped['reason']}")
-        print(f"{self.out}: {len(dataset.styles)} styles of {dataset.frames_per_style} frames each")
-        return {"styles": dataset.styles, "frames_per_style": dataset.frames_per_style, "skipped": dataset.skipped}
+        _print_dataset(dataset)
+        return {
+            "styles": dataset.styles,
+            "frames_per_style": dataset.frames_per_style,
+            "rows": dataset.rows,
+            "skipped": dataset.skipped,
+            "notes": dataset.notes,
+            "takes_without_window": dataset.takes_without_window,
+        }
+
+
+def _print_dataset(dataset: Dataset) -> None:
+    for note in dataset.notes:
+        print(f"note: {note['file']}: {note['note']}")
+    for skipped in dataset.skipped:
+        print(f"left out: {skipped['file']}: {skipped['reason']}")
+    for split, takes in dataset.takes_without_window.items():
+        if short := sum(takes.values()):
+            print(f"{split}: {short} takes, mirrored ones included, are shorter than {WINDOW} rows: one window, padded")
+    for split, rows in dataset.rows.items():
+        least, most = min(rows.values()), max(rows.values())
+        print(f"{dataset.path}: {split}: {len(rows)} styles of {least} to {most} rows, {sum(rows.values())} in all")
 
 
 @dataclass(frozen=True, kw_only=True)

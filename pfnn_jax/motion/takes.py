@@ -11,12 +11,13 @@ import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip, mirror_clip
 from pfnn_jax.motion.clip_file import ClipFile
+from pfnn_jax.motion.end_effectors import end_effectors
 from pfnn_jax.motion.features import Features, clip_features, select_rows
 from pfnn_jax.motion.footsteps import NoGaitError
 from pfnn_jax.motion.hands import extend_hands
 from pfnn_jax.motion.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.layout import LAYOUTS, FrameLayout, layout_for
-from pfnn_jax.motion.local_phase import PrincipalAxes, clip_local_phases, fit_axes, mirror_local_phases
+from pfnn_jax.motion.local_phase import clip_local_phases, fit_axes, mirror_local_phases
 from pfnn_jax.motion.moments import Moments, moments_of
 from pfnn_jax.motion.phase import mirror_phase
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
@@ -136,8 +137,8 @@ def take_features(take: LabelledClip, layout: FrameLayout, mirror: bool = False)
         NoGaitError: for a clip too short or, where a phase is needed, without steps.
         InputError: for a clip of another frame rate or number of joints.
     """
-    axes = _fit_axes([take.clip], layout)
-    return [features for _, features in _images(take, layout, mirror, axes)]
+    phases = _local_phases([take], layout)[0]
+    return [features for _, features in _images(take, layout, mirror, phases)]
 
 
 def prepare_group(group: Group) -> list[Prepared]:
@@ -148,8 +149,11 @@ def prepare_group(group: Group) -> list[Prepared]:
     """
     loaded = [_load(source, group) for source in group.sources]
     takes = [take for take in loaded if isinstance(take, LabelledClip)]
-    axes = _fit_axes([take.clip for take in takes], LAYOUTS[group.layout](1))
-    return [_prepare(source, take, group, axes) for source, take in zip(group.sources, loaded, strict=True)]
+    phases = iter(_local_phases(takes, LAYOUTS[group.layout](1)))
+    return [
+        _prepare(source, take, group, next(phases) if isinstance(take, LabelledClip) else None)
+        for source, take in zip(group.sources, loaded, strict=True)
+    ]
 
 
 def _load(source: Source, group: Group) -> LabelledClip | str:
@@ -170,17 +174,22 @@ def _with_hands(take: LabelledClip, layout: FrameLayout) -> LabelledClip:
     return replace(take, clip=extend_hands(take.clip)) if layout.next_frame else take
 
 
-def _fit_axes(clips: Sequence[MotionClip], layout: FrameLayout) -> PrincipalAxes | None:
-    return fit_axes(clips) if clips and layout.phase_kind == "local" else None
+def _local_phases(takes: Sequence[LabelledClip], layout: FrameLayout) -> list[np.ndarray | None]:
+    """[T, 4, 2] of each take, by axes of all of them; None where the layout has no local phases."""
+    if layout.phase_kind != "local" or not takes:
+        return [None] * len(takes)
+    ends = [end_effectors(take.clip) for take in takes]
+    axes = fit_axes(ends)
+    return [clip_local_phases(end, axes=axes) for end in ends]
 
 
-def _prepare(source: Source, take: LabelledClip | str, group: Group, axes: PrincipalAxes | None) -> Prepared:
+def _prepare(source: Source, take: LabelledClip | str, group: Group, phases: np.ndarray | None) -> Prepared:
     style, name = style_of(source), name_of(source)
     if isinstance(take, str):
         return Prepared(style, name, skipped=take)
     layout = layout_for(group.layout, take.clip.skeleton)
     try:
-        images = _images(take, layout, group.mirror and take.symmetric, axes)
+        images = _images(take, layout, group.mirror and take.symmetric, phases)
     except NoGaitError as error:
         return Prepared(style, name, skipped=f"{error.value}; {error.rule}")
     part_of = _part_of_frames(images[0][1].frames, take.clip, name, group)
@@ -189,11 +198,10 @@ def _prepare(source: Source, take: LabelledClip | str, group: Group, axes: Princ
 
 
 def _images(
-    take: LabelledClip, layout: FrameLayout, mirror: bool, axes: PrincipalAxes | None
+    take: LabelledClip, layout: FrameLayout, mirror: bool, phases: np.ndarray | None
 ) -> list[tuple[MotionClip, Features]]:
     """The take and, with `mirror`, its mirror image, each with its rows."""
     clip, labels = take.clip, take.labels
-    phases = None if axes is None else clip_local_phases(clip, axes=axes)
     images = [(clip, clip_features(clip, layout, labels, take.gait, phases))]
     if mirror:
         twin = mirror_clip(clip)
