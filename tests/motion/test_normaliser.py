@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.layout import mason2018, pfnn2017
+from pfnn_jax.motion.layout import mason2018, mason2022, mason2022_mann, pfnn2017
 from pfnn_jax.motion.normaliser import CHUNK, Statistics, fit_normaliser, load_normaliser, save_normaliser
 
 FLOAT32 = 1e-6  # relative; one rounding of each statistic to float32
@@ -75,7 +75,7 @@ def test_grouped_blocks_are_those_of_the_published_statistics(reference):
     x = rng.normal(size=(50, layout.input_size)).astype(np.float32)
     y = (rng.normal(size=(50, layout.output_size)) * std).astype(np.float32)
     ours = fit_normaliser(x, y, layout, grouped=True).outputs.std
-    for block, _ in layout.outputs:
+    for block in layout.output_blocks:
         at = layout.output_slice(block)
         assert len(set(std[at].tolist())) == len(set(ours[at].tolist())) == 1
 
@@ -115,3 +115,47 @@ def test_damaged_files_are_refused(rows, tmp_path):
     (tmp_path / "y_mean.npy").write_bytes(b"no array")
     with pytest.raises(InputError, match="y_mean.npy"):
         load_normaliser(tmp_path)
+
+
+# interleaved layouts and phases
+
+
+def test_interleaved_blocks_are_averaged_as_blocks(rows):
+    layout, rng = mason2022(2), np.random.default_rng(1)
+    x, y = (rng.normal(size=(50, size)) * rng.uniform(1, 5, size) for size in (layout.input_size, layout.output_size))
+    plain, grouped = (fit_normaliser(x, y, layout, grouped=g) for g in (False, True))
+    at = layout.input_slice("joint_velocity")
+    np.testing.assert_allclose(grouped.inputs.std[at], plain.inputs.std[at].mean() / 0.1, rtol=1e-5)
+    at = np.r_[layout.output_slice("trajectory_position_x"), layout.output_slice("trajectory_position_z")]
+    np.testing.assert_allclose(grouped.outputs.std[at], plain.outputs.std[at].mean(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("layout", [mason2022(2), mason2022_mann(2)], ids=lambda layout: layout.name)
+def test_phases_have_statistics_of_their_own_that_files_keep(layout, tmp_path):
+    rng = np.random.default_rng(2)
+    x, y = (rng.normal(size=(40, size)).astype(np.float32) for size in (layout.input_size, layout.output_size))
+    phase = (rng.normal(size=(40, layout.phase_size)) * 3 + 1).astype(np.float32)
+    phase[:, 2:4] = 0.0  # a bone that never moves
+    normaliser = fit_normaliser(x, y, layout, phase=phase)
+    assert normaliser.phases is not None
+    z = normaliser.phases.apply(phase.astype(np.float64))
+    np.testing.assert_allclose(z.mean(axis=0), 0.0, atol=1e-5)
+    assert (normaliser.phases.std[2:4] == 1.0).all() and (z[:, 2:4] == 0.0).all()
+    save_normaliser(tmp_path, normaliser)
+    phases = load_normaliser(tmp_path).phases
+    assert phases is not None and (phases.mean == normaliser.phases.mean).all()
+    assert (phases.std == normaliser.phases.std).all()
+    with pytest.raises(InputError, match=f"phase: array: shape .*; layout {layout.name} has {layout.phase_size} col"):
+        fit_normaliser(x, y, layout, phase=phase[:, 1:])
+    (tmp_path / "p_std.npy").unlink()
+    with pytest.raises(InputError, match="p_std.npy"):
+        load_normaliser(tmp_path)
+
+
+def test_a_scalar_phase_has_no_statistics(rows, tmp_path):
+    normaliser = fit_normaliser(rows[0], rows[1], LAYOUT, phase=np.zeros(500))
+    assert normaliser.phases is None
+    (tmp_path / "p_std.npy").touch()
+    save_normaliser(tmp_path, normaliser)
+    assert load_normaliser(tmp_path).phases is None
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x_mean.npy", "x_std.npy", "y_mean.npy", "y_std.npy"]
