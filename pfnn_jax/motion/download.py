@@ -7,19 +7,22 @@ good. Standard library only.
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.archive import ArchiveError, unpack
 from pfnn_jax.motion.fetch import Patience, Progress, PublishedFile, fetch, read_record, verify
-from pfnn_jax.motion.files import swap_folder
+from pfnn_jax.motion.files import swap_folder, write_whole
 
 RECORD = "https://zenodo.org/api/records/8127870"
 ARCHIVE = "100STYLE.zip"
 TABLE = "Frame_Cuts.csv"
+ORIGIN = "download.json"
+"""File in the output that tells where it came from; a folder without it is never replaced."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ def download_100style(
     Args:
         out: folder for the styles. The archive is kept in `OUT.zip.part` until they are unpacked.
         record_url: address of the record, for a copy of the data set elsewhere.
-        overwrite: replace `out` if it holds 100STYLE.
+        overwrite: replace `out` if it is an earlier download.
         patience: how often to try.
         progress: called with "downloading", "verifying" or "unpacking", the bytes done and the bytes in all.
 
@@ -64,7 +67,7 @@ def download_100style(
     published = read_record(record_url, ARCHIVE, patience)
     fetch(published, part, patience, progress)
     verify(published, part, progress)
-    return Downloaded(_unpack_in_place(part, out, progress), published)
+    return Downloaded(_unpack_in_place(published, part, out, progress), published)
 
 
 def _check_output(out: Path, overwrite: bool) -> None:
@@ -72,8 +75,8 @@ def _check_output(out: Path, overwrite: bool) -> None:
         return
     if not overwrite:
         raise InputError(out, "output", "exists", "existing output is replaced only with --overwrite")
-    if find_table(out) is None:
-        raise InputError(out, "output", "exists and is not 100STYLE", f"only a folder with {TABLE} is replaced")
+    if not (out / ORIGIN).is_file():
+        raise InputError(out, "output", "exists and is no download", f"only a folder with {ORIGIN} is replaced")
 
 
 def find_table(folder: Path) -> Path | None:
@@ -84,7 +87,7 @@ def find_table(folder: Path) -> Path | None:
     return None
 
 
-def _unpack_in_place(part: Path, out: Path, progress: Progress | None) -> Path:
+def _unpack_in_place(published: PublishedFile, part: Path, out: Path, progress: Progress | None) -> Path:
     """From the verified archive to the folder; the archive is removed, unless the disk was the obstacle."""
     work = out.with_name(f".{out.name}.{os.getpid()}")
     kept = f"the archive is kept in {part}"
@@ -94,6 +97,7 @@ def _unpack_in_place(part: Path, out: Path, progress: Progress | None) -> Path:
         table = find_table(work)
         if table is None:
             raise ArchiveError(part, TABLE, "absent", "100STYLE comes with this table of frames")
+        write_whole(work / ORIGIN, json.dumps(asdict(published), indent=2) + "\n")
         swap_folder(work, out)
     except ArchiveError:
         part.unlink()

@@ -161,7 +161,8 @@ def test_what_arrives_is_read_as_100style(serve, tmp_path):
         ("Old_FW.bvh", False, 10),
     ]
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["styles"]
-    assert [path.name for path in (tmp_path / "new" / "styles").iterdir()] == ["100STYLE"]
+    assert sorted(path.name for path in (tmp_path / "new" / "styles").iterdir()) == ["100STYLE", "download.json"]
+    assert json.loads((tmp_path / "new" / "styles" / "download.json").read_text())["md5"] == got.published.md5
     assert got.published.size == len(site.content)
     assert list(dict.fromkeys(stage for stage, _, _ in seen)) == ["downloading", "verifying", "unpacking"]
     assert all(done <= total for _, done, total in seen)
@@ -445,14 +446,15 @@ def test_without_room_the_archive_waits(serve, tmp_path, monkeypatch):
     assert len(site.asked) == 1
 
 
-def test_existing_folders_are_replaced_only_when_asked_and_only_100style(serve, tmp_path):
+def test_existing_folders_are_replaced_only_when_asked_and_only_downloads(serve, tmp_path):
     site, out = serve(), tmp_path / "styles"
     out.mkdir()
     (out / "mine.txt").write_text("mine")
     refused(site, out, "exists", left=("styles",))
-    with pytest.raises(InputError, match="is not 100STYLE"):
-        get(site, out, overwrite=True)
     (out / "Frame_Cuts.csv").write_text(CUTS)
+    with pytest.raises(InputError, match="is no download"):
+        get(site, out, overwrite=True)
+    (out / "download.json").write_text("{}")
     assert site.asked == []
     assert get(site, out, overwrite=True).folder == out / "100STYLE"
     assert not (out / "mine.txt").exists()
