@@ -45,7 +45,7 @@ def style100_files(folder: Path, paths: list[Path]) -> list[ClipFile]:
         InputError: naming the table, line, value and rule; or a file of another name.
     """
     cuts = _read_table(folder / CUTS, "STYLE_NAME")
-    symmetric = _read_symmetric(folder / STYLES)
+    symmetric = read_symmetric(folder / STYLES)
     clips = []
     for path in paths:
         found = STYLE_GAIT.fullmatch(path.stem)
@@ -59,7 +59,12 @@ def style100_files(folder: Path, paths: list[Path]) -> list[ClipFile]:
     return clips
 
 
-def _read_symmetric(file: Path) -> dict[str, bool]:
+def read_symmetric(file: Path) -> dict[str, bool]:
+    """Whether each style of `Dataset_List.csv` may be mirrored; nothing without the file.
+
+    Raises:
+        InputError: naming the line and value.
+    """
     if not file.is_file():
         return {}
     symmetric = {}

@@ -129,7 +129,7 @@ def take_features(take: LabelledClip, layout: FrameLayout, mirror: bool = False)
     """A take's rows and, with `mirror`, those of its mirror image: of the same frames.
 
     Args:
-        take: as `load_take` gives it.
+        take: as `load_take` gives it, or made otherwise; its hands are extended where the layout has their ends.
         layout: of its joints.
         mirror: whether to add the mirror image.
 
@@ -137,6 +137,7 @@ def take_features(take: LabelledClip, layout: FrameLayout, mirror: bool = False)
         NoGaitError: for a clip too short or, where a phase is needed, without steps.
         InputError: for a clip of another frame rate or number of joints.
     """
+    take = _with_hands(take, layout)
     phases = _local_phases([take], layout)[0]
     return [features for _, features in _images(take, layout, mirror, phases)]
 

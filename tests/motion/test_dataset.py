@@ -1,4 +1,4 @@
-"""Prepared datasets: balanced, mirrored in pairs, whole or absent, and readable back."""
+"""Prepared datasets: every row of every style, mirrored in pairs, whole or absent, and readable back."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion import dataset as dataset_module
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip
-from pfnn_jax.motion.dataset import Dataset, PrepareConfig, load_dataset, prepare, stack
+from pfnn_jax.motion.clip_file import ClipFile
+from pfnn_jax.motion.dataset import Dataset, PrepareConfig, load_dataset, prepare
 from pfnn_jax.motion.features import clip_features
-from pfnn_jax.motion.labelled import LabelledClip, load_labelled
-from pfnn_jax.motion.layout import pfnn2017
-from pfnn_jax.motion.phase import mirror_phase, write_phase
+from pfnn_jax.motion.labelled import LabelledClip
+from pfnn_jax.motion.normaliser import fit_normaliser
+from pfnn_jax.motion.phase import mirror_phase
 from pfnn_jax.motion.skeleton import skeleton_from_json, skeleton_to_json
-from pfnn_jax.motion.sources import ClipFile, list_clips
+from pfnn_jax.motion.sources import list_clips
 from pfnn_jax.motion.synthetic import mixed_schedule, synthesise
 from pfnn_jax.motion.trajectory import wrap_angle
 
-FLOAT32 = 1e-5  # a few ulp of normalised values
+FLOAT32 = 1e-5  # a few ulp of values of order 10
 
 
 def take(style: str, seconds: float, seed: int = 0, symmetric: bool = True) -> LabelledClip:
@@ -47,17 +48,48 @@ def dataset(takes, tmp_path_factory) -> Dataset:
     return prepare(takes, tmp_path_factory.mktemp("data") / "set", PrepareConfig())
 
 
-def test_styles_have_equal_frames_and_the_layouts_columns(dataset):
+def test_styles_keep_all_of_their_rows_and_have_the_layouts_columns(dataset):
     assert dataset.styles == ("angry", "old", "proud")
-    # 3 s of the shortest style, both of its ends lost, mirrored; 6 s of an unmirrored style have fewer
-    assert dataset.frames_per_style == min(2 * 178, 358, 2 * (238 + 118))
-    for style in dataset.styles:
+    # both ends of every take are lost; symmetric styles are mirrored
+    assert dataset.frames == {"angry": 2 * 178, "old": 358, "proud": 2 * (238 + 118)}
+    assert dataset.frames_per_style == 356 and set(dataset.rows) == {"train"}
+    for style, rows in dataset.frames.items():
         x, y, phase = dataset.arrays(style)
-        assert x.shape == (dataset.frames_per_style, dataset.layout.input_size)
-        assert y.shape == (dataset.frames_per_style, dataset.layout.output_size)
-        assert phase.shape == (dataset.frames_per_style,)
+        assert x.shape == (rows, dataset.layout.input_size)
+        assert y.shape == (rows, dataset.layout.output_size)
+        assert phase.shape == (rows,)
         assert x.dtype == y.dtype == phase.dtype == np.float32
         assert isinstance(x, np.memmap) and not x.flags.writeable
+
+
+def test_takes_stand_in_time_order_each_before_its_mirror_image(dataset):
+    for style in dataset.styles:
+        clips, frames = dataset.sources(style)
+        assert (np.diff(clips) >= 0).all() and (np.diff(frames)[np.diff(clips) == 0] == 1).all()
+        for index in np.unique(clips)[1:]:
+            entry, before = dataset.clips[index], dataset.clips[index - 1]
+            assert entry["mirrored"] == (entry["file"] == before["file"])
+            if entry["mirrored"]:
+                _, _, phase = dataset.arrays(style)
+                np.testing.assert_array_equal(frames[clips == index], frames[clips == index - 1])
+                turned = wrap_angle(phase[clips == index] - phase[clips == index - 1] - np.pi)
+                np.testing.assert_allclose(wrap_angle(turned), 0.0, atol=1e-5)
+
+
+def test_without_mirroring_only_the_clips_themselves(takes, tmp_path):
+    dataset = prepare(takes, tmp_path / "set", PrepareConfig(mirror=False))
+    assert dataset.frames["proud"] == 238 + 118 and not any(clip["mirrored"] for clip in dataset.clips)
+
+
+def test_statistics_are_those_of_all_rows_to_train_on(takes, tmp_path):
+    """Merged take by take, as good as over all rows at once."""
+    dataset = prepare(takes, tmp_path / "set", PrepareConfig(validation=0.2))
+    rows = [np.concatenate([dataset.arrays(style)[k] for style in dataset.styles]) for k in (0, 1)]
+    whole = fit_normaliser(rows[0], rows[1], dataset.layout)
+    for side in ("inputs", "outputs"):
+        found, wanted = getattr(dataset.normaliser, side), getattr(whole, side)
+        np.testing.assert_allclose(found.mean, wanted.mean, atol=FLOAT32)
+        np.testing.assert_allclose(found.std, wanted.std, rtol=FLOAT32, atol=FLOAT32)
 
 
 def test_rows_are_those_of_their_clip_and_frame(dataset, takes):
@@ -77,50 +109,6 @@ def test_rows_are_those_of_their_clip_and_frame(dataset, takes):
             np.testing.assert_array_equal(phase[clips == index], features.phase[rows])
 
 
-def test_symmetric_styles_hold_each_chosen_frame_and_its_mirrored_twin(dataset):
-    half = dataset.frames_per_style // 2
-    for style, symmetric in (("angry", True), ("proud", True), ("old", False)):
-        clips, frames = dataset.sources(style)
-        mirrored = np.array([entry["mirrored"] for entry in dataset.clips])[clips]
-        assert mirrored.sum() == (half if symmetric else 0)
-        if symmetric:
-            _, _, phase = dataset.arrays(style)
-            assert (frames[:half] == frames[half:]).all() and not mirrored[:half].any()
-            np.testing.assert_allclose(wrap_angle(phase[:half] - phase[half:] - np.pi), 0.0, atol=1e-5)
-
-
-def test_no_frame_is_chosen_twice(dataset):
-    for style in dataset.styles:
-        assert len(set(zip(*(a.tolist() for a in dataset.sources(style)), strict=True))) == dataset.frames_per_style
-
-
-def test_without_mirroring_only_the_clips_themselves(takes, tmp_path):
-    dataset = prepare(takes, tmp_path / "set", PrepareConfig(mirror=False))
-    assert dataset.frames_per_style == 178 and not any(clip["mirrored"] for clip in dataset.clips)
-
-
-def test_the_choice_of_frames_follows_the_seed(takes, tmp_path, dataset):
-    same, other = (prepare(takes, tmp_path / str(seed), PrepareConfig(seed=seed)) for seed in (0, 1))
-    for clip_or_frame in (0, 1):
-        assert (same.sources("proud")[clip_or_frame] == dataset.sources("proud")[clip_or_frame]).all()
-    assert (other.sources("proud")[1] != dataset.sources("proud")[1]).any()
-
-
-def test_a_stack_is_normalised_over_all_styles(dataset):
-    x, y, phase = stack(dataset)
-    assert x.shape == (3, dataset.frames_per_style, dataset.layout.input_size)
-    assert x.dtype == y.dtype == phase.dtype == np.float32
-    std = y.reshape(-1, y.shape[-1]).astype(np.float64).std(axis=0)
-    varies = std > 0.5  # the trajectory's present sample and the hips are at (0, 0), and face (0, 1)
-    assert (~varies).sum() == 6
-    np.testing.assert_allclose(std[varies], 1.0, rtol=1e-3)
-    np.testing.assert_allclose(y.mean(axis=(0, 1)), 0.0, atol=1e-3)
-    restored = dataset.normaliser.inputs.invert(x[1])
-    np.testing.assert_allclose(restored, dataset.arrays("old")[0], atol=1e-4)
-    first, _, _ = stack(dataset, ["proud", "angry"])
-    np.testing.assert_allclose(first[0], x[2], atol=FLOAT32)
-
-
 def test_grouped_statistics_are_an_option(takes, tmp_path):
     dataset = prepare(takes, tmp_path / "set", PrepareConfig(grouped_std=True))
     at = dataset.layout.input_slice("joint_position")
@@ -130,7 +118,8 @@ def test_grouped_statistics_are_an_option(takes, tmp_path):
 def test_loading_gives_the_same_dataset(dataset):
     loaded = load_dataset(dataset.path)
     assert loaded.layout == dataset.layout and loaded.styles == dataset.styles
-    assert loaded.clips == dataset.clips and loaded.frames_per_style == dataset.frames_per_style
+    assert loaded.clips == dataset.clips and loaded.rows == dataset.rows
+    assert loaded.takes_without_window == {"train": {"angry": 2, "old": 0, "proud": 4}}
     assert skeleton_to_json(loaded.skeleton) == skeleton_to_json(dataset.skeleton)
     data = json.loads((dataset.path / "dataset.json").read_text())
     assert set(data["versions"]) == {"pfnn_jax", "numpy"} and data["config"]["seed"] == 0
@@ -159,35 +148,14 @@ def test_a_style_of_which_nothing_remains_is_refused(takes, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["standing.bvh"]
 
 
-def test_a_phase_file_beside_a_clip_wins(takes, tmp_path):
-    path = tmp_path / "walk.bvh"
-    write_bvh(path, takes[0].clip)
-    found = load_labelled(ClipFile(path, "proud"))
-    shifted = dataclasses.replace(found.labels, phase=(found.labels.phase + 1.0) % (2 * np.pi))
-    write_phase(path.with_suffix(".phase"), shifted)
-    corrected = load_labelled(ClipFile(path, "proud"))
-    np.testing.assert_allclose(wrap_angle(corrected.labels.phase - found.labels.phase - 1.0), 0.0, atol=1e-5)
-    assert corrected.clip.style == "proud" and corrected.gait is None
-
-
-def test_hand_made_labels_are_cut_and_resampled_with_their_clip(mocap):
-    file = list_clips(mocap / "pfnn")[0]
-    whole, part = load_labelled(file), load_labelled(dataclasses.replace(file, start=400, stop=1000))
-    assert part.clip.num_frames == part.labels.num_frames == 300
-    assert part.gait is not None and whole.gait is not None
-    np.testing.assert_allclose(part.labels.phase, whole.labels.phase[200:500], atol=1e-9)
-    np.testing.assert_allclose(part.gait, whole.gait[200:500], atol=1e-9)
-    assert clip_features(part.clip, pfnn2017(31), part.labels, part.gait).x.shape[1] == 342
-
-
 def test_real_folders_prepare(mocap, tmp_path):
     files = list_clips(mocap / "bandai-namco-2")[::30]
     seen = []
     dataset = prepare(files, tmp_path / "set", PrepareConfig(), progress=lambda *event: seen.append(event))
     assert dataset.layout.input_size == 174 and len(dataset.styles) == 7 and not dataset.skipped
     assert [event[:2] for event in seen] == [(i + 1, len(files)) for i in range(len(files))]
-    x, y, _ = stack(dataset)
-    assert np.isfinite(x).all() and np.isfinite(y).all()
+    for style in dataset.styles:
+        assert all(np.isfinite(array).all() for array in dataset.arrays(style))
 
 
 def test_skeletons_that_differ_are_refused(takes, mocap, tmp_path):
@@ -236,11 +204,17 @@ def test_no_clips_and_bad_settings_are_refused(tmp_path):
         PrepareConfig(fps=30)
     with pytest.raises(InputError, match="seed: -1"):
         PrepareConfig(seed=-1)
+    with pytest.raises(InputError, match="test: 0.5; a share from 0 to below a half"):
+        PrepareConfig(test=0.5)
+    with pytest.raises(InputError, match="workers: 0; at least one process must work"):
+        prepare([ClipFile(tmp_path / "a.bvh", "a")], tmp_path / "set", PrepareConfig(), workers=0)
 
 
 def test_unknown_styles_name_the_known(dataset):
     with pytest.raises(InputError, match="style: sad; must be one of angry, old, proud"):
         dataset.arrays("sad")
+    with pytest.raises(InputError, match="split: test; this dataset was prepared with train"):
+        dataset.arrays("old", "test")
 
 
 def _damage_json(path: Path) -> None:
@@ -254,7 +228,7 @@ def _age(path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("damage", "message"),
-    [(_damage_json, "dataset.json: file"), (_age, "format: 0; this version reads format 1")],
+    [(_damage_json, "dataset.json: file"), (_age, "format: 0; this version reads format 2")],
 )
 def test_damaged_datasets_are_refused(takes, tmp_path, damage, message):
     prepare(takes[:1], tmp_path / "set", PrepareConfig())

@@ -10,9 +10,13 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import CMU, write_bvh
+from pfnn_jax.motion.clip_file import ASYMMETRIC, ClipFile, is_symmetric
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.sources import ClipFile, check_style_name, find_kind, is_symmetric, list_clips, load_clip
+from pfnn_jax.motion.sources import check_style_name, find_kind, list_clips, load_clip, read_take
+from pfnn_jax.motion.style100 import CUTS as CUTS_FILE
+from pfnn_jax.motion.style100 import STYLES as STYLES_FILE
+from pfnn_jax.motion.style100 import read_symmetric, style100_files
 from tests.motion.skeletons import body_clip
 
 CUTS = "STYLE_NAME,FW_START,FW_STOP,ID_START,ID_STOP\nAngry,2,6,3,200\nOld,0,4,N/A,N/A\n"
@@ -58,6 +62,7 @@ def test_100style_cuts_and_symmetry(tmp_path, inner):
     (tmp_path / "Dataset_List.csv").write_text(STYLES)
     fill(tmp_path, inner.format(style="Angry") + "Angry_FW.bvh", inner.format(style="Old") + "Old_FW.bvh")
     angry, old = list_clips(tmp_path)
+    assert angry.cut_by == (tmp_path / "Frame_Cuts.csv", "line 2, style Angry, FW")
     assert (angry.style, angry.content, angry.symmetric, angry.start, angry.stop) == ("Angry", "walk", True, 2, 6)
     assert (old.symmetric, old.start, old.stop) == (False, 0, 4)
     (tmp_path / "Dataset_List.csv").unlink()
@@ -69,9 +74,9 @@ def test_100style_cuts_and_symmetry(tmp_path, inner):
     [
         (None, STYLES, "Frame_Cuts.csv: file: absent; 100STYLE takes start with calibration"),
         ("STYLE_NAME,FW_START,FW_STOP\nOld,1,2\n", STYLES, "Frame_Cuts.csv: style Angry: no row"),
-        ("STYLE_NAME,FW_START,FW_STOP\nAngry,N/A,N/A\n", STYLES, "line 2: FW_START N/A, FW_STOP N/A; must be whole"),
-        ("STYLE_NAME,FW_START,FW_STOP\nAngry,9,2\n", STYLES, "line 2: FW_START 9, FW_STOP 2; must be whole"),
-        ("STYLE_NAME,FW_START\nAngry,9\n", STYLES, "line 2: FW_START 9, FW_STOP None; must be whole"),
+        ("STYLE_NAME,FW_START,FW_STOP\nAngry,N/A,N/A\n", STYLES, "style Angry: FW_START N/A, FW_STOP N/A; must"),
+        ("STYLE_NAME,FW_START,FW_STOP\nAngry,9,2\n", STYLES, "style Angry: FW_START 9, FW_STOP 2; must"),
+        ("STYLE_NAME,FW_START\nAngry,9\n", STYLES, "style Angry: FW_START 9, FW_STOP None; must"),
         ("NAME\nAngry\n", STYLES, "Frame_Cuts.csv: line 1: no column STYLE_NAME"),
         ("", STYLES, "Frame_Cuts.csv: line 1: no column STYLE_NAME"),
         (
@@ -162,8 +167,35 @@ def test_loading_cuts_resamples_and_labels(tmp_path):
     clip = load_clip(ClipFile(path, "calm", "walk", start=5, stop=10))
     assert (clip.num_frames, clip.fps, clip.style, clip.content) == (9, 60.0, "calm", "walk")
     assert load_clip(ClipFile(path, "calm", start=5, stop=1000), fps=30.0).num_frames == 15  # a shortened take
-    with pytest.raises(InputError, match="take.bvh: cut: frames 25 to 20; a cut lies within the clip's 20 frames"):
-        load_clip(ClipFile(path, "calm", start=25, stop=30))
+    with pytest.raises(InputError, match="take.bvh: cut: start 20; must lie within the 20 frames of take.bvh"):
+        load_clip(ClipFile(path, "calm", start=20, stop=30))
+
+
+def test_cuts_beyond_a_take_name_the_table_or_are_noted(tmp_path):
+    write_bvh(tmp_path / "Angry_FW.bvh", body_clip(frames=20))
+    (tmp_path / "Frame_Cuts.csv").write_text("STYLE_NAME,FW_START,FW_STOP\nOld,1,2\nAngry,5,90\n")
+    take = read_take(list_clips(tmp_path)[0])
+    assert (take.clip.num_frames, take.start, take.frames_in_file) == (15, 5, 20)
+    assert take.note == "line 3, style Angry, FW: stop 90 lies beyond the take's 20 frames, its end is used"
+    assert not read_take(ClipFile(tmp_path / "Angry_FW.bvh", "angry", stop=20)).note
+    (tmp_path / "Frame_Cuts.csv").write_text("STYLE_NAME,FW_START,FW_STOP\nAngry,25,90\n")
+    with pytest.raises(InputError) as error:
+        read_take(list_clips(tmp_path)[0])
+    table = tmp_path / "Frame_Cuts.csv"
+    place = "line 2, style Angry, FW: start 25"
+    assert str(error.value) == f"{table}: {place}; must lie within the 20 frames of Angry_FW.bvh"
+
+
+def test_the_published_tables_of_100style(mocap):
+    """70 symmetric styles; every take has its frames or is said not to exist."""
+    folder = mocap / "100style"
+    symmetric = read_symmetric(folder / STYLES_FILE)
+    assert len(symmetric) == 100 and sum(symmetric.values()) == 70
+    assert {style.lower() for style, value in symmetric.items() if not value} <= ASYMMETRIC
+    styles = [line.split(",")[0] for line in (folder / CUTS_FILE).read_text().splitlines()[1:]]
+    assert set(styles) == set(symmetric)
+    listed = style100_files(folder, [folder / f"{style}_{gait}.bvh" for style in styles for gait in ("FW", "ID")])
+    assert len(listed) == 200 and all(clip.stop is not None and clip.stop - clip.start > 240 for clip in listed)
 
 
 COUNTS = {
