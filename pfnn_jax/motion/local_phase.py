@@ -163,11 +163,26 @@ def clip_local_phases(
 def source_functions(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhaseConfig | None = None) -> np.ndarray:
     """[T, 4] source of each bone: its contact (0 or 1) for toes that have any, else metres along its principal axis."""
     sources = np.einsum("tbi,bi->tb", ends.local - axes.means, axes.directions)
-    contacts = toe_contacts(ends, config)[:, ::-1]
-    for bone, contact in zip((2, 3), contacts.T, strict=True):
-        if 1 - MOST < contact.mean() < MOST:
-            sources[:, bone] = contact
+    contacts = toe_contacts(ends, config)
+    stepping = np.flatnonzero(goes_by_contacts(contacts))
+    sources[:, stepping] = contacts[:, ::-1][:, stepping - 2]
     return sources
+
+
+def goes_by_contacts(contacts: np.ndarray) -> np.ndarray:
+    """[4] bool: whose source is their contact with the ground: toes that now and then touch it.
+
+    Args:
+        contacts: [T, 2] right and left toe, as `toe_contacts` returns them.
+    """
+    share = contacts[:, ::-1].mean(axis=0)
+    return np.concatenate([[False, False], (share > 1 - MOST) & (share < MOST)])
+
+
+def smooth_sources(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhaseConfig | None = None) -> np.ndarray:
+    """[T, 4] sources as sinusoids are fitted to them: normalised in a window of a second, and smoothed."""
+    sources = source_functions(ends, axes, config)
+    return np.stack([_smooth(normalise_source(source, ends.fps), ends.fps) for source in sources.T], axis=1)
 
 
 def mirror_local_phases(phases: np.ndarray) -> np.ndarray:
