@@ -135,7 +135,7 @@ def measure(config: Config) -> dict[str, Any]:
     times, training = run_seconds(predictors, config), training_seconds(config)
     rows = {}
     for name, predictor in predictors.items():
-        measured = predictor.network if predictor.adapter is None else predictor.adapter
+        measured = predictor.network if predictor.style is None else predictor.style
         rows[name] = {
             "control points, MB": memory(measured),
             "50 slices, MB": memory(measured, config.slices),

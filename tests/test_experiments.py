@@ -22,7 +22,7 @@ MEGABYTE = 2**20 / 10**6  # the paper's megabytes are 2^20 bytes, but those of C
     [("full", 4.01, 50.1), ("diagonal", 0.016, 0.20), ("cp", 0.126 / MEGABYTE, 0.131 / MEGABYTE)],
 )
 def test_adapters_take_the_memory_of_table_1(kind, control_points, slices):
-    adapter = random_predictor(NetworkConfig(234, 400), AdapterConfig(kind, 30)).adapter
+    adapter = random_predictor(NetworkConfig(234, 400), AdapterConfig(kind, 30)).style
     np.testing.assert_allclose(table1_adapters.memory(adapter), control_points, rtol=PAPERS_DIGITS)
     np.testing.assert_allclose(table1_adapters.memory(adapter, 50), slices, rtol=PAPERS_DIGITS)
 

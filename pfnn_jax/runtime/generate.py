@@ -12,21 +12,22 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.features import clip_from_outputs
+from pfnn_jax.motion.features import clip_from_outputs, root_steps
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.trajectory import to_local
-from pfnn_jax.runtime.controller import Command, ControllerConfig
+from pfnn_jax.runtime.controller import CONTROLLERS, Command, ControllerConfig
 from pfnn_jax.runtime.lookup import table_phase
+from pfnn_jax.runtime.mixture import StyleChoice
 from pfnn_jax.runtime.paths import Path
 from pfnn_jax.runtime.predictor import Predictor, evaluate, make_predictor
 from pfnn_jax.runtime.rollout import EvaluateFn, Frames, follow_path, make_track, rollout
-from pfnn_jax.runtime.state import CharacterState, initial_state, place_state
-from pfnn_jax.training.run import Run, style_note
+from pfnn_jax.runtime.state import CharacterState, initial_state, place_state, straight_row
+from pfnn_jax.training.run import Run, list_styles, style_note
 
 Mode = Literal["cubic", "nearest50", "constant50"]
-"""The exact spline, or a table of 50 slices read at the nearest one, or truncated as the published demo does."""
+"""The network as it is, or a table of 50 slices of a global phase: the nearest, or truncated as the published demo."""
 
 
 def _nearest50(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Array:
@@ -60,7 +61,7 @@ class Generated:
 
 def generate(
     run: Run,
-    style: str | None,
+    style: StyleChoice,
     path: Path,
     *,
     speed: float | None = None,
@@ -72,42 +73,72 @@ def generate(
 
     Args:
         run: a loaded run.
-        style: name of one of its styles, or None for style-agnostic motion.
+        style: name of one of its styles; weights that sum to one by name; or None for style-agnostic motion, which on
+            a FiLM run is the mean of its styles.
         path: in metres; the character starts at its first point, walking along it.
-        speed: metres per second asked for; by default that of the style's own clip, where its `style.json` tells it,
-            else the mean of the run's data.
+        speed: metres per second asked for; by default as `default_speed`.
         seconds: how long; by default as long as the path takes at that speed.
         mode: how the network is evaluated.
-        config: constants of the controller, by default those of the run's layout.
+        config: constants of the controller, by default those of the run.
 
     Raises:
-        InputError: for an unknown style or mode, a speed or a time that is not above 0, or motion that is not finite.
+        InputError: for an unknown style or mode, a table of phases where the run has no global one,
+            a speed or a time that is not above 0, or motion that is not finite.
     """
     if mode not in EVALUATORS:
         raise InputError(run.path, "mode", mode, f"must be {', '.join(EVALUATORS)}")
+    if mode != "cubic" and run.layout.phase_kind != "global":
+        raise InputError(run.path, "mode", mode, f"must be cubic: layout {run.layout.name} has no global phase")
     speed = default_speed(run, style) if speed is None else speed
     seconds = path.length / max(speed, 1e-6) if seconds is None else seconds
     for name, value in (("speed", speed), ("seconds", seconds)):
         if not (math.isfinite(value) and value > 0.0):
             raise InputError(run.path, name, value, "must be above 0")
-    evaluate_fn, params = EVALUATORS[mode], make_predictor(run, style)
+    evaluate_fn, params, config = EVALUATORS[mode], make_predictor(run, style), config or controller_of(run)
     num_frames = max(round(seconds * run.layout.fps), 2)
     state = walking_state(evaluate_fn, params, run.layout, run.normaliser, speed, config=config)
     state = place_state(state, jnp.asarray(path.points[0], jnp.float32), jnp.float32(path.start_yaw))
     frames = follow_path(evaluate_fn, params, run.layout, state, make_track(path, speed), num_frames, config=config)
     clip = clip_from_frames(run.skeleton, run.layout, frames)
-    return Generated(replace(clip, style=style or "agnostic", content="generated", source=str(run.path)), frames)
+    return Generated(replace(clip, style=style_label(style), content="generated", source=str(run.path)), frames)
 
 
-def default_speed(run: Run, style: str | None) -> float:
-    """Metres per second: the `speed` that a style's `style.json` tells of its clip, else the mean of the run's data."""
-    if style is not None:
-        speed = style_note(run.path, style)["info"].get("speed")
-        if isinstance(speed, int | float) and math.isfinite(speed) and speed > 0.0:
-            return float(speed)
-    layout = run.layout
-    velocity = run.normaliser.outputs.mean[layout.output_slice("root_velocity")]
-    return float(np.hypot(*velocity)) * layout.length_unit / layout.time_unit
+def controller_of(run: Run) -> ControllerConfig:
+    """The controller's constants of a run: those of its layout, with the run's own gain of commands."""
+    return replace(CONTROLLERS[run.layout.name], command_gain=run.config.command_gain)
+
+
+def style_label(style: StyleChoice) -> str:
+    """What a clip calls its style: the name, a mixture as it is written, or `agnostic`."""
+    if style is None or isinstance(style, str):
+        return style or "agnostic"
+    return "+".join(f"{name}:{weight:g}" for name, weight in style.items())
+
+
+def default_speed(run: Run, style: StyleChoice) -> float:
+    """Metres per second to ask for: the `speed` that a style's `style.json` tells of its clips.
+
+    Of a mixture, the weighted mean of its styles. Where a style tells none, and for None, the mean of the run's data;
+    for None on a FiLM run, whose data goes every way, the mean of what its styles tell.
+    """
+    if style is None and run.config.adapter.kind == "film":
+        told = [_told_speed(run, name) for name in run.config.styles if name in list_styles(run.path)]
+        speeds = [speed for speed in told if speed is not None]
+        if speeds:
+            return float(np.mean(speeds))
+    if isinstance(style, str):
+        style = {style: 1.0}
+    told = [(weight, _told_speed(run, name)) for name, weight in (style or {}).items()]
+    if told and all(speed is not None for _, speed in told):
+        return sum(weight * speed for weight, speed in told if speed is not None)
+    velocity, _ = root_steps(run.layout, run.normaliser.outputs.mean[None])
+    return float(np.hypot(*velocity[0]))
+
+
+def _told_speed(run: Run, name: str) -> float | None:
+    speed = style_note(run.path, name)["info"].get("speed")
+    usable = isinstance(speed, int | float) and math.isfinite(speed) and speed > 0.0
+    return float(speed) if usable else None
 
 
 def walking_state(
@@ -121,13 +152,18 @@ def walking_state(
 ) -> CharacterState:
     """A character in its stride near the origin: a second of straight walking from the mean of a network's inputs.
 
+    Layouts of the next frame are trained on walks and runs to all sides: their mean stands still, so that the walk
+    begins with a straight trajectory at its speed and, with local phases, with their mean.
+
     Args:
         evaluate_fn, params, layout, config: as for `rollout`.
         normaliser: of the network.
         speed: metres per second.
     """
-    zero = jnp.zeros((), jnp.float32)
-    state = initial_state(layout, jnp.asarray(normaliser.inputs.mean), zero, jnp.zeros(2, jnp.float32), zero)
+    zero, x = jnp.zeros((), jnp.float32), jnp.asarray(normaliser.inputs.mean)
+    x = straight_row(layout, x, speed) if layout.next_frame else x
+    phase = zero if normaliser.phases is None else jnp.asarray(normaliser.phases.mean)
+    state = initial_state(layout, x, phase, jnp.zeros(2, jnp.float32), zero)
     ahead = jnp.tile(jnp.asarray([[0.0, 1.0]], jnp.float32), (RUN_IN_FRAMES, 1))
     return rollout(
         evaluate_fn, params, layout, state, Command(velocity=speed * ahead, direction=ahead), config=config

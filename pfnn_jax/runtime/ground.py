@@ -28,9 +28,9 @@ def to_local(v: jax.Array, facing: jax.Array) -> jax.Array:
 
 
 def turn_towards(directions: jax.Array, target: jax.Array, share: jax.Array | np.ndarray | float) -> jax.Array:
-    """Unit directions [..., 2] turned by a share [...] of their angle to a target [2], the short way round."""
-    across = directions[..., 1] * target[0] - directions[..., 0] * target[1]
-    along = directions[..., 0] * target[0] + directions[..., 1] * target[1]
+    """Unit directions [..., 2] turned by a share [...] of their angle to a target [..., 2], the short way round."""
+    across = directions[..., 1] * target[..., 0] - directions[..., 0] * target[..., 1]
+    along = directions[..., 0] * target[..., 0] + directions[..., 1] * target[..., 1]
     return turn(directions, share * jnp.arctan2(across, along))
 
 
@@ -53,6 +53,13 @@ def lift(ground: jax.Array) -> jax.Array:
 def mix(old: jax.Array, new: jax.Array, share: jax.Array | np.ndarray | float) -> jax.Array:
     """The value a share of the way from old to new, all of equal rank."""
     return old + share * (new - old)
+
+
+def orthonormal(forward: jax.Array, up: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Forward [..., 3] scaled to length 1, and up [..., 3] made perpendicular to it, of length 1."""
+    forward = forward / jnp.linalg.norm(forward, axis=-1, keepdims=True)
+    up = up - jnp.sum(up * forward, axis=-1, keepdims=True) * forward
+    return forward, up / jnp.linalg.norm(up, axis=-1, keepdims=True)
 
 
 def unit(v: jax.Array) -> jax.Array:

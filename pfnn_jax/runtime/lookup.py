@@ -20,7 +20,9 @@ import jax.numpy as jnp
 from flax import struct
 from jax.core import Tracer
 
-from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DiagonalLayer, Layer
+from pfnn_jax.models.adapters import OneHot, Style
+from pfnn_jax.models.film import Film
+from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer, Layer
 from pfnn_jax.models.network import Network
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.runtime.predictor import Predictor, evaluate, evaluate_at
@@ -49,8 +51,8 @@ class Lookup:
 def make_lookup(predictor: Predictor, num_slices: int = NUM_SLICES, mode: LookupMode = "nearest50") -> Lookup:
     """Blends a network at N phases.
 
-    Full, diagonal and bias adapters are added into the second layer's matrix. A CP adapter, like every layer of a CP
-    network, keeps its factors and has only its diagonal blended.
+    Full, dense, diagonal and bias adapters are added into the second layer's matrix. A CP adapter, like every layer of
+    a CP network, keeps its factors and has only its diagonal blended; a Film is the same at every phase.
 
     Args:
         predictor: the network; a table of 50 entries at 234-512-512-400 takes 118 MB.
@@ -58,17 +60,19 @@ def make_lookup(predictor: Predictor, num_slices: int = NUM_SLICES, mode: Lookup
         mode: `nearest50`, or `constant50` for the released demo's truncation.
 
     Raises:
-        ValueError: for an unknown mode or no slices.
+        ValueError: for an unknown mode, no slices, or a gating network: only a phase that goes round has a table.
     """
     _check_mode(mode)
+    if predictor.network.gating is not None:
+        raise ValueError("`predictor` must have a spline of a global phase, got a gating network.")
     if num_slices < 1:
         raise ValueError(f"`num_slices` must be at least 1, got {num_slices}.")
     control_points = predictor.network.layers[0].num_control_points
     phases = jnp.arange(num_slices, dtype=jnp.float32) * (2 * math.pi / num_slices)
     slices = []
     for coefficients in jax.vmap(lambda phase: catmull_rom_basis(phase, control_points))(phases):
-        network, adapter = _blend_all(predictor.network, predictor.adapter, coefficients)
-        slices.append(dataclasses.replace(predictor, network=network, adapter=adapter))
+        network, style = _blend_all(predictor.network, predictor.style, coefficients)
+        slices.append(dataclasses.replace(predictor, network=network, style=style))
     return Lookup(predictor=predictor, slices=tuple(slices), mode=mode)
 
 
@@ -116,12 +120,18 @@ def _evaluate_slice(entry: Predictor, x: jax.Array) -> jax.Array:
     return evaluate_at(entry, x, jnp.ones(1, entry.input_mean.dtype))
 
 
-def _blend_all(network: Network, adapter: Layer | None, c: jax.Array) -> tuple[Network, Layer | None]:
-    """Network and adapter at coefficients c [K]. Not compiled, so that all entries share the factors of CP layers."""
+def _blend_all(network: Network, style: Style | None, c: jax.Array) -> tuple[Network, Style | None]:
+    """Network and style at coefficients c [K]. Not compiled, so that all entries share the factors of CP layers."""
     first, second, third = (_blend(layer, c) for layer in network.layers)
-    rest = None if adapter is None else _blend(adapter, c)
-    if isinstance(second, BlendedLayer) and rest is not None and not isinstance(rest, CPLayer):
-        second, rest = _add(second, rest), None
+    match style:
+        case None | Film():
+            rest = style
+        case OneHot(shift=shift):
+            rest = OneHot(shift=BiasLayer(biases=(c @ shift.biases)[None]))
+        case _:
+            rest = _blend(style, c)
+            if isinstance(second, BlendedLayer) and not isinstance(rest, CPLayer):
+                second, rest = _add(second, rest), None
     return Network(layers=(first, second, third)), rest
 
 
@@ -136,12 +146,14 @@ def _blend(layer: Layer, c: jax.Array) -> Layer:
             return DiagonalLayer(weights=(c @ weights)[None], biases=(c @ biases)[None])
         case BiasLayer(biases=biases):
             return BiasLayer(biases=(c @ biases)[None])
+        case DenseLayer():
+            return layer
 
 
-def _add(layer: BlendedLayer, adapter: BlendedLayer | DiagonalLayer | BiasLayer) -> BlendedLayer:
-    """One full layer that does what the layer and a full, diagonal or bias adapter do together."""
+def _add(layer: BlendedLayer, adapter: BlendedLayer | DiagonalLayer | BiasLayer | DenseLayer) -> BlendedLayer:
+    """One full layer that does what the layer and a full, dense, diagonal or bias adapter do together."""
     match adapter:
-        case BlendedLayer(weights=weights):
+        case BlendedLayer(weights=weights) | DenseLayer(weights=weights):
             layer = dataclasses.replace(layer, weights=layer.weights + weights)
         case DiagonalLayer(weights=weights):
             layer = dataclasses.replace(layer, weights=layer.weights + jnp.diag(weights[0])[None])

@@ -24,10 +24,11 @@ from pfnn_jax.models.network import Network, NetworkConfig
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_exp, quat_rotate
 from pfnn_jax.motion.layout import pfnn2017
-from pfnn_jax.motion.normaliser import Normaliser, Statistics
+from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
-from pfnn_jax.runtime.predictor import Predictor, evaluate
+from pfnn_jax.runtime.predictor import assemble_predictor, evaluate
+from pfnn_jax.runtime.released_files import read_array, read_statistics
 from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared
 
 NUM_TABLES = 50
@@ -71,13 +72,14 @@ def import_released_pfnn(directory: str | Path, out: str | Path, overwrite: bool
             from which four control points cannot be told apart; for tables of another spline; if `out` exists.
     """
     directory, layout = Path(directory), pfnn2017(len(JOINTS))
-    normaliser = _read_normaliser(directory, layout.input_size, layout.output_size)
+    sides = (("X", layout.input_size), ("Y", layout.output_size))
+    normaliser = Normaliser(*(read_statistics(directory, side, size) for side, size in sides))
     indices = _find_indices(directory)
     condition = condition_number(indices)
     if condition > MAX_CONDITION:
         rule = f"the tables must tell 4 control points apart (condition number {condition:.1e}): add others"
         raise InputError(directory, "tables", ", ".join(map(str, indices)), rule)
-    hidden = len(_read(directory / f"b0_{indices[0]:03d}.bin", None))
+    hidden = len(read_array(directory / f"b0_{indices[0]:03d}.bin", None))
     shared, residuals = _read_network(directory, indices, (layout.input_size, hidden, hidden, layout.output_size))
     config = RunConfig(
         network=NetworkConfig(layout.input_size, layout.output_size, hidden, CONTROL_POINTS),
@@ -142,19 +144,6 @@ def _find_indices(directory: Path) -> tuple[int, ...]:
     return indices
 
 
-def _read_normaliser(directory: Path, inputs: int, outputs: int) -> Normaliser:
-    if not directory.is_dir():
-        raise InputError(directory, "directory", "absent", "must hold the released .bin files")
-    statistics = []
-    for side, size in (("X", inputs), ("Y", outputs)):
-        mean, std = (_read(directory / f"{side}{name}.bin", (size,)) for name in ("mean", "std"))
-        if not (std > 0).all():
-            column = int(np.argmin(std))
-            raise InputError(directory / f"{side}std.bin", f"column {column}", std[column], "must be above 0")
-        statistics.append(Statistics(mean, std))
-    return Normaliser(*statistics)
-
-
 def _read_network(
     directory: Path, indices: tuple[int, ...], sizes: tuple[int, int, int, int]
 ) -> tuple[Network, dict[str, float]]:
@@ -163,7 +152,7 @@ def _read_network(
     for layer, (i, o) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
         points = {}
         for name, shape in ((f"W{layer}", (o, i)), (f"b{layer}", (o,))):
-            tables = np.stack([_read(directory / f"{name}_{index:03d}.bin", shape) for index in indices])
+            tables = np.stack([read_array(directory / f"{name}_{index:03d}.bin", shape) for index in indices])
             points[name[0]], residuals[name] = recover_control_points(tables, indices)
             if residuals[name] > MAX_RESIDUAL:
                 rule = f"a spline through {CONTROL_POINTS} points must leave at most {MAX_RESIDUAL:g} of the tables"
@@ -173,23 +162,6 @@ def _read_network(
     return Network(layers=(layers[0], layers[1], layers[2])), residuals
 
 
-def _read(file: Path, shape: tuple[int, ...] | None) -> np.ndarray:
-    """Little-endian float32 numbers of a shape, or of any length where that is None."""
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise InputError(file, "file", error.strerror, "must be part of the released weights") from error
-    size = math.prod(shape) * 4 if shape else max(len(data) - len(data) % 4, 4)
-    if len(data) != size:
-        of = f" of {' x '.join(map(str, shape))} float32" if shape else ", a multiple of 4"
-        raise InputError(file, "size", f"{len(data)} bytes", f"must be {size} bytes{of}")
-    values = np.frombuffer(data, "<f4")
-    if not np.isfinite(values).all():
-        where = int(np.argmin(np.isfinite(values)))
-        raise InputError(file, f"value {where}", values[where], "every value must be finite")
-    return values.reshape(shape or -1).astype(np.float32)
-
-
 def _skeleton(shared: Network, normaliser: Normaliser, source: Path) -> Skeleton:
     """The released character's skeleton, whose rest pose is not among the released tables.
 
@@ -197,8 +169,7 @@ def _skeleton(shared: Network, normaliser: Normaliser, source: Path) -> Skeleton
     turned back by the parent's rotation, averaged over the poses of the mean input around the phase (within 4 degrees
     of the original rest pose); its length is the known one.
     """
-    layout, statistics = pfnn2017(len(JOINTS)), (normaliser.inputs, normaliser.outputs)
-    predictor = Predictor(shared, None, *(jnp.asarray(v) for s in statistics for v in (s.mean, s.std)))
+    layout, predictor = pfnn2017(len(JOINTS)), assemble_predictor(shared, None, normaliser)
     phases = jnp.arange(NUM_TABLES) * (2 * math.pi / NUM_TABLES)
     y = np.asarray(jax.vmap(evaluate, (None, None, 0))(predictor, predictor.input_mean, phases), np.float64)
     positions, rotations = (

@@ -3,10 +3,10 @@
 Everything here is one `lax.scan`, compiled once per network function, layout and length. A batch of characters is a
 `vmap`; so is a batch of styles, with the shared network left unbatched:
 
-    def walk(adapter):
-        return follow_path(evaluate, predictor.replace(adapter=adapter), layout, state, track, 600)
+    def walk(style):
+        return follow_path(evaluate, predictor.replace(style=style), layout, state, track, 600)
 
-    frames = jax.vmap(walk)(adapters)
+    frames = jax.vmap(walk)(bank)
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from flax import struct
 
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.runtime.controller import CONTROLLERS, Command, ControllerConfig, step
-from pfnn_jax.runtime.ground import mix, root_yaw
+from pfnn_jax.runtime.ground import lift, mix, root_yaw, to_world, unit
 from pfnn_jax.runtime.paths import Path, resample_path
 from pfnn_jax.runtime.state import ROOT, CharacterState
 
 EvaluateFn = Callable[[Any, jax.Array, jax.Array], jax.Array]
-"""(params, x [Dx], phase []) -> y [Dy] in layout units, as `evaluate` and `evaluate_lookup`."""
+"""(params, x [Dx], phase [] or [G]) -> y [Dy] in layout units, as `evaluate` and `evaluate_lookup`."""
 
 SEARCH = np.arange(0.0, 1.0, 0.05, dtype=np.float32)
 """Metres ahead of its progress at which a character looks for its nearest point on a path."""
@@ -61,8 +61,9 @@ class Frames:
         outputs: [T, Dy] the network's outputs in layout units, of frame i relative to root i.
         root_positions: [T, 2] metres, root i.
         root_yaw: [T] radians about +Y, 0 = facing +Z.
-        phase: [T] radians at which frame i was evaluated.
-        joint_positions: [T, J, 3] metres in the world, blended with the previous pose.
+        phase: [T] radians, or [T, G] in layout units, at which frame i was evaluated.
+        joint_positions: [T, J, 3] metres in the world, blended with the previous pose: of frame i, or of frame i+1
+            where the layout is of the next frame (as the outputs are).
         state: of the character before the frame after the last, to go on from.
         progress: [T] metres along the followed path, never falling, or None.
         path_distance: [T] metres from the root to the path there, or None.
@@ -196,23 +197,47 @@ def locked_rollout(
     Args:
         evaluate_fn, params, layout: as for `rollout`.
         x: [T, Dx] true inputs of consecutive frames, in layout units; the pose of the first one starts the rollout.
-        phase: [T] radians, true.
+        phase: [T] radians, or [T, G] in layout units, true.
 
     Returns:
-        [T, Dy] outputs in layout units; the joint positions and velocities of one are the inputs of the next
-        (by the layouts' frame rule), without blending.
+        [T, Dy] outputs in layout units; the joints of one are those of the next input (by the layout's frame rule;
+        where the layout is of the next frame, moved from root i into the true root i+1), without blending.
     """
-    blocks = ("joint_position", "joint_velocity")
+    blocks = tuple(name for name in layout.input_blocks if name.startswith("joint_"))
+    # The last row has no successor; its pose is not read any more.
+    following = jnp.concatenate([x[1:], x[-1:]])
 
     def frame(pose, row):
-        x, phase = row
-        for name, block in zip(blocks, pose, strict=True):
+        x, after, phase = row
+        for name, block in pose.items():
             x = x.at[layout.input_slice(name)].set(block)
         y = evaluate_fn(params, x, phase)
-        return tuple(y[layout.output_slice(name)] for name in blocks), y
+        pose = {name: y[layout.output_slice(name)] for name in blocks}
+        return (_into_next_root(layout, pose, row[0], after) if layout.next_frame else pose), y
 
-    start = tuple(x[0, layout.input_slice(name)] for name in blocks)
-    return jax.lax.scan(frame, start, (x, phase))[1]
+    start = {name: x[0, layout.input_slice(name)] for name in blocks}
+    return jax.lax.scan(frame, start, (x, following, phase))[1]
+
+
+def _into_next_root(layout: FrameLayout, pose: dict[str, jax.Array], x: jax.Array, after: jax.Array):
+    """A pose seen from root i as seen from root i+1, by the true inputs of the two frames.
+
+    Inputs do not hold the step of the root. But the velocities of frame i+1 lead back to the pose of frame i, which is
+    thus known from both roots: the rigid motion between the two is the step.
+    """
+
+    def ground(row: jax.Array, name: str) -> jax.Array:
+        return row[layout.input_slice(name)].reshape(-1, 3)[:, jnp.asarray([0, 2])]
+
+    here = ground(x, "joint_position")
+    there = ground(after, "joint_position") - ground(after, "joint_velocity") / (layout.fps * layout.time_unit)
+    middles = jnp.mean(here, axis=0), jnp.mean(there, axis=0)
+    a, b = here - middles[0], there - middles[1]
+    turned = unit(jnp.stack([jnp.sum(a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]), jnp.sum(a * b)]))
+    shift = middles[1] - to_world(middles[0], turned)
+    moved = {name: to_world(block.reshape(-1, 3), turned) for name, block in pose.items()}
+    moved["joint_position"] = moved["joint_position"] + lift(shift)[None]
+    return {name: block.reshape(-1) for name, block in moved.items()}
 
 
 def stability(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -12,45 +14,77 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.models.adapters import Style
+from pfnn_jax.models.film import Film, layer_norm, layer_norm_sample
 from pfnn_jax.runtime.lookup import table_phase
-from pfnn_jax.runtime.predictor import evaluate, make_predictor
+from pfnn_jax.runtime.mixture import StyleChoice, check_weights, load_bank, mix_rows
+from pfnn_jax.runtime.predictor import Predictor, evaluate, make_predictor
+from pfnn_jax.runtime.row_files import Rows, read_rows
 from pfnn_jax.training.checkpoint import replacing
 from pfnn_jax.training.run import Run, load_run
 
 RowMode = Literal["cubic", "constant50", "nearest50"]
+LayerNorm = Literal["population", "sample"]
+
+NORMS = {"population": layer_norm, "sample": layer_norm_sample}
+"""Layer norm of FiLM styles by name: that of the authors' run time, and that of their training graph."""
 
 CHUNK = 1024
 """Rows in one call."""
 
 
+@dataclass(frozen=True, eq=False)
+class RowStyles:
+    """A style, or a mixture, for every row.
+
+    Attributes:
+        indices: [N, M] int, into the `styles` of a run's configuration.
+        weights: [N, M], each row with sum one.
+    """
+
+    indices: np.ndarray
+    weights: np.ndarray
+
+
 def predict_rows(
-    run: Run, x: np.ndarray, phase: np.ndarray, style: str | None = None, mode: RowMode = "cubic"
+    run: Run,
+    x: np.ndarray,
+    phase: np.ndarray,
+    style: StyleChoice | RowStyles = None,
+    mode: RowMode = "cubic",
+    layer_norm: LayerNorm = "population",
 ) -> np.ndarray:
     """The network's outputs for independent frames, in float32 without reduced-precision products.
 
     Args:
         run: as `load_run` returns it.
         x: [N, Dx] inputs in layout units.
-        phase: [N] radians, any real numbers.
-        style: name of a style of the run, or None for style-agnostic motion.
-        mode: the exact spline, or the spline at the phase of the table entry that would serve (see `lookup`).
+        phase: [N] radians, any real numbers; or [N, G] in layout units for a gating network.
+        style: one choice for all rows, as `make_predictor` takes it, or one for every row.
+        mode: the network as it is, or at the phase of the table entry that would serve (see `lookup`).
+        layer_norm: statistics of the layer norm of FiLM styles.
 
     Returns:
         [N, Dy] outputs in layout units.
 
     Raises:
-        InputError: for an unknown style.
-        ValueError: for an unknown mode.
+        InputError: for an unknown style, weights that do not sum to one, or a table where there is no global phase.
+        ValueError: for an unknown mode or layer norm.
     """
-    predictor = make_predictor(run, style)
-    turned = np.mod(np.asarray(phase, np.float64), 2 * math.pi).astype(np.float32)
-    phases = turned if mode == "cubic" else np.asarray(table_phase(jnp.asarray(turned), mode))
-    y = np.empty((len(x), run.layout.output_size), np.float32)
+    if layer_norm not in NORMS:
+        raise ValueError(f"`layer_norm` must be population or sample, got {layer_norm!r}.")
+    if run.layout.phase_size:
+        if mode != "cubic":
+            raise InputError(run.path, "mode", mode, f"must be cubic: layout {run.layout.name} has no global phase")
+        phases = np.asarray(phase, np.float32)
+    else:
+        turned = np.mod(np.asarray(phase, np.float64), 2 * math.pi).astype(np.float32)
+        phases = turned if mode == "cubic" else np.asarray(table_phase(jnp.asarray(turned), mode))
+    rows = np.asarray(x, np.float32), phases
     with jax.default_matmul_precision("highest"):
-        for start in range(0, len(x), CHUNK):
-            rows = slice(start, start + CHUNK)
-            y[rows] = _evaluate_rows(predictor, jnp.asarray(x[rows], jnp.float32), phases[rows])
-    return y
+        if isinstance(style, RowStyles):
+            return _predict_each(run, style, rows, layer_norm)
+        return _in_chunks(partial(_evaluate_rows, make_predictor(run, style), layer_norm=layer_norm), rows)
 
 
 def predict_file(
@@ -58,17 +92,21 @@ def predict_file(
     in_npz: str | Path,
     out_npz: str | Path,
     *,
-    style: str | None = None,
+    style: StyleChoice = None,
     mode: RowMode = "cubic",
+    layer_norm: LayerNorm = "population",
     overwrite: bool = False,
 ) -> np.ndarray:
     """Evaluates a run on the rows of a file and writes its outputs into another.
 
     Args:
         run_path: the run directory.
-        in_npz: arrays `x` [N, Dx] in the layout's units and `phase` [N] in radians.
+        in_npz: arrays `x` [N, Dx] in the layout's units; `phase` [N] in radians, or `gating_x` (or `phase`) [N, G] for
+            a gating network; and, where rows differ in style, `style` [N] or `styles` [N, M] with `weights` [N, M]:
+            indices into the run's styles, and weights that sum to one.
         out_npz: gets `y` [N, Dy] in the layout's units.
-        style, mode: as in `predict_rows`.
+        style: of all rows, where the file tells none.
+        mode, layer_norm: as in `predict_rows`.
         overwrite: replace an existing output file.
 
     Returns:
@@ -76,51 +114,82 @@ def predict_file(
 
     Raises:
         InputError: for a run, a style or an input file that is not as it should be (naming array, row and column),
-            or if the output exists and `overwrite` is not set.
+            if both the file and `style` tell a style, or if the output exists and `overwrite` is not set.
     """
     run, out = load_run(run_path), Path(out_npz)
     if out.exists() and not overwrite:
         raise InputError(out, "output", "exists", "existing output is replaced only with --overwrite")
-    x, phase = _read_rows(Path(in_npz), run.layout.input_size)
-    y = predict_rows(run, x, phase, style, mode)
+    rows = read_rows(Path(in_npz), run.layout)
+    y = predict_rows(run, rows.x, rows.phase, _row_styles(Path(in_npz), rows, run, style), mode, layer_norm)
     with replacing(out) as new, new.open("wb") as file:
         np.savez(file, y=y)
     return y
 
 
-_evaluate_rows = jax.jit(jax.vmap(evaluate, (None, 0, 0)))
-
-
-def _read_rows(file: Path, width: int) -> tuple[np.ndarray, np.ndarray]:
-    rule = "must be a NumPy .npz file with arrays x and phase"
-    try:
-        with file.open("rb") as stream:  # opened here, because NumPy leaves a damaged file open
-            arrays = np.load(stream, allow_pickle=False)
-            if not isinstance(arrays, np.lib.npyio.NpzFile):
-                raise InputError(file, "file", "a single array", rule)
-            for name in ("x", "phase"):
-                if name not in arrays:
-                    raise InputError(file, f"array {name}", "absent", rule)
-            x, phase = arrays["x"], arrays["phase"]
-    except InputError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise InputError(file, "file", reason, rule) from error
-    if x.ndim != 2 or x.shape[1] != width or len(x) == 0:
-        raise InputError(file, "array x", f"shape {x.shape}", f"must be rows of {width} columns, at least one")
-    if phase.shape != x.shape[:1]:
-        raise InputError(file, "array phase", f"shape {phase.shape}", f"must hold one phase for each of {len(x)} rows")
-    return _as_floats(file, "x", x), _as_floats(file, "phase", phase)
-
-
-def _as_floats(file: Path, name: str, values: np.ndarray) -> np.ndarray:
-    """The values in float64, all within the range of float32."""
-    if values.dtype.kind not in "fiu":
-        raise InputError(file, f"array {name}", values.dtype, "must hold real numbers")
-    floats = values.astype(np.float64)
-    bad = np.argwhere(~(np.abs(floats) <= np.finfo(np.float32).max))
+def _row_styles(file: Path, rows: Rows, run: Run, style: StyleChoice) -> StyleChoice | RowStyles:
+    """The file's own styles, checked, or the one choice for all."""
+    if rows.styles is None or rows.weights is None:
+        return style
+    if style is not None:
+        raise InputError(file, f"array {rows.style_array}", "present", "give a style once: in the file or by --style")
+    known = len(run.config.styles)
+    bad = np.argwhere((rows.styles < 0) | (rows.styles >= known))
     if len(bad):
-        place = ", ".join(f"{axis} {i}" for axis, i in zip(("row", "column"), bad[0].tolist(), strict=False))
-        raise InputError(file, f"array {name}, {place}", floats[tuple(bad[0])], "must be a finite float32")
-    return floats
+        rule = f"must be an index into the {known} styles that the run was trained with"
+        raise InputError(file, f"array {rows.style_array}, row {bad[0][0]}", rows.styles[tuple(bad[0])], rule)
+    for row, weights in enumerate(rows.weights):
+        check_weights(weights, file, f"array weights, row {row}")
+    return RowStyles(rows.styles, rows.weights)
+
+
+def _predict_each(run: Run, styles: RowStyles, rows: tuple[np.ndarray, np.ndarray], layer_norm: LayerNorm):
+    """Rows of different styles; FiLM rows are gathered from a small bank, of other styles one group after another."""
+    used, local = np.unique(styles.indices, return_inverse=True)
+    names = [run.config.styles[index] for index in used]
+    local = local.reshape(styles.indices.shape)
+    weights = np.asarray(styles.weights, np.float32)
+    if run.config.adapter.kind == "film":
+        predictor, bank = make_predictor(run, names[0]), load_bank(run, names)
+        bank = jax.tree.map(jnp.asarray, bank)
+        call = partial(_evaluate_films, predictor, bank, layer_norm=layer_norm)
+        return _in_chunks(call, (*rows, local, weights))
+    y = np.empty((len(rows[0]), run.layout.output_size), np.float32)
+    kinds, group = np.unique(np.concatenate([local, weights], axis=1), axis=0, return_inverse=True)
+    for number, kind in enumerate(kinds):
+        chosen = np.flatnonzero(group.reshape(-1) == number)
+        shares: dict[str, float] = {}
+        for index, weight in zip(*np.split(kind, 2), strict=True):
+            shares[names[int(index)]] = shares.get(names[int(index)], 0.0) + float(weight)
+        call = partial(_evaluate_rows, make_predictor(run, shares), layer_norm=layer_norm)
+        y[chosen] = _in_chunks(call, tuple(array[chosen] for array in rows))
+    return y
+
+
+def _in_chunks(call: Callable[..., jax.Array], arrays: tuple[np.ndarray, ...]) -> np.ndarray:
+    parts = [
+        np.asarray(call(*(jnp.asarray(array[start : start + CHUNK]) for array in arrays)))
+        for start in range(0, len(arrays[0]), CHUNK)
+    ]
+    return np.concatenate(parts)
+
+
+@partial(jax.jit, static_argnames="layer_norm")
+def _evaluate_rows(predictor: Predictor, x: jax.Array, phase: jax.Array, *, layer_norm: LayerNorm) -> jax.Array:
+    return jax.vmap(partial(evaluate, predictor, normalise=NORMS[layer_norm]))(x, phase)
+
+
+@partial(jax.jit, static_argnames="layer_norm")
+def _evaluate_films(
+    predictor: Predictor,
+    bank: Film,
+    x: jax.Array,
+    phase: jax.Array,
+    indices: jax.Array,
+    weights: jax.Array,
+    *,
+    layer_norm: LayerNorm,
+) -> jax.Array:
+    def one(style: Style, x: jax.Array, phase: jax.Array) -> jax.Array:
+        return evaluate(predictor.replace(style=style), x, phase, normalise=NORMS[layer_norm])
+
+    return jax.vmap(one)(mix_rows(bank, indices, weights), x, phase)

@@ -10,7 +10,7 @@ import numpy as np
 from flax import struct
 
 from pfnn_jax.motion.layout import GAITS, TRAJECTORY_OFFSETS, FrameLayout
-from pfnn_jax.runtime.ground import heading, lift, mix, to_local, to_world, unit
+from pfnn_jax.runtime.ground import heading, lift, mix, orthonormal, to_local, to_world, unit
 
 STRIDE = TRAJECTORY_OFFSETS[1] - TRAJECTORY_OFFSETS[0]
 """Frames between two trajectory samples of a network."""
@@ -31,10 +31,11 @@ class CharacterState:
         positions: [111, 2] metres, the ground trajectory of frames i-60 to i+50 in the world; 60 is root i.
         directions: [111, 2] unit vectors, facing.
         gait: [111, 6] weights of `pfnn_jax.motion.layout.GAITS`.
-        joint_positions: [J, 3] metres in the world, of frame i-1.
+        joint_positions: [J, 3] metres in the world, of frame i-1, or of frame i where the layout is of the next frame.
         joint_velocities: [J, 3] metres per second in the world, from frame i-1 to i.
-        phase: [] radians of frame i.
+        phase: what the blending coefficients of frame i depend on: [] radians, or [G] in layout units.
         target_velocity, target_direction: [2] the smoothed command.
+        joint_forward, joint_up: [J, 3] orthonormal axes in the world, where the layout's inputs hold them, else None.
     """
 
     positions: jax.Array
@@ -45,6 +46,13 @@ class CharacterState:
     phase: jax.Array
     target_velocity: jax.Array
     target_direction: jax.Array
+    joint_forward: jax.Array | None = None
+    joint_up: jax.Array | None = None
+
+
+def joint_root(layout: FrameLayout) -> int:
+    """Index of the trajectory point relative to which a layout's inputs give the joints: this root, or the previous."""
+    return ROOT if layout.next_frame else ROOT - 1
 
 
 def initial_state(
@@ -55,7 +63,7 @@ def initial_state(
     Args:
         layout: of the row.
         x: [Dx] layout units: a real frame, or the mean of a normaliser.
-        phase: [] radians.
+        phase: [] radians, or [G] in layout units where the layout's `phase_size` is G.
         position: [2] metres, its root in the world.
         yaw: [] radians about +Y, 0 = facing +Z.
 
@@ -63,13 +71,14 @@ def initial_state(
         The state, which repeats x as its input up to the steering. Layouts without gaits start walking.
     """
     x, facing = jnp.asarray(x), heading(yaw)
-    read = {name: x[layout.input_slice(name)] for name, _ in layout.inputs}
+    read = {name: x[layout.input_slice(name)] for name in layout.input_blocks}
     positions = fill_between(jnp.stack([read["trajectory_position_x"], read["trajectory_position_z"]], -1))
     directions = fill_between(jnp.stack([read["trajectory_direction_x"], read["trajectory_direction_z"]], -1))
     positions = to_world(positions * layout.length_unit, facing) + jnp.asarray(position, x.dtype)[None]
     directions = to_world(unit(directions), facing)
     walking = jnp.zeros((len(GAITS), len(TRAJECTORY_OFFSETS)), x.dtype).at[GAITS.index("walk")].set(1.0)
-    before, faced = positions[ROOT - 1], directions[ROOT - 1]
+    index = joint_root(layout)
+    before, faced = positions[index], directions[index]
     joints = read["joint_position"].reshape(-1, 3) * layout.length_unit
     velocities = read["joint_velocity"].reshape(-1, 3) * (layout.length_unit / layout.time_unit)
     return CharacterState(
@@ -81,17 +90,41 @@ def initial_state(
         phase=jnp.asarray(phase, x.dtype),
         target_velocity=(positions[-1] - positions[ROOT]) * (layout.fps / (NUM_POINTS - 1 - ROOT)),
         target_direction=directions[ROOT],
+        **_axes(read, faced),
     )
+
+
+def _axes(read: dict[str, jax.Array], faced: jax.Array) -> dict[str, jax.Array]:
+    """Joint axes in the world, where x holds them; those of a mean row are neither of length 1 nor perpendicular."""
+    if "joint_forward" not in read:
+        return {}
+    forward, up = orthonormal(*(read[name].reshape(-1, 3) for name in ("joint_forward", "joint_up")))
+    return {"joint_forward": to_world(forward, faced), "joint_up": to_world(up, faced)}
 
 
 def standing_state(layout: FrameLayout, x: jax.Array, position: jax.Array, yaw: jax.Array) -> CharacterState:
     """A character that stands still in the pose of x [Dx], at phase 0, at `position` [2] facing `yaw` []."""
     x = jnp.asarray(x)
-    for name, _ in layout.inputs:
-        if name not in ("joint_position", "terrain_height"):
+    for name in layout.input_blocks:
+        if name not in ("joint_position", "joint_forward", "joint_up", "terrain_height"):
             x = x.at[layout.input_slice(name)].set(1.0 if name == "trajectory_direction_z" else 0.0)
-    state = initial_state(layout, x, jnp.zeros((), x.dtype), position, yaw)
+    phase = jnp.zeros((layout.phase_size,) if layout.phase_size else (), x.dtype)
+    state = initial_state(layout, x, phase, position, yaw)
     return replace(state, gait=jnp.zeros_like(state.gait).at[:, GAITS.index("stand")].set(1.0))
+
+
+def straight_row(layout: FrameLayout, x: jax.Array, speed: float | jax.Array) -> jax.Array:
+    """x [Dx] in layout units, with its trajectory straight ahead along +Z at `speed` metres per second."""
+    offsets = jnp.asarray(TRAJECTORY_OFFSETS, jnp.asarray(x).dtype)
+    blocks = {
+        "trajectory_position_x": 0.0 * offsets,
+        "trajectory_position_z": offsets * (speed / (layout.fps * layout.length_unit)),
+        "trajectory_direction_x": 0.0 * offsets,
+        "trajectory_direction_z": 0.0 * offsets + 1.0,
+    }
+    for name, block in blocks.items():
+        x = jnp.asarray(x).at[layout.input_slice(name)].set(block)
+    return jnp.asarray(x)
 
 
 def place_state(state: CharacterState, position: jax.Array, yaw: jax.Array) -> CharacterState:
@@ -110,6 +143,8 @@ def place_state(state: CharacterState, position: jax.Array, yaw: jax.Array) -> C
         joint_velocities=turned(state.joint_velocities),
         target_velocity=turned(state.target_velocity),
         target_direction=turned(state.target_direction),
+        joint_forward=None if state.joint_forward is None else turned(state.joint_forward),
+        joint_up=None if state.joint_up is None else turned(state.joint_up),
     )
 
 

@@ -91,7 +91,7 @@ def test_full_diagonal_and_bias_adapters_vanish_into_the_table():
 
 def test_entries_share_the_factors_of_cp_layers():
     first, second = make_lookup(make_predictor("cp", rank=5)).slices[:2]
-    for one, two in zip((first.adapter, *first.network.layers), (second.adapter, *second.network.layers), strict=True):
+    for one, two in zip((first.style, *first.network.layers), (second.style, *second.network.layers), strict=True):
         assert isinstance(one, CPLayer) and isinstance(two, CPLayer)
         assert one.a is two.a and one.b is two.b
 

@@ -42,9 +42,9 @@ def run(tmp_path_factory):
 @pytest.mark.parametrize("style", [None, "angry"])
 def test_it_is_the_network_between_the_statistics(run, style):
     predictor = make_predictor(run, style)
-    assert (predictor.adapter is None) == (style is None)
+    assert (predictor.style is None) == (style is None)
     x, phase = jax.random.normal(jax.random.key(2), (LAYOUT.input_size,)), jnp.float32(1.3)
-    inner = predict(run.shared, predictor.adapter, run.normaliser.inputs.apply(x), phase)
+    inner = predict(run.shared, predictor.style, run.normaliser.inputs.apply(x), phase)
     np.testing.assert_allclose(
         evaluate(predictor, x, phase), run.normaliser.outputs.invert(inner), atol=FLOAT32, rtol=FLOAT32
     )

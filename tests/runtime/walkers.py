@@ -12,7 +12,7 @@ from pfnn_jax.motion.layout import LAYOUTS, FrameLayout
 from pfnn_jax.runtime.ground import to_world
 
 JOINTS = 5
-LAYOUT = {name: make(JOINTS) for name, make in LAYOUTS.items()}
+LAYOUT = {name: LAYOUTS[name](JOINTS) for name in ("mason2018", "pfnn2017")}
 
 # A walk: m/s, rad/s about +Y, rad/s of phase.
 WALK = {"speed": 1.2, "turn_rate": 0.6, "cadence": 6.0}
