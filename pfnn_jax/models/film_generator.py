@@ -9,6 +9,7 @@ from typing import Any
 
 import chex
 import jax
+import jax.numpy as jnp
 from flax import nnx
 
 from pfnn_jax.models.dropout import drop, need_key
@@ -103,8 +104,12 @@ class _Generator(nnx.Module):
 
 
 def _pool(value: jax.Array) -> jax.Array:
-    """The larger of every two frames: [T, C] -> [T / 2, C]."""
-    return value.reshape(-1, _POOL, value.shape[-1]).max(axis=1)
+    """The larger of every two frames: [T, C] -> [T / 2, C].
+
+    Written as a maximum of two slices: XLA's CPU compiler merges a reduction with the dense layer behind it into one
+    kernel that takes six times as long for a few clips.
+    """
+    return jnp.maximum(value[0::_POOL], value[1::_POOL])
 
 
 def _init(config: GeneratorConfig, key: jax.Array) -> Any:

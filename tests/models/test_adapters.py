@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
-from pfnn_jax.models.layers import linear
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, OneHot, init_adapter
+from pfnn_jax.models.film import Film
+from pfnn_jax.models.layers import Layer, linear
 from pfnn_jax.models.network import num_parameters
 from tests.models.helpers import shapes
 
@@ -19,12 +20,30 @@ HIDDEN, POINTS = 512, 4  # of the paper
 
 @pytest.mark.parametrize(
     ("kind", "numbers"),
-    [("full", 1_050_624), ("diagonal", 4_096), ("cp", 31_352), ("bias", 2_048)],
+    [
+        ("full", 1_050_624),
+        ("diagonal", 4_096),
+        ("cp", 31_352),
+        ("bias", 2_048),
+        ("dense", 262_656),
+        ("one_hot", 2_048),
+        ("film", 2_048),
+    ],
 )
 def test_numbers_per_style(kind: AdapterKind, numbers: int):
-    """Table 1 of Mason 2018 in parameters; the CP bias is not blended, as in the authors' code."""
+    """Table 1 of Mason 2018 in parameters and the last column of Table 2 of Mason 2022.
+
+    The CP bias is not blended, as in the authors' code.
+    """
     adapter = init_adapter(AdapterConfig(kind=kind, rank=30), HIDDEN, POINTS, jax.random.key(0))
     assert num_parameters(adapter) == numbers
+
+
+def residual(config: AdapterConfig, hidden: int) -> Layer:
+    """A fresh style that is a layer beside the second."""
+    style = init_adapter(config, hidden, POINTS, jax.random.key(0))
+    assert not isinstance(style, OneHot | Film)
+    return style
 
 
 def test_parameter_trees():
@@ -40,26 +59,39 @@ def test_parameter_trees():
     assert tree("full") == {".weights": ((4, 512, 512), "float32"), ".biases": ((4, 512), "float32")}
     assert tree("diagonal") == {".weights": ((4, 512), "float32"), ".biases": ((4, 512), "float32")}
     assert tree("bias") == {".biases": ((4, 512), "float32")}
+    assert tree("dense") == {".weights": ((512, 512), "float32"), ".biases": ((512,), "float32")}
+    assert tree("one_hot") == {".shift.biases": ((4, 512), "float32")}
+    assert tree("film") == {".scale": ((2, 512), "float32"), ".shift": ((2, 512), "float32")}
 
 
 def test_a_fresh_bias_adapter_is_the_identity_and_can_leave_it():
-    adapter = init_adapter(AdapterConfig(kind="bias"), 8, POINTS, jax.random.key(0))
+    adapter = residual(AdapterConfig(kind="bias"), 8)
     coefficients, x = jnp.full(POINTS, 0.25), jnp.ones(8)
     np.testing.assert_array_equal(linear(adapter, coefficients, x), np.zeros(8))
     gradient = jax.grad(lambda layer: linear(layer, coefficients, x).sum())(adapter)
     assert all((leaf != 0).all() for leaf in jax.tree.leaves(gradient))
 
 
-@pytest.mark.parametrize("kind", ["cp", "full", "diagonal"])
+@pytest.mark.parametrize("kind", ["cp", "full", "diagonal", "dense"])
 def test_other_fresh_adapters_are_small_and_not_the_identity(kind: AdapterKind):
     """The authors' uniform weights: a zero factor would leave CP with a gradient too weak to train."""
-    adapter = init_adapter(AdapterConfig(kind=kind, rank=4), 64, POINTS, jax.random.key(0))
-    residual = linear(adapter, jnp.full(POINTS, 0.25), jnp.ones(64))
-    assert 0 < np.abs(residual).max() < 1
+    adapter = residual(AdapterConfig(kind=kind, rank=4), 64)
+    added = linear(adapter, jnp.full(POINTS, 0.25), jnp.ones(64))
+    assert 0 < np.abs(added).max() < 1
+
+
+def test_a_fresh_one_hot_style_is_zero_and_a_fresh_film_scales_by_one():
+    one_hot, film = (init_adapter(AdapterConfig(kind), 8, POINTS, jax.random.key(0)) for kind in ("one_hot", "film"))
+    assert isinstance(one_hot, OneHot) and isinstance(film, Film)
+    np.testing.assert_array_equal(one_hot.shift.biases, np.zeros((POINTS, 8)))
+    np.testing.assert_array_equal(film.scale, np.ones((2, 8)))
+    np.testing.assert_array_equal(film.shift, np.zeros((2, 8)))
 
 
 def test_messages_of_the_config():
-    with pytest.raises(ValueError, match=r"AdapterConfig.kind must be cp, full, .* or film, got 'lora'\."):
+    with pytest.raises(
+        ValueError, match=r"AdapterConfig.kind must be cp, full, diagonal, bias, dense, one_hot or film, got 'lora'\."
+    ):
         AdapterConfig(kind=cast(AdapterKind, cast(Any, "lora")))
     with pytest.raises(ValueError, match=r"AdapterConfig.rank must be at least 1, got 0\."):
         AdapterConfig(rank=0)

@@ -14,11 +14,13 @@ from pfnn_jax.models.layers import (
     BiasLayer,
     BlendedLayer,
     CPLayer,
+    DenseLayer,
     DiagonalLayer,
     Layer,
     init_bias,
     init_blended,
     init_cp,
+    init_dense,
     init_diagonal,
     linear,
 )
@@ -82,6 +84,16 @@ def test_bias_layer_is_a_blended_layer_without_weights(float64: None):
     np.testing.assert_allclose(linear(layer, coefficients(), inputs()), expected, atol=FLOAT64)
 
 
+def test_dense_layer_is_a_blended_layer_of_equal_experts(float64: None):
+    """What is the same in every expert is not blended, where the coefficients sum to one."""
+    layer = random_layer("dense", POINTS, SIZE, 9, RANK)
+    assert isinstance(layer, DenseLayer)
+    full = BlendedLayer(weights=jnp.tile(layer.weights, (POINTS, 1, 1)), biases=jnp.tile(layer.biases, (POINTS, 1)))
+    c = coefficients() / coefficients().sum()
+    np.testing.assert_allclose(linear(layer, c, inputs()), linear(full, c, inputs()), rtol=1e-10)
+    np.testing.assert_array_equal(linear(layer, c, inputs()), linear(layer, jnp.zeros(2), inputs()))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients(kind: str, float64: None):
     layer = random_layer(kind, POINTS, SIZE, SIZE, RANK)
@@ -97,7 +109,8 @@ def test_gradients_where_everything_is_zero(kind: str, float64: None):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_knows_its_number_of_control_points(kind: str):
-    assert random_layer(kind, POINTS, SIZE, SIZE, RANK).num_control_points == POINTS
+    layer = random_layer(kind, POINTS, SIZE, SIZE, RANK)
+    assert isinstance(layer, DenseLayer) or layer.num_control_points == POINTS
 
 
 def test_parameter_trees():
@@ -116,6 +129,7 @@ def test_parameter_trees():
         ".weights": ((4, 512), "float32"),
         ".biases": ((4, 512), "float32"),
     }
+    assert shapes(init_dense(key, 512, 342)) == {".weights": ((512, 342), "float32"), ".biases": ((342,), "float32")}
     assert shapes(init_bias(4, 512)) == {".biases": ((4, 512), "float32")}
 
 
@@ -129,6 +143,7 @@ def test_initial_weights_are_uniform_in_the_bounds_of_the_authors():
         (cp.b, 30 * 64),
         (cp.d, 30),
         (diagonal.weights, 512),
+        (init_dense(key, 64, 128).weights, 64 * 128),
     ):
         bound = np.sqrt(6 / fan)
         assert 0.9 * bound < np.abs(weights).max() <= bound

@@ -1,0 +1,197 @@
+"""Film and one-hot styles: identities of the modulation, and what they do to a network."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from pfnn_jax.models.adapters import OneHot
+from pfnn_jax.models.film import (
+    Film,
+    film_from_vector,
+    film_to_vector,
+    identity_film,
+    layer_norm,
+    layer_norm_sample,
+    mix,
+    modulate,
+)
+from pfnn_jax.models.layers import BiasLayer, BlendedLayer, linear
+from pfnn_jax.models.network import Dropout, Network, NetworkConfig, forward, init_network
+from tests.models.helpers import random_layer, randomise
+
+FLOAT64 = 1e-12  # a few small layers in double precision
+NO_VARIANCE = 1e-7  # relative effect of 1e-8 inside the root on variances near one
+
+HIDDEN, POINTS, INPUTS = 7, 4, 5
+KEY = jax.random.key(21)
+
+
+def features(seed: int = 1) -> jax.Array:
+    return jax.random.normal(jax.random.key(seed), (HIDDEN,))
+
+
+def random_film(seed: int = 2) -> Film:
+    return randomise(identity_film(HIDDEN), seed)
+
+
+def small_network(inputs: int = INPUTS) -> Network:
+    network = randomise(init_network(NetworkConfig(inputs, 3, HIDDEN, POINTS), KEY), 4)
+    return jax.tree.map(lambda leaf: 0.5 * leaf, network)
+
+
+def frame() -> tuple[jax.Array, jax.Array]:
+    """(coefficients [K], x [I])"""
+    return jnp.asarray([0.1, 0.2, 0.3, 0.4]), jax.random.normal(jax.random.key(5), (INPUTS,))
+
+
+def test_layer_norm_has_mean_zero_and_deviation_one(float64: None):
+    f = 5 * features() + 3
+    assert layer_norm(f).mean() == pytest.approx(0, abs=FLOAT64)
+    assert layer_norm(f).std() == pytest.approx(1, abs=NO_VARIANCE)
+    assert layer_norm_sample(f).std(ddof=1) == pytest.approx(1, abs=2e-6)  # 1e-6 on a deviation of at least 1
+
+
+@pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
+def test_normalisation_forgets_offset_and_size(normalise, float64: None):
+    np.testing.assert_allclose(normalise(7 * features() - 2), normalise(features()), atol=2e-6)
+
+
+def test_the_two_statistics_differ_by_their_divisor(float64: None):
+    ratio = np.sqrt((HIDDEN - 1) / HIDDEN)
+    np.testing.assert_allclose(layer_norm_sample(features()), ratio * layer_norm(features()), rtol=2e-6)
+
+
+@pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
+@pytest.mark.parametrize("value", [0.0, -3.0, 1e4])
+def test_a_constant_vector_has_value_zero_and_a_finite_gradient(normalise, value: float):
+    constant = jnp.full(HIDDEN, value)
+    np.testing.assert_allclose(normalise(constant), np.zeros(HIDDEN), atol=1e-6)
+    assert np.isfinite(jax.jacrev(normalise)(constant)).all()
+    assert np.isfinite(jax.jacfwd(normalise)(constant)).all()
+
+
+def test_modulate_is_scale_and_shift_of_its_own_row():
+    film, f = random_film(), features()
+    for index in (0, 1):
+        expected = film.scale[index] * layer_norm(f) + film.shift[index]
+        np.testing.assert_array_equal(modulate(film, index, f, layer_norm), expected)
+    np.testing.assert_array_equal(modulate(identity_film(HIDDEN), 1, f), layer_norm(f))
+
+
+def test_scale_zero_leaves_the_shift_alone():
+    film = replace(random_film(), scale=jnp.zeros((2, HIDDEN)))
+    np.testing.assert_array_equal(modulate(film, 0, features()), film.shift[0])
+
+
+def test_vector_order_is_scale_and_shift_of_each_layer_in_turn():
+    vector = jnp.arange(4.0 * HIDDEN)
+    film = film_from_vector(vector)
+    np.testing.assert_array_equal(film.scale, np.stack([vector[:HIDDEN], vector[2 * HIDDEN : 3 * HIDDEN]]))
+    np.testing.assert_array_equal(film.shift, np.stack([vector[HIDDEN : 2 * HIDDEN], vector[3 * HIDDEN :]]))
+    np.testing.assert_array_equal(film_to_vector(film), vector)
+
+
+@pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
+def test_forward_with_film_is_equation_3(normalise, float64: None):
+    """Affine, then normalisation, then scale and shift, then ELU, on both hidden layers and not on the output."""
+    network, film, (c, x) = small_network(), random_film(), frame()
+    first, second, third = network.layers
+    hidden = jax.nn.elu(film.scale[0] * normalise(linear(first, c, x)) + film.shift[0])
+    hidden = jax.nn.elu(film.scale[1] * normalise(linear(second, c, hidden)) + film.shift[1])
+    expected = linear(third, c, hidden)
+    np.testing.assert_allclose(forward(network, film, c, x, normalise=normalise), expected, atol=FLOAT64)
+
+
+def test_no_film_means_no_normalisation():
+    network, (c, x) = small_network(), frame()
+    plain = forward(network, None, c, x)
+    np.testing.assert_array_equal(forward(network, None, c, x, normalise=layer_norm_sample), plain)
+    assert (forward(network, identity_film(HIDDEN), c, x) != plain).all()
+
+
+def test_every_frame_may_have_a_film_of_its_own(float64: None):
+    network, (c, x) = small_network(), frame()
+    films = randomise(jax.tree.map(lambda leaf: jnp.zeros((6, *leaf.shape)), identity_film(HIDDEN)), 8)
+    batched = jax.vmap(lambda film: forward(network, film, c, x))(films)
+    for index in range(6):
+        one = jax.tree.map(lambda leaf, i=index: leaf[i], films)
+        np.testing.assert_allclose(batched[index], forward(network, one, c, x), atol=FLOAT64)
+
+
+def test_gradients_of_forward_with_film(float64: None):
+    def dropped(network, film, c, x):
+        rates = Dropout(main=jnp.asarray(0.3), adapter=jnp.asarray(0.0))
+        return forward(network, film, c, x, dropout=rates, key=KEY)
+
+    arguments = (small_network(), random_film(), *frame())
+    check_grads(lambda n, f, c, x: forward(n, f, c, x), arguments, order=1, modes=("fwd", "rev"))
+    check_grads(dropped, arguments, order=1, modes=("fwd", "rev"))
+
+
+@pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
+def test_gradients_of_modulate(normalise, float64: None):
+    check_grads(lambda film, f: modulate(film, 0, f, normalise), (random_film(), features()), order=2)
+
+
+@pytest.mark.parametrize("kind", ["film", "cp", "dense", "bias"])
+def test_a_mixture_at_a_vertex_is_that_style(kind: str):
+    one = random_film() if kind == "film" else random_layer(kind, POINTS, HIDDEN, HIDDEN, 2)
+    stacked = randomise(jax.tree.map(lambda leaf: jnp.zeros((3, *leaf.shape)), one), 9)
+    for index in range(3):
+        vertex = mix(stacked, jnp.eye(3)[index])
+        assert jax.tree.all(jax.tree.map(lambda a, b, i=index: bool((a == b[i]).all()), vertex, stacked))
+
+
+def test_a_mixture_is_linear_before_modulation(float64: None):
+    films = [random_film(seed) for seed in (1, 2, 3)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *films)
+    mixed = mix(stacked, jnp.asarray([0.2, 0.3, 0.5]))
+    expected = 0.2 * films[0].scale + 0.3 * films[1].scale + 0.5 * films[2].scale
+    np.testing.assert_allclose(mixed.scale, expected, atol=FLOAT64)
+
+
+def one_hot_of(first: BlendedLayer, style: int) -> OneHot:
+    return OneHot(shift=BiasLayer(biases=first.weights[:, INPUTS + style]))
+
+
+@pytest.mark.parametrize("style", [0, 2])
+def test_a_one_hot_style_is_a_one_hot_input(style: int, float64: None):
+    """A network with three more inputs, one of them set, against the columns of that input beside the network."""
+    wide, (c, x) = small_network(INPUTS + 3), frame()
+    first = wide.layers[0]
+    assert isinstance(first, BlendedLayer)
+    narrow = replace(wide, layers=(replace(first, weights=first.weights[:, :INPUTS]), *wide.layers[1:]))
+    expected = forward(wide, None, c, jnp.concatenate([x, jnp.eye(3)[style]]))
+    np.testing.assert_allclose(forward(narrow, one_hot_of(first, style), c, x), expected, atol=FLOAT64)
+
+
+def test_a_one_hot_input_is_kept_or_dropped_as_a_whole(float64: None):
+    """Its one input, 1, is dropped at the adapter's rate: nothing of the style is left, or 1 / (1 - rate) of it."""
+    network, (c, x) = small_network(), frame()
+    style = OneHot(shift=BiasLayer(biases=jax.random.normal(KEY, (POINTS, HIDDEN))))
+    double = jax.tree.map(lambda leaf: 2 * leaf, style)
+    rates = Dropout(main=jnp.asarray(0.0), adapter=jnp.asarray(0.5))
+    seen = set()
+    for seed in range(12):
+        y = forward(network, style, c, x, dropout=rates, key=jax.random.key(seed))
+        kept = np.allclose(y, forward(network, double, c, x), atol=FLOAT64)
+        assert kept or np.allclose(y, forward(network, None, c, x), atol=FLOAT64)
+        seen.add(kept)
+    assert seen == {True, False}
+
+
+def test_gradients_of_forward_with_a_one_hot_style(float64: None):
+    style = OneHot(shift=BiasLayer(biases=jax.random.normal(KEY, (POINTS, HIDDEN))))
+    arguments = (small_network(), style, *frame())
+    check_grads(lambda n, s, c, x: forward(n, s, c, x), arguments, order=1, modes=("fwd", "rev"))
+
+
+def test_a_film_of_another_width_is_refused():
+    with pytest.raises(AssertionError):
+        modulate(identity_film(HIDDEN + 1), 0, features())

@@ -1,0 +1,196 @@
+"""The FiLM generator and the models of Table 2: exact sizes, the formula by hand, and how it is batched."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from pfnn_jax.models.film import film_from_vector
+from pfnn_jax.models.film_generator import GeneratorConfig, film_generator, paper_count
+from pfnn_jax.models.network import num_parameters
+from pfnn_jax.models.presets import LAYOUT_OF, TABLE2, Backbone, counts, network_config
+from tests.models.helpers import randomise, shapes
+
+FLOAT64 = 1e-10  # sums of a hundred terms of size ten in double precision
+
+KEY = jax.random.key(31)
+TINY = GeneratorConfig(features=3, clip_frames=12, filters=4, width=5, hidden=6, film_hidden=2)
+
+
+def tiny() -> dict[str, dict[str, jax.Array]]:
+    """Parameters with biases that are not zero."""
+    return randomise(film_generator(TINY).init(KEY), 1)
+
+
+def clip(seed: int = 2, *batch: int) -> jax.Array:
+    return jax.random.normal(jax.random.key(seed), (*batch, TINY.clip_frames, TINY.features))
+
+
+def slow_convolution(value: np.ndarray, kernel: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """Each frame from the `width` frames around it, zeros beyond the ends."""
+    half = kernel.shape[0] // 2
+    padded = np.pad(value, ((half, half), (0, 0)))
+    return np.stack([np.einsum("wi,wio->o", padded[t : t + len(kernel)], kernel) + bias for t in range(len(value))])
+
+
+def test_generator_is_its_formula(float64: None):
+    """Convolution, ReLU, the larger of two frames, twice; then two dense layers (Mason 2022 §4.3), with loops."""
+    params = jax.tree.map(np.asarray, tiny())
+    value = np.asarray(clip())
+    for name in ("conv1", "conv2"):
+        value = np.maximum(slow_convolution(value, params[name]["kernel"], params[name]["bias"]), 0)
+        value = value.reshape(-1, 2, TINY.filters).max(axis=1)
+    hidden = np.maximum(value.reshape(-1) @ params["dense1"]["kernel"] + params["dense1"]["bias"], 0)
+    expected = film_from_vector(hidden @ params["dense2"]["kernel"] + params["dense2"]["bias"])
+    film = film_generator(TINY).apply(tiny(), clip())
+    np.testing.assert_allclose(film.scale, expected.scale, atol=FLOAT64)
+    np.testing.assert_allclose(film.shift, expected.shift, atol=FLOAT64)
+
+
+def test_size_of_the_papers_generator():
+    """Each number is counted: the paper leaves the inputs of the convolutions out of its own count."""
+    config = GeneratorConfig(features=300)
+    params = jax.eval_shape(lambda: film_generator(config).init(KEY))
+    assert shapes(params) == {
+        "['conv1']['kernel']": ((25, 300, 256), "float32"),
+        "['conv1']['bias']": ((256,), "float32"),
+        "['conv2']['kernel']": ((25, 256, 256), "float32"),
+        "['conv2']['bias']": ((256,), "float32"),
+        "['dense1']['kernel']": ((15360, 2048), "float32"),
+        "['dense1']['bias']": ((2048,), "float32"),
+        "['dense2']['kernel']": ((2048, 2048), "float32"),
+        "['dense2']['bias']": ((2048,), "float32"),
+    }
+    assert num_parameters(params) == 39_214_592
+    assert paper_count(config) == 35_668_530
+
+
+def test_dropout_acts_behind_the_first_dense_layer_only():
+    """All of it dropped leaves the last bias, which is what no clip at all would leave."""
+    params = tiny()
+    film = film_generator(TINY).apply(params, clip(), dropout=jnp.asarray(1.0), key=KEY)
+    left = film_from_vector(params["dense2"]["bias"])
+    np.testing.assert_array_equal(film.scale, left.scale)
+    np.testing.assert_array_equal(film.shift, left.shift)
+    kept = film_generator(TINY).apply(params, clip(), dropout=jnp.asarray(0.0), key=KEY)
+    np.testing.assert_array_equal(kept.scale, film_generator(TINY).apply(params, clip()).scale)
+
+
+def test_dropout_keeps_or_drops_each_hidden_number(float64: None):
+    """The film is linear in what is dropped: at rate 1/2 it is one of the 2^6 doubled partial sums."""
+    params = tiny()
+    params["dense2"]["bias"] = jnp.zeros_like(params["dense2"]["bias"])
+    without = [
+        film_generator(TINY).apply(params | {"dense2": {**params["dense2"], "kernel": kernel}}, clip()).scale[0, 0]
+        for kernel in (params["dense2"]["kernel"] * jnp.eye(6)[:, i : i + 1] for i in range(6))
+    ]
+    dropped = film_generator(TINY).apply(params, clip(), dropout=jnp.asarray(0.5), key=KEY).scale[0, 0]
+    choices = (np.arange(64)[:, None] >> np.arange(6)) & 1
+    assert np.abs(choices @ (2 * np.asarray(without)) - float(dropped)).min() < FLOAT64
+
+
+def test_dropout_needs_a_key():
+    with pytest.raises(ValueError, match="`key` is needed where `dropout` is given, got None"):
+        film_generator(TINY).apply(tiny(), clip(), dropout=jnp.asarray(0.3))
+
+
+def test_gradients(float64: None):
+    check_grads(film_generator(TINY).apply, (tiny(), clip()), order=1, modes=("fwd", "rev"))
+
+
+def test_a_batch_is_its_clips_one_by_one(float64: None):
+    clips = clip(3, 4)
+    batched = jax.vmap(film_generator(TINY).apply, (None, 0))(tiny(), clips)
+    for index in range(4):
+        one = film_generator(TINY).apply(tiny(), clips[index])
+        np.testing.assert_allclose(batched.scale[index], one.scale, atol=FLOAT64)
+
+
+def test_a_batch_is_one_convolution_in_each_layer():
+    """Forward two; backward one more for each layer's weights and one for the second layer's input."""
+    batched = jax.vmap(film_generator(TINY).apply, (None, 0))
+
+    def loss(params, clips):
+        film = batched(params, clips)
+        return (film.scale**2).mean() + (film.shift**2).mean()
+
+    clips = clip(3, 7)
+    forward_text = jax.jit(batched).lower(tiny(), clips).as_text()
+    backward_text = jax.jit(jax.grad(loss)).lower(tiny(), clips).as_text()
+    assert len(re.findall(r"stablehlo\.convolution\(", forward_text)) == 2
+    assert len(re.findall(r"stablehlo\.convolution\(", backward_text)) == 5
+    for text in (forward_text, backward_text):
+        assert "feature_group_count = 1" in text and "feature_group_count = 7" not in text
+        assert "stablehlo.while" not in text
+
+
+def test_made_once_for_each_configuration():
+    assert film_generator(TINY) is film_generator(GeneratorConfig(**asdict(TINY)))
+
+
+def test_initial_weights_are_uniform_with_zero_biases_and_follow_the_key():
+    config = GeneratorConfig(features=24, clip_frames=16, filters=32, width=5, hidden=64, film_hidden=16)
+    params, again, other = (film_generator(config).init(jax.random.key(seed)) for seed in (0, 0, 1))
+    for name, fan in (("conv1", 5 * (24 + 32)), ("conv2", 5 * 64), ("dense1", 4 * 32 + 64), ("dense2", 64 + 64)):
+        bound = np.sqrt(6 / fan)
+        assert 0.9 * bound < np.abs(params[name]["kernel"]).max() <= bound * (1 + 1e-6)
+        assert (params[name]["bias"] == 0).all()
+        assert (params[name]["kernel"] == again[name]["kernel"]).all()
+        assert (params[name]["kernel"] != other[name]["kernel"]).any()
+
+
+def test_a_clip_of_another_length_is_refused():
+    with pytest.raises(AssertionError):
+        film_generator(TINY).apply(tiny(), clip()[:-4])
+
+
+def test_messages_of_the_config():
+    with pytest.raises(ValueError, match=r"GeneratorConfig.width must be at least 1, got 0\."):
+        GeneratorConfig(features=300, width=0)
+    with pytest.raises(ValueError, match=r"GeneratorConfig.clip_frames must be a multiple of 4, got 242\."):
+        GeneratorConfig(features=300, clip_frames=242)
+
+
+@pytest.mark.parametrize(
+    ("name", "synthesis", "modulation", "per_style", "published"),
+    [
+        ("pfnn_one_hot", 2_436_380, 194_560, 2_048, 194_560),
+        ("lpn_one_hot", 4_935_928, 389_120, 4_096, 389_120),
+        ("pfnn_resad", 2_436_380, 2_978_440, 31_352, 2_978_440),
+        ("lpn_resad", 4_935_928, 24_952_320, 262_656, 24_952_320),
+        ("pfnn_film", 2_436_380, 39_214_592, 2_048, 35_668_530),
+        ("mann_film", 4_870_392, 39_214_592, 2_048, 35_668_530),
+        ("lpn_film", 4_935_928, 39_214_592, 2_048, 35_668_530),
+    ],
+)
+def test_counts_of_table_2(name: str, synthesis: int, modulation: int, per_style: int, published: int):
+    """Mason 2022 Table 2, and the true count of the generator beside the printed one."""
+    count = counts(name)
+    assert (count.synthesis, count.modulation, count.per_style) == (synthesis, modulation, per_style)
+    assert count.modulation_published == published
+
+
+def test_table_2_has_seven_models_each_with_a_layout():
+    assert len(TABLE2) == 7
+    assert {preset.backbone for preset in TABLE2.values()} == set(LAYOUT_OF)
+
+
+@pytest.mark.parametrize(
+    ("backbone", "outputs", "phases", "experts"), [("pfnn", 327, 0, 4), ("mann", 326, 12, 8), ("lpn", 342, 8, 8)]
+)
+def test_sizes_of_the_backbones(backbone: Backbone, outputs: int, phases: int, experts: int):
+    config = network_config(backbone)
+    assert (config.input_size, config.output_size) == (348, outputs)
+    assert (config.phase_size, config.num_control_points, config.hidden) == (phases, experts, 512)
+    assert network_config(backbone, num_joints=21, hidden=16).input_size == 48 + 12 * 21
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(ValueError, match="`name` must be one of pfnn_one_hot, .*, got 'gpt'"):
+        counts("gpt")

@@ -1,0 +1,136 @@
+"""The authors' trained local-phase network: every stage of the forward pass against golden values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pfnn_jax.models.film import Film, layer_norm_sample, mix, modulate
+from pfnn_jax.models.gating import Gating, gate
+from pfnn_jax.models.layers import BlendedLayer, DenseLayer, linear
+from pfnn_jax.models.network import Network, num_parameters, predict
+
+# Golden values are float64. What is left is the constant inside the layer norm's root: 1e-8 on variances above 5.
+FLOAT64 = 1e-7
+FLOAT32 = 1e-4  # in standard deviations of each output: ten times what single precision does to these networks
+
+EXPERTS, STYLES = 8, 100
+
+
+class Released(NamedTuple):
+    network: Network
+    films: Film  # leaves [100, 2, 512]
+    input_statistics: tuple[np.ndarray, np.ndarray]
+    phase_statistics: tuple[np.ndarray, np.ndarray]
+    output_statistics: tuple[np.ndarray, np.ndarray]
+
+
+def read(folder: Path, name: str, *shape: int) -> np.ndarray:
+    return np.fromfile(folder / f"{name}.bin", "<f4").astype(np.float64).reshape(shape)
+
+
+def blended(folder: Path, layer: int, outputs: int, inputs: int) -> BlendedLayer:
+    weights = [read(folder, f"cp{layer}_a{e}", outputs, inputs).T for e in range(EXPERTS)]
+    biases = [read(folder, f"cp{layer}_b{e}", outputs) for e in range(EXPERTS)]
+    return BlendedLayer(weights=np.stack(weights), biases=np.stack(biases))
+
+
+def dense(folder: Path, layer: int, outputs: int, inputs: int) -> DenseLayer:
+    weights = read(folder, f"wc{layer}_w", outputs, inputs).T
+    return DenseLayer(weights=weights, biases=read(folder, f"wc{layer}_b", outputs))
+
+
+def vectors(folder: Path, name: str) -> np.ndarray:
+    """[S, 2, 512]"""
+    rows = [[read(folder, f"Style_{s:03d}_{name}{layer}", 512) for layer in (1, 2)] for s in range(STYLES)]
+    return np.array(rows)
+
+
+@pytest.fixture(scope="module")
+def released(reference: Path) -> Released:
+    folder = reference / "lpn"
+    layers = (blended(folder, 0, 512, 348), blended(folder, 1, 512, 512), blended(folder, 2, 342, 512))
+    gating = Gating(layers=(dense(folder, 0, 32, 8), dense(folder, 1, 32, 32), dense(folder, 2, 8, 32)))
+    return Released(
+        network=Network(layers=layers, gating=gating),
+        films=Film(scale=vectors(folder, "scale"), shift=vectors(folder, "shift")),
+        input_statistics=(read(folder, "Xmean", 348), read(folder, "Xstd", 348)),
+        phase_statistics=(read(folder, "GT_Xmean", 8), read(folder, "GT_Xstd", 8)),
+        output_statistics=(read(folder, "Ymean", 342), read(folder, "Ystd", 342)),
+    )
+
+
+def load(path: Path) -> dict[str, np.ndarray]:
+    with np.load(path) as file:
+        return dict(file)
+
+
+def normalised(statistics: tuple[np.ndarray, np.ndarray], values: np.ndarray) -> np.ndarray:
+    mean, std = statistics
+    return (values - mean) / std
+
+
+def styles_of(released: Released, golden: dict[str, np.ndarray]) -> Film:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf[golden["style"]]), released.films)
+
+
+def predict_all(released: Released, golden: dict[str, np.ndarray], **options) -> jax.Array:
+    """Normalised outputs [N, 342] in the precision that is on."""
+    network = jax.tree.map(jnp.asarray, released.network)
+    x = jnp.asarray(normalised(released.input_statistics, golden["x"]))
+    phase = jnp.asarray(normalised(released.phase_statistics, golden["gating_x"]))
+    each = jax.vmap(lambda style, x, p: predict(network, style, x, p, **options))
+    return jax.jit(each)(styles_of(released, golden), x, phase)
+
+
+def test_size(released: Released):
+    assert num_parameters(released.network) == 4_935_928
+
+
+def test_every_stage(released: Released, reference: Path, float64: None):
+    golden = load(reference / "lpn_golden_dev.npz")
+    network, films = jax.tree.map(jnp.asarray, released.network), styles_of(released, golden)
+    phase = normalised(released.phase_statistics, golden["gating_x"])
+    c = jax.vmap(gate, (None, 0))(network.gating, phase)
+    np.testing.assert_allclose(c, golden["gating_coeffs"], atol=FLOAT64)
+    value = jnp.asarray(normalised(released.input_statistics, golden["x"]))
+    for index in (0, 1):
+        f = jax.vmap(linear, (None, 0, 0))(network.layers[index], c, value)
+        np.testing.assert_allclose(f, golden[f"pre{index + 1}"], rtol=FLOAT64, atol=FLOAT64)
+        value = jax.nn.elu(jax.vmap(modulate, (0, None, 0))(films, index, f))
+        np.testing.assert_allclose(value, golden[f"hidden{index + 1}"], atol=FLOAT64)
+    y = jax.vmap(linear, (None, 0, 0))(network.layers[2], c, value)
+    np.testing.assert_allclose(y, golden["y_norm"], atol=FLOAT64)
+
+
+def test_predict(released: Released, reference: Path, float64: None):
+    golden = load(reference / "lpn_golden_dev.npz")
+    np.testing.assert_allclose(predict_all(released, golden), golden["y_norm"], atol=FLOAT64)
+
+
+def test_predict_with_the_statistics_of_training(released: Released, reference: Path, float64: None):
+    golden = load(reference / "lpn_golden_dev.npz")
+    expected = normalised(released.output_statistics, golden["y_train_ln"])
+    actual = predict_all(released, golden, normalise=layer_norm_sample)
+    np.testing.assert_allclose(actual, expected, atol=FLOAT64)
+
+
+def test_predict_in_single_precision(released: Released, reference: Path):
+    golden = load(reference / "lpn_golden_dev.npz")
+    np.testing.assert_allclose(predict_all(released, golden), golden["y_norm"], atol=FLOAT32)
+
+
+def test_mixtures_of_three_styles(released: Released, reference: Path, float64: None):
+    golden = load(reference / "lpn_golden_mix_dev.npz")
+    stacked = jax.tree.map(lambda leaf: jnp.asarray(leaf[golden["styles"]]), released.films)
+    network = jax.tree.map(jnp.asarray, released.network)
+    x = jnp.asarray(normalised(released.input_statistics, golden["x"]))
+    phase = jnp.asarray(normalised(released.phase_statistics, golden["gating_x"]))
+    each = jax.vmap(lambda three, weights, x, p: predict(network, mix(three, weights), x, p))
+    y = jax.jit(each)(stacked, jnp.asarray(golden["weights"]), x, phase)
+    np.testing.assert_allclose(y, normalised(released.output_statistics, golden["y"]), atol=FLOAT64)
