@@ -126,21 +126,19 @@ class PretrainConfig:
 
     def objective(self, data: Rows) -> Objective:
         """The loss on this data, with the layout's defaults."""
-        return make_objective(data, self.dropout, self.l1, self.l1_norm, self.bone_length)
+        return make_objective(data, self.l1, self.l1_norm, self.bone_length)
 
 
 def make_objective(
-    data: Rows, dropout: float, l1: float | None = None, l1_norm: PenaltyNorm = "mean", bone_length: float | None = None
+    data: Rows, l1: float | None = None, l1_norm: PenaltyNorm = "mean", bone_length: float | None = None
 ) -> Objective:
-    """The loss that a layout's paper has, where `l1` and `bone_length` are None."""
+    """The loss on `data`; that of the layout's paper where `l1` and `bone_length` are None."""
     of_2022 = data.layout.next_frame
-    rate = jnp.float32(dropout)
     l1 = (0.0 if of_2022 else L1) if l1 is None else l1
     bone_length = (BONE_LENGTH if of_2022 else 0.0) if bone_length is None else bone_length
-    return Objective(
-        dropout=Dropout(main=rate, adapter=rate),
-        l1=l1,
-        l1_norm=l1_norm,
-        bone_length=bone_length,
-        bones=bones_of(data) if bone_length else None,
-    )
+    return Objective(l1, l1_norm, bone_length, bones_of(data) if bone_length else None)
+
+
+def equal_dropout(rate: float) -> Dropout:
+    """One drop probability everywhere."""
+    return Dropout(main=jnp.float32(rate), adapter=jnp.float32(rate))

@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -18,15 +18,14 @@ import numpy as np
 import optax
 from flax import struct
 
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
-from pfnn_jax.models.layers import Layer
+from pfnn_jax.models.adapters import AdapterConfig, Style, init_adapter
 from pfnn_jax.models.network import Dropout, Network, config_of, init_network
 from pfnn_jax.training.batches import Batch
-from pfnn_jax.training.losses import l1_penalty, squared_error
-from pfnn_jax.training.steps import predict_batch
+from pfnn_jax.training.losses import squared_error
+from pfnn_jax.training.steps import Bones, Objective, predict_batch
 
-Method = Literal["cp", "full", "diagonal", "bias", "fine_tune", "scratch"]
-METHODS: tuple[Method, ...] = ("cp", "full", "diagonal", "bias", "fine_tune", "scratch")
+Method = Literal["cp", "full", "diagonal", "bias", "dense", "one_hot", "film", "fine_tune", "scratch"]
+METHODS: tuple[Method, ...] = get_args(Method)
 
 
 @dataclass(frozen=True)
@@ -37,15 +36,18 @@ class FewShotConfig:
     every number of epochs in `stops`, and one (setting, stop) is chosen.
 
     Attributes:
-        method: `cp`, `full`, `diagonal` or `bias` adapters; `fine_tune` (all shared weights, from the pretrained
-            ones) and `scratch` (all weights, from a fresh network) are the baselines of §8.1.
+        method: `cp`, `full`, `diagonal`, `bias` or `dense` adapters; `one_hot`, a shift of the first layer; `film`,
+            the 4H numbers of a Film beside a network trained with FiLM; `fine_tune` (all shared weights, from the
+            pretrained ones) and `scratch` (all weights, from a fresh network) are the baselines of §8.1.
         rank: R of a CP adapter.
         learning_rates: Adam's rates to try.
         main_dropouts: drop probabilities before the shared layers to try.
         adapter_dropouts: drop probabilities before the adapter to try (the variable dropout of §7.2).
         stops: numbers of epochs after which to look, increasing; the last is the length of training.
         batch_size: frames of a minibatch.
-        l1: λ of Eq. 3 on what is trained.
+        l1: λ of Eq. 3 on what is trained; a Film, whose scales are one and not zero where nothing is changed, bears
+            no penalty.
+        bone_length: weight of the bone-length loss, where the rows' bones are known.
         held_out: share of the clip's frames, at its end, that choose among the settings.
         tolerance: how much larger than the best a setting's held-out error may be; of those within it the gentlest
             (least learning rate times epochs) is taken. The frames of a straight walk favour settings that fit
@@ -61,6 +63,7 @@ class FewShotConfig:
     stops: tuple[int, ...] = (5, 10, 25, 50, 100)
     batch_size: int = 32
     l1: float = 0.01
+    bone_length: float = 1.0
     held_out: float = 0.2
     tolerance: float = 0.5
     seed: int = 0
@@ -72,8 +75,9 @@ class FewShotConfig:
             raise ValueError(f"FewShotConfig.stops must be increasing whole numbers from 1, got {self.stops}.")
         if not 0 < self.held_out < 1:
             raise ValueError(f"FewShotConfig.held_out must lie between 0 and 1, got {self.held_out}.")
-        if self.tolerance < 0:
-            raise ValueError(f"FewShotConfig.tolerance must not be negative, got {self.tolerance}.")
+        for name in ("tolerance", "l1", "bone_length"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"FewShotConfig.{name} must not be negative, got {getattr(self, name)}.")
         for name in ("main_dropouts", "adapter_dropouts"):
             rates = getattr(self, name)
             if not rates or not all(0 <= rate < 1 for rate in rates):
@@ -118,8 +122,17 @@ def settings_grid(config: FewShotConfig) -> Setting:
     return Setting(*(jnp.asarray(column, jnp.float32) for column in zip(*rows, strict=True)))
 
 
-def initial_parameters(config: FewShotConfig, shared: Network, key: jax.Array) -> Any:
-    """What the method starts from: a fresh adapter, the pretrained network, or a fresh network."""
+def initial_parameters(config: FewShotConfig, shared: Network, key: jax.Array, start: Style | None = None) -> Any:
+    """What the method starts from: `start`, a fresh style, the pretrained network, or a fresh network.
+
+    Args:
+        config: the method.
+        shared: pretrained parameters.
+        key: of what is fresh.
+        start: a style of the method's kind, e.g. for `film` the mean of the run's styles; None for a fresh one.
+    """
+    if start is not None and config.method not in ("fine_tune", "scratch"):
+        return jax.tree.map(jnp.asarray, start)
     if config.method == "fine_tune":
         return shared
     sizes = config_of(shared)
@@ -128,7 +141,7 @@ def initial_parameters(config: FewShotConfig, shared: Network, key: jax.Array) -
     return init_adapter(AdapterConfig(config.method, config.rank), sizes.hidden, sizes.num_control_points, key)
 
 
-def assemble(trained: Any, shared: Network) -> tuple[Network, Layer | None]:
+def assemble(trained: Any, shared: Network) -> tuple[Network, Style | None]:
     """The network and adapter to run: (shared, adapter), or (network, None) where a whole network was trained."""
     return (trained, None) if isinstance(trained, Network) else (shared, trained)
 
@@ -147,14 +160,14 @@ def init_few_shot_state(trained: Any) -> FewShotState:
 
 
 def few_shot_step(
-    state: FewShotState, setting: Setting, shared: Network, batch: Batch, key: jax.Array, l1: float
+    state: FewShotState, setting: Setting, shared: Network, batch: Batch, key: jax.Array, objective: Objective
 ) -> FewShotState:
     """One Adam step of one setting on one minibatch; only `state.trained` is differentiated."""
     dropout = Dropout(main=setting.main_dropout, adapter=setting.adapter_dropout)
 
     def loss(trained):
-        network, adapter = assemble(trained, shared)
-        return squared_error(predict_batch(network, adapter, batch, dropout, key), batch.y) + l1 * l1_penalty(trained)
+        network, style = assemble(trained, shared)
+        return objective.loss(predict_batch(network, style, batch, dropout, key), batch.y, (trained,))[0]
 
     update, optimiser = optax.scale_by_adam().update(jax.grad(loss)(state.trained), state.optimiser)
     trained = jax.tree.map(lambda value, change: value - setting.learning_rate * change, state.trained, update)
@@ -162,7 +175,7 @@ def few_shot_step(
 
 
 def _train_epochs(
-    state: FewShotState, setting: Setting, shared: Network, data: Batch, epochs, key, batch_size: int, l1: float
+    state: FewShotState, setting: Setting, shared: Network, data: Batch, epochs, key, batch_size: int, objective
 ) -> FewShotState:
     """One setting trained on one style over the epochs [start, stop); a last incomplete batch is dropped."""
     num_frames = data.phase.shape[0]
@@ -175,19 +188,19 @@ def _train_epochs(
         def body(state, step):
             frames, key = step
             batch = jax.tree.map(lambda leaf: leaf[frames], data)
-            return few_shot_step(state, setting, shared, batch, key, l1), None
+            return few_shot_step(state, setting, shared, batch, key, objective), None
 
         return jax.lax.scan(body, state, (order, jax.random.split(step_key, rounds)))[0]
 
     return jax.lax.fori_loop(epochs[0], epochs[1], one_epoch, state)
 
 
-@partial(jax.jit, static_argnames=("batch_size", "l1", "per_style"), donate_argnums=0)
-def _train_many(states, settings, shared, data, epochs, key, *, batch_size, l1, per_style=False) -> FewShotState:
+@partial(jax.jit, static_argnames=("batch_size", "objective", "per_style"), donate_argnums=0)
+def _train_many(states, settings, shared, data, epochs, key, *, batch_size, objective, per_style=False) -> FewShotState:
     """A leading axis of states trained at once: settings over one style's data, or styles under one setting."""
 
     def one(state, setting, data):
-        return _train_epochs(state, setting, shared, data, epochs, key, batch_size, l1)
+        return _train_epochs(state, setting, shared, data, epochs, key, batch_size, objective)
 
     return jax.vmap(one, in_axes=(0, None, 0) if per_style else (0, 0, None))(states, settings, data)
 
@@ -202,7 +215,15 @@ def _errors(trained, shared: Network, data: Batch) -> jax.Array:
     return jax.vmap(one)(trained)
 
 
-def train_grid(shared: Network, data: Batch, held_out: Batch, config: FewShotConfig) -> list[Candidate]:
+def train_grid(
+    shared: Network,
+    data: Batch,
+    held_out: Batch,
+    config: FewShotConfig,
+    *,
+    start: Style | None = None,
+    bones: Bones | None = None,
+) -> list[Candidate]:
     """Train every setting of the grid; the candidates of all stops, best held-out error first.
 
     Args:
@@ -210,6 +231,8 @@ def train_grid(shared: Network, data: Batch, held_out: Batch, config: FewShotCon
         data: [N, ...] normalised frames to learn from (mirrored ones included).
         held_out: [M, ...] frames of the same clip that rank the candidates.
         config: the grid.
+        start: style to begin with, see `initial_parameters`.
+        bones: of the rows, for the bone-length loss; None leaves it out.
 
     Raises:
         ValueError: if there are fewer training frames than a minibatch.
@@ -219,13 +242,12 @@ def train_grid(shared: Network, data: Batch, held_out: Batch, config: FewShotCon
     settings = settings_grid(config)
     count = settings.learning_rate.shape[0]
     init_key, train_key = jax.random.split(jax.random.key(config.seed))
-    start = initial_parameters(config, shared, init_key)
-    states = jax.vmap(lambda _: init_few_shot_state(start))(jnp.arange(count))
+    first = initial_parameters(config, shared, init_key, start)
+    states = jax.vmap(lambda _: init_few_shot_state(first))(jnp.arange(count))
+    sizes = {"batch_size": config.batch_size, "objective": _objective(config, bones)}
     candidates, begin = [], 0
     for stop in config.stops:
-        states = _train_many(
-            states, settings, shared, data, (begin, stop), train_key, batch_size=config.batch_size, l1=config.l1
-        )
+        states = _train_many(states, settings, shared, data, (begin, stop), train_key, **sizes)
         candidates += _candidates(states.trained, settings, stop, np.asarray(_errors(states.trained, shared, held_out)))
         begin = stop
     return sorted(candidates, key=lambda candidate: candidate.choice.held_out_error)
@@ -269,18 +291,38 @@ def choose(
     return candidates[0]
 
 
-def refit(shared: Network, data: Batch, choice: Choice, config: FewShotConfig) -> Any:
+def refit(
+    shared: Network,
+    data: Batch,
+    choice: Choice,
+    config: FewShotConfig,
+    *,
+    start: Style | None = None,
+    bones: Bones | None = None,
+) -> Any:
     """Train the chosen setting once more on all frames [N, ...], the held-out ones included."""
-    bank = train_bank(shared, jax.tree.map(lambda leaf: leaf[None], data), choice, config)
+    bank = train_bank(shared, jax.tree.map(lambda leaf: leaf[None], data), choice, config, start=start, bones=bones)
     return jax.tree.map(lambda leaf: np.asarray(leaf[0]), bank)
 
 
-def train_bank(shared: Network, data: Batch, choice: Choice, config: FewShotConfig) -> Any:
+def train_bank(
+    shared: Network,
+    data: Batch,
+    choice: Choice,
+    config: FewShotConfig,
+    *,
+    start: Style | None = None,
+    bones: Bones | None = None,
+) -> Any:
     """Many styles at once under one setting: data [S, N, ...] -> trained parameters [S, ...], by `vmap`."""
     init_key, train_key = jax.random.split(jax.random.key(config.seed))
     setting = Setting(*(jnp.asarray(rate, jnp.float32) for rate in choice[:3]))
-    start = initial_parameters(config, shared, init_key)
-    states = jax.vmap(lambda _: init_few_shot_state(start))(jnp.arange(data.phase.shape[0]))
-    sizes = {"batch_size": config.batch_size, "l1": config.l1}
+    first = initial_parameters(config, shared, init_key, start)
+    states = jax.vmap(lambda _: init_few_shot_state(first))(jnp.arange(data.phase.shape[0]))
+    sizes = {"batch_size": config.batch_size, "objective": _objective(config, bones)}
     states = _train_many(states, setting, shared, data, (0, choice.epochs), train_key, per_style=True, **sizes)
     return states.trained
+
+
+def _objective(config: FewShotConfig, bones: Bones | None) -> Objective:
+    return Objective(l1=config.l1, bone_length=config.bone_length if bones is not None else 0.0, bones=bones)

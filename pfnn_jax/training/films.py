@@ -32,8 +32,8 @@ def style_films(generator: FilmGenerator, parameters: Any, data: Rows, style: in
         chunk = windows[begin : begin + CHUNK]
         rows = window_rows(np.resize(chunk, (CHUNK, 2)), generator.config.clip_frames)  # one shape, one compilation
         films = _films(generator, parameters, jnp.asarray(data.take_clips(rows, columns)))
-        found.append(jax.tree.map(lambda leaf, n=len(chunk): np.asarray(leaf[:n]), films))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
+        found.append(jax.tree.map(np.asarray, films))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(windows)], *found)
 
 
 def mean_films(generator: FilmGenerator, parameters: Any, data: Rows) -> Film:

@@ -18,7 +18,7 @@ from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import init_network
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.training.batches import Batch, Rows, StyleData, make_gather
-from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.config import PretrainConfig, equal_dropout
 from pfnn_jax.training.films import mean_films
 from pfnn_jax.training.order import StepOrder, order_of
 from pfnn_jax.training.steps import (
@@ -98,6 +98,7 @@ def train(
     step = make_pretrain_step(
         optax.adam(config.learning_rate),
         config.objective(data),
+        equal_dropout(config.dropout),
         None if generator is None else film_generator(generator),
     )
     run_key = jax.random.fold_in(jax.random.key(config.seed), 1)
@@ -127,11 +128,12 @@ def make_dispatch(
 
     The function must be called for `dispatches` one after another.
     """
+    rolled = not order.num_clips  # clips go through convolutions
     if isinstance(data, StyleData) and data.nbytes <= limit:
         on_device = Batch(*(jnp.asarray(rows) for rows in (data.x, data.y, data.phase)))
-        run_steps = make_run_steps(step, make_gather(data.layout))
+        run_steps = make_run_steps(step, make_gather(data.layout), rolled=rolled)
         return lambda state, first, count: run_steps(state, on_device, order.draw(first, count), run_key)
-    run_batches, batches = make_run_batches(step), stream_batches(data, order, dispatches)
+    run_batches, batches = make_run_batches(step, rolled=rolled), stream_batches(data, order, dispatches)
     return lambda state, first, count: run_batches(state, next(batches), run_key)
 
 

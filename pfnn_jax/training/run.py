@@ -4,8 +4,8 @@ RUN/config.json     sizes, adapter, layout, skeleton, styles, settings, versions
 RUN/normaliser/     statistics of the pretraining data, reused by every later style
 RUN/shared/         style-agnostic parameters, with shared.json (their fingerprint)
 RUN/generator/      the FiLM generator, where styles come from one, with generator.json
-RUN/styles/NAME/    one style's adapter or Film, with style.json (fingerprint of the shared parameters beside which it was
-                    trained, form of the adapter, source clip, settings, metrics)
+RUN/styles/NAME/    one style's adapter or Film, with style.json (fingerprint of the shared parameters beside which
+                    it was trained, form of the style, source clip, settings, metrics)
 RUN/train_state/    optimiser state and step, with train_state.json, to resume exactly
 RUN/metrics.jsonl   one line for each interval of training
 """

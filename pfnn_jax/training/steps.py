@@ -54,28 +54,30 @@ def bones_of(data: Rows) -> Bones:
     return Bones(data.layout, np.asarray(data.parents), data.outputs.std, data.outputs.mean)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Objective:
     """The loss of a minibatch: squared error + l1 · |weights| + bone_length · bone-length loss.
 
     Attributes:
-        dropout: drop probabilities; `main` also in the FiLM generator.
         l1, l1_norm: weight and kind of the L1 penalty; 0 for none.
         bone_length: weight of the bone-length loss; 0 for none.
         bones: needed where `bone_length` is set.
     """
 
-    dropout: Dropout
     l1: float = 0.0
     l1_norm: PenaltyNorm = "mean"
     bone_length: float = 0.0
     bones: Bones | None = None
 
     def loss(self, prediction: jax.Array, target: jax.Array | np.ndarray, parameters: Any) -> tuple[Any, jax.Array]:
-        """(loss, squared error) of normalised outputs [B, Dy] and the trees of parameters that are trained."""
+        """(loss, squared error) of normalised outputs [B, Dy] and the trees of parameters that are trained.
+
+        Films bear no penalty: where they change nothing their scales are one.
+        """
         loss = error = squared_error(prediction, target)
         if self.l1:
-            loss = loss + self.l1 * sum(l1_penalty(tree, self.l1_norm) for tree in parameters)
+            weights = [tree for tree in parameters if not isinstance(tree, Film)]
+            loss = loss + self.l1 * sum((l1_penalty(tree, self.l1_norm) for tree in weights), start=jnp.zeros(()))
         if self.bone_length and self.bones is not None:
             loss = loss + self.bone_length * self.bones.loss(prediction, target)
         return loss, error
@@ -159,17 +161,19 @@ def pretrain_loss(
     modulation: Any,
     batch: Batch,
     objective: Objective,
+    dropout: Dropout,
     key: jax.Array,
     generator: FilmGenerator | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """(loss, squared error) of one minibatch of one style.
 
-    `modulation` is that style's parameters, or those of the generator where there is one.
+    `modulation` is that style's parameters, or those of the generator where there is one. `dropout.main` acts in the
+    generator too.
     """
     if generator is None:
-        prediction = predict_batch(shared, modulation, batch, objective.dropout, key)
+        prediction = predict_batch(shared, modulation, batch, dropout, key)
     else:
-        prediction = film_predictions(shared, generator, modulation, batch, objective.dropout, key)
+        prediction = film_predictions(shared, generator, modulation, batch, dropout, key)
     return objective.loss(prediction, batch.y, (shared, modulation))
 
 
@@ -177,7 +181,10 @@ PretrainStep = Callable[[PretrainState, Batch, jax.Array], tuple[PretrainState, 
 
 
 def make_pretrain_step(
-    optimiser: optax.GradientTransformation, objective: Objective, generator: FilmGenerator | None = None
+    optimiser: optax.GradientTransformation,
+    objective: Objective,
+    dropout: Dropout,
+    generator: FilmGenerator | None = None,
 ) -> PretrainStep:
     """A pure step (state, batch of style `step mod S`, run key) -> (state, squared error).
 
@@ -188,7 +195,7 @@ def make_pretrain_step(
 
     def update(state: PretrainState, modulation: Any, moments: Any, batch: Batch, run_key: jax.Array):
         key = jax.random.fold_in(run_key, state.step)
-        (to_shared, to_modulation), error = gradient(state.shared, modulation, batch, objective, key)
+        (to_shared, to_modulation), error = gradient(state.shared, modulation, batch, objective, dropout, key)
         shared = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
         return *shared, *descend(optimiser, to_modulation, moments, modulation), error
 
@@ -214,28 +221,49 @@ def descend(optimiser: optax.GradientTransformation, gradient: Any, state: Any, 
     return jax.tree.map(jnp.add, parameters, update), state
 
 
-def make_run_steps(step: Callable, gather: Callable[[Batch, Draw], Batch]):
-    """Many steps in one dispatch, the data staying on the device: (state, data, draw of n steps, key) -> (state, [n]).
+def make_run_steps(step: Callable, gather: Callable[[Batch, Draw], Batch], *, rolled: bool = True):
+    """Many steps in one call, the data staying on the device: (state, data, draw of n steps, key) -> (state, [n]).
 
     The state is donated: its buffers are reused, and the argument must not be read afterwards.
 
     Args:
         step: (state, batch, key) -> (state, squared error).
         gather: as `make_gather` returns it.
+        rolled: one compiled loop of n steps; otherwise n dispatches of one compiled step, which is what convolutions
+            need: their gradients are several times slower inside a compiled loop on CPUs.
     """
+
+    def one(state: Any, data: Batch, draw: Draw, run_key: jax.Array):
+        return step(state, gather(data, draw), run_key)
+
+    if not rolled:
+        single = jax.jit(one, donate_argnums=0)
+        return lambda state, data, draw, run_key: _one_by_one(lambda s, d: single(s, data, d, run_key), state, draw)
 
     @partial(jax.jit, donate_argnums=0)
     def run_steps(state: Any, data: Batch, draw: Draw, run_key: jax.Array):
-        return jax.lax.scan(lambda state, draw: step(state, gather(data, draw), run_key), state, draw)
+        return jax.lax.scan(lambda state, draw: one(state, data, draw, run_key), state, draw)
 
     return run_steps
 
 
-def make_run_batches(step: Callable):
+def make_run_batches(step: Callable, *, rolled: bool = True):
     """As `make_run_steps` for data too large for the device: (state, batches [n, B, ...], key) -> (state, [n])."""
+    if not rolled:
+        single = jax.jit(step, donate_argnums=0)
+        return lambda state, batches, run_key: _one_by_one(lambda s, b: single(s, b, run_key), state, batches)
 
     @partial(jax.jit, donate_argnums=0)
     def run_batches(state: Any, batches: Batch, run_key: jax.Array):
         return jax.lax.scan(lambda state, batch: step(state, batch, run_key), state, batches)
 
     return run_batches
+
+
+def _one_by_one(single: Callable, state: Any, steps: Any) -> tuple[Any, np.ndarray]:
+    """`jax.lax.scan` in Python, over a tree of NumPy arrays [n, ...]."""
+    errors = []
+    for number in range(len(jax.tree.leaves(steps)[0])):
+        state, error = single(state, jax.tree.map(lambda leaf, i=number: leaf[i], steps))
+        errors.append(error)
+    return state, np.array(errors)

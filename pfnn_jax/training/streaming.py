@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from pfnn_jax.training.batches import Batch, Rows, gather_from
 from pfnn_jax.training.order import StepOrder
 
