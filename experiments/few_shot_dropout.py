@@ -34,7 +34,7 @@ from pfnn_jax.evaluation.style_methods import without_adapter
 from pfnn_jax.evaluation.style_test import pose_and_velocity_error, predict_rows
 from pfnn_jax.models.network import Network
 from pfnn_jax.motion.clip import mirror_clip
-from pfnn_jax.motion.dataset import Dataset, load_dataset, stack
+from pfnn_jax.motion.dataset import Dataset, load_dataset
 from pfnn_jax.motion.features import Features, clip_features, join_rows
 from pfnn_jax.motion.files import write_whole
 from pfnn_jax.motion.labelled import LabelledClip, load_labelled
@@ -44,9 +44,10 @@ from pfnn_jax.motion.sources import ClipFile
 from pfnn_jax.motion.synthetic import STYLES, UNSEEN_STYLE, synthesise
 from pfnn_jax.runtime.predictor import Predictor
 from pfnn_jax.runtime.turning import predictor_of
-from pfnn_jax.training.batches import Batch
 from pfnn_jax.training.few_shot import FewShotConfig, Method, train_grid
-from pfnn_jax.training.pretraining import PretrainConfig, init_state, train
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.pretraining import init_state, train
+from pfnn_jax.training.stored import dataset_rows
 from pfnn_jax.training.style_data import hold_out, to_batch
 
 
@@ -149,9 +150,8 @@ def pretrained(dataset: Dataset, config: Config, seed: int) -> Network:
         learning_rate=config.pretrain_rate,
         seed=seed,
     )
-    data = Batch(*stack(dataset))
-    layout = dataset.layout
-    state = init_state(settings, layout.input_size, layout.output_size, len(dataset.styles))
+    data = dataset_rows(dataset)
+    state = init_state(settings, dataset.layout, len(dataset.styles))
     return jax.tree.map(np.asarray, train(state, data, settings, dataset.styles).shared)
 
 

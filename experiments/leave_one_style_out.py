@@ -41,8 +41,9 @@ from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.sources import list_clips
 from pfnn_jax.runtime.turning import predictor_of
 from pfnn_jax.training.few_shot import FewShotConfig, train_grid
-from pfnn_jax.training.pretraining import PretrainConfig, init_state, train
-from pfnn_jax.training.style_data import to_batch
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.pretraining import init_state, train
+from pfnn_jax.training.style_data import style_data, to_batch
 
 
 @dataclass(frozen=True)
@@ -130,8 +131,7 @@ def balanced(takes: Sequence[Take], styles: Sequence[str], seed: int) -> dict[st
 def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, seed: int):
     """A shared network, its normaliser and the mean loss of its last dispatch, from balanced rows of some styles."""
     normaliser = fit_normaliser([p.x for p in parts.values()], [p.y for p in parts.values()], layout, grouped=True)
-    batches = [to_batch([part], normaliser) for part in parts.values()]
-    data = jax.tree.map(lambda *leaves: np.stack(leaves), *batches)
+    data = style_data({style: [part] for style, part in parts.items()}, layout, normaliser)
     settings = PretrainConfig(
         hidden=config.hidden,
         steps=config.steps,
@@ -140,7 +140,7 @@ def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, 
         seed=seed,
     )
     losses = []
-    state = init_state(settings, layout.input_size, layout.output_size, len(parts))
+    state = init_state(settings, layout, len(parts))
     state = train(state, data, settings, tuple(parts), on_dispatch=lambda _, progress: losses.append(progress.loss))
     return jax.tree.map(np.asarray, state.shared), normaliser, losses[-1]
 

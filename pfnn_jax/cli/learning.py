@@ -17,7 +17,7 @@ from pfnn_jax.motion.sources import ClipFile, is_symmetric
 from pfnn_jax.runtime.learn import learn_style
 from pfnn_jax.training.few_shot import PAPER, FewShotConfig
 from pfnn_jax.training.loop import pretrain
-from pfnn_jax.training.pretraining import PretrainConfig
+from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.run import load_run
 
 

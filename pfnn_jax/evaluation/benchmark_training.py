@@ -15,12 +15,14 @@ import optax
 from pfnn_jax.evaluation.timing import Figure, Work, figure, interleave
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
 from pfnn_jax.models.layers import BlendedLayer, Layer, linear
-from pfnn_jax.models.network import Dropout, Network, NetworkConfig, drop, init_network
+from pfnn_jax.models.dropout import Dropout, drop
+from pfnn_jax.models.network import Network, NetworkConfig, init_network
 from pfnn_jax.models.spline import catmull_rom_basis
-from pfnn_jax.training.batches import Batch
+from pfnn_jax.training.batches import Batch, Draw
 from pfnn_jax.training.few_shot import PAPER, FewShotConfig, refit, train_grid
 from pfnn_jax.training.losses import l1_penalty, squared_error
 from pfnn_jax.training.steps import (
+    Objective,
     PretrainState,
     descend,
     init_pretrain_state,
@@ -85,33 +87,39 @@ def make_per_sample_step(dropout: Dropout) -> Callable:
         return error + L1 * (l1_penalty(shared) + l1_penalty(adapter)), error
 
     def step(state: PretrainState, batch: Batch, run_key: jax.Array):
-        style = state.step % jax.tree.leaves(state.bank)[0].shape[0]
-        adapter, moments = jax.tree.map(lambda leaf: leaf[style], (state.bank, state.bank_optimiser))
+        banks = state.modulation, state.modulation_optimiser
+        style = state.step % jax.tree.leaves(state.modulation)[0].shape[0]
+        adapter, moments = jax.tree.map(lambda leaf: leaf[style], banks)
         key = jax.random.fold_in(run_key, state.step)
         gradient = jax.grad(loss, argnums=(0, 1), has_aux=True)
         (to_shared, to_adapter), error = gradient(state.shared, adapter, batch, key)
         shared, shared_moments = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
         adapter, moments = descend(optimiser, to_adapter, moments, adapter)
-        bank, bank_moments = jax.tree.map(
-            lambda leaf, one: leaf.at[style].set(one), (state.bank, state.bank_optimiser), (adapter, moments)
-        )
+        bank, bank_moments = jax.tree.map(lambda leaf, one: leaf.at[style].set(one), banks, (adapter, moments))
         return PretrainState(shared, bank, shared_moments, bank_moments, state.step + 1), error
 
     return step
 
 
 def stepper(step: Callable, state: PretrainState, data: Batch, batch_size: int, num_steps: int) -> Work:
-    """Work of one dispatch of `num_steps` donated training steps."""
-    run = make_run_steps(step)
-    rng = np.random.default_rng(0)
-    frames = jnp.asarray(rng.integers(0, data.phase.shape[1], (num_steps, batch_size)))
+    """Work of one dispatch of `num_steps` donated training steps on data [S, N, ...]."""
+    run = make_run_steps(step, gather_rows)
+    num_styles, num_frames = data.phase.shape[:2]
+    rows = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), data)
+    picks = np.random.default_rng(0).integers(0, num_frames, (num_steps, batch_size))
+    draw = Draw(jnp.asarray(picks + num_frames * (np.arange(num_steps) % num_styles)[:, None]))
     held = [state]
 
     def work():
-        held[0], errors = run(held[0], data, frames, jax.random.key(0))
+        held[0], errors = run(held[0], rows, draw, jax.random.key(0))
         return errors
 
     return work
+
+
+def gather_rows(data: Batch, draw: Draw) -> Batch:
+    """Rows of a draw, without clips."""
+    return jax.tree.map(lambda leaf: leaf[draw.rows], data)
 
 
 def products(sizes: NetworkConfig, rank: int, batch_size: int) -> list[tuple[int, int, int]]:
@@ -141,7 +149,7 @@ def step_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: 
     section = f"training step, batch {batch_size}"
     dropout = Dropout(main=jnp.float32(RATE), adapter=jnp.float32(RATE))
     data = random_frames((STYLES, FRAMES), sizes)
-    ours = make_pretrain_step(optax.adam(LEARNING_RATE), dropout, L1, "mean")
+    ours = make_pretrain_step(optax.adam(LEARNING_RATE), Objective(L1), dropout)
     seconds = interleave(
         {
             "ours": stepper(ours, fresh_state(sizes, rank), data, batch_size, num_steps),
@@ -177,7 +185,7 @@ def rate_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: 
 
         return partial(jax.jit(jax.grad(error, argnums=(0, 1))), *parameters, jax.random.key(0))
 
-    step = make_pretrain_step(optax.adam(LEARNING_RATE), dropout, L1, "mean")
+    step = make_pretrain_step(optax.adam(LEARNING_RATE), Objective(L1), dropout)
     works = {str(shape): _product(shape) for shape in dict.fromkeys(shapes)}
     works |= {"gradient": gradient(None), "gradient with dropout": gradient(dropout)}
     works |= {"step": stepper(step, fresh_state(sizes, rank), data, batch_size, num_steps)}

@@ -28,7 +28,7 @@ from pfnn_jax.runtime.learn import clip_parts, learn_style
 from pfnn_jax.runtime.paths import figure_eight
 from pfnn_jax.training.few_shot import FewShotConfig
 from pfnn_jax.training.loop import pretrain
-from pfnn_jax.training.pretraining import PretrainConfig
+from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.run import Run
 
 
