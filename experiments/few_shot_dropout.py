@@ -44,8 +44,8 @@ from pfnn_jax.motion.sources import ClipFile
 from pfnn_jax.motion.synthetic import STYLES, UNSEEN_STYLE, synthesise
 from pfnn_jax.runtime.predictor import Predictor
 from pfnn_jax.runtime.turning import predictor_of
-from pfnn_jax.training.few_shot import FewShotConfig, Method, train_grid
 from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.few_shot import FewShotConfig, Method, train_grid
 from pfnn_jax.training.pretraining import init_state, train
 from pfnn_jax.training.stored import dataset_rows
 from pfnn_jax.training.style_data import hold_out, to_batch

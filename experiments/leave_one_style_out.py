@@ -40,8 +40,8 @@ from pfnn_jax.motion.phase import mirror_phase
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.sources import list_clips
 from pfnn_jax.runtime.turning import predictor_of
-from pfnn_jax.training.few_shot import FewShotConfig, train_grid
 from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.few_shot import FewShotConfig, train_grid
 from pfnn_jax.training.pretraining import init_state, train
 from pfnn_jax.training.style_data import style_data, to_batch
 

@@ -15,9 +15,9 @@ from pfnn_jax.evaluation.demo import DemoConfig, demo
 from pfnn_jax.motion.dataset import load_dataset
 from pfnn_jax.motion.sources import ClipFile, is_symmetric
 from pfnn_jax.runtime.learn import learn_style
+from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.few_shot import PAPER, FewShotConfig
 from pfnn_jax.training.loop import pretrain
-from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.run import load_run
 
 

@@ -14,8 +14,8 @@ import optax
 
 from pfnn_jax.evaluation.timing import Figure, Work, figure, interleave
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
-from pfnn_jax.models.layers import BlendedLayer, Layer, linear
 from pfnn_jax.models.dropout import Dropout, drop
+from pfnn_jax.models.layers import BlendedLayer, Layer, linear
 from pfnn_jax.models.network import Network, NetworkConfig, init_network
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.training.batches import Batch, Draw
@@ -177,7 +177,7 @@ def rate_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: 
     dropout = Dropout(main=jnp.float32(RATE), adapter=jnp.float32(RATE))
     data, state = random_frames((STYLES, FRAMES), sizes), fresh_state(sizes, rank)
     batch = jax.tree.map(lambda leaf: leaf[0, :batch_size], data)
-    parameters = (state.shared, jax.tree.map(lambda leaf: leaf[0], state.bank))
+    parameters = (state.shared, jax.tree.map(lambda leaf: leaf[0], state.modulation))
 
     def gradient(dropout: Dropout | None) -> Work:
         def error(shared, adapter, key):

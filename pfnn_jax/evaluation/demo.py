@@ -26,9 +26,9 @@ from pfnn_jax.motion.synthetic import PRETRAINING_STYLES, STYLES, UNSEEN_STYLE, 
 from pfnn_jax.runtime.generate import generate
 from pfnn_jax.runtime.learn import clip_parts, learn_style
 from pfnn_jax.runtime.paths import figure_eight
+from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.few_shot import FewShotConfig
 from pfnn_jax.training.loop import pretrain
-from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.run import Run
 
 
