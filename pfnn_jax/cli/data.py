@@ -1,4 +1,4 @@
-"""Commands that make data: datasets and phase labels."""
+"""Commands that make data: datasets and phase labels, and a picture of local phases."""
 
 from __future__ import annotations
 
@@ -11,12 +11,18 @@ from tyro.conf import Positional as Argument
 
 from pfnn_jax.cli.base import FLAT, Command, refuse_existing
 from pfnn_jax.cli.progress import clip_progress
+from pfnn_jax.errors import InputError
+from pfnn_jax.evaluation.phase_plot import phase_plot
+from pfnn_jax.evaluation.plots import save_figure
 from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.clip import resample
 from pfnn_jax.motion.dataset import Dataset, prepare
+from pfnn_jax.motion.local_phase import LocalPhaseConfig
 from pfnn_jax.motion.phase import label_phase, write_phase
 from pfnn_jax.motion.preparation import PrepareConfig
 from pfnn_jax.motion.sources import list_clips
 from pfnn_jax.motion.splits import WINDOW
+from pfnn_jax.motion.trajectory import LAYOUT_FPS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,3 +108,39 @@ class LabelPhase(Command):
         steps = len(labels.contacts_right) + len(labels.contacts_left)
         print(f"{self.out}: {steps} steps, {int(labels.labelled.sum())} of {labels.num_frames} frames labelled")
         return {"steps": steps, "labelled": int(labels.labelled.sum()), "frames": labels.num_frames}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlotPhase(Command):
+    """Draw the local phases of hands and toes over time.
+
+    Attributes:
+        clip: BVH file.
+        out: the picture, a PNG file.
+        start: seconds into the clip at which the picture begins.
+        seconds: how much of the clip it shows. Phases are always those of the whole clip.
+        roles: JSON that names the joints' roles.
+        overwrite: replace an existing file.
+        config: when a toe touches the ground.
+    """
+
+    clip: Annotated[Argument[Path], tyro.conf.arg(metavar="CLIP.bvh")]
+    out: Path
+    start: float = 0.0
+    seconds: float = 6.0
+    roles: Path | None = None
+    overwrite: bool = False
+    config: Annotated[LocalPhaseConfig, FLAT] = field(default_factory=LocalPhaseConfig)
+
+    def run(self) -> Any:
+        refuse_existing(self.out, self.overwrite)
+        clip = resample(read_bvh(self.clip, roles_file=self.roles), LAYOUT_FPS)
+        first, last = (round(second * clip.fps) for second in (self.start, self.start + self.seconds))
+        if not 0 <= first < min(last, clip.num_frames - 1):
+            shown = f"{self.seconds:g} seconds from {self.start:g}"
+            rule = f"what is shown lies in the clip's {clip.num_frames / clip.fps:.1f} seconds"
+            raise InputError(self.clip, "start and seconds", shown, rule)
+        last = min(last, clip.num_frames - 1)
+        save_figure(phase_plot(clip, config=self.config, span=(first, last), title=self.clip.stem), self.out)
+        print(f"{self.out}: {(last - first) / clip.fps:.1f} seconds of {self.clip.name}")
+        return {"first_frame": first, "last_frame": last, "fps": clip.fps}

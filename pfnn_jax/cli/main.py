@@ -10,7 +10,7 @@ from typing import Any
 
 import tyro
 
-from pfnn_jax.cli.data import LabelPhase, Prepare
+from pfnn_jax.cli.data import LabelPhase, PlotPhase, Prepare
 from pfnn_jax.cli.download import Download
 from pfnn_jax.cli.learning import Demo, FewShot, Pretrain
 from pfnn_jax.cli.running import Benchmark, Evaluate, Generate, ImportReleased, Predict
@@ -27,6 +27,7 @@ COMMANDS = {
     "generate": Generate,
     "evaluate": Evaluate,
     "label-phase": LabelPhase,
+    "plot-phase": PlotPhase,
     "import-released": ImportReleased,
     "predict": Predict,
     "benchmark": Benchmark,
