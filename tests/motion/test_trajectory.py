@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
 from pfnn_jax.motion.skeleton import need_roles
+from pfnn_jax.motion.sources import list_clips, load_clip
 from pfnn_jax.motion.synthetic import synthesise
 from pfnn_jax.motion.trajectory import (
     Root,
+    hips_root,
     root_motion,
     sample_offsets,
     to_local,
@@ -89,3 +91,25 @@ def test_to_world_undoes_to_local(width):
     np.testing.assert_allclose(to_world(yaw, to_local(yaw, v)), v, atol=EXACT)
     forward = np.stack([np.sin(yaw), np.zeros(7), np.cos(yaw)], -1)[:, [0, 1, 2] if width == 3 else [0, 2]]
     np.testing.assert_allclose(to_local(yaw, forward)[:, -1], 1.0, atol=EXACT)
+
+
+def test_heading_of_the_hip_joints_is_that_of_the_hips_own_axis(mocap):
+    """In 100STYLE files the hips' own +Z points forward, and is what the authors took; other rigs have no such axis."""
+    take = next(clip for clip in list_clips(mocap / "100style") if clip.path.stem == "Angry_FW")
+    clip = load_clip(take)
+    positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    forward = quat_rotate(rotations[:, 0], [0.0, 0.0, 1.0])
+    off = np.degrees(wrap_angle(hips_root(positions, need_roles(clip.skeleton)).yaw - np.arctan2(*forward.T[[0, 2]])))
+    assert np.sqrt(np.mean(off**2)) < 0.6 and np.abs(off).max() < 3.0  # degrees: both lean and tilt at once
+
+
+def test_the_hips_heading_does_not_depend_on_the_shoulders():
+    clip, _ = synthesise("proud", np.full(60, 0.3), np.full(60, 1.2), seed=1)
+    positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    roles = need_roles(clip.skeleton)
+    root, moved = hips_root(positions, roles), positions.copy()
+    moved[:, [roles.left_shoulder, roles.right_shoulder]] += [0.3, 0.0, -0.2]
+    assert (hips_root(moved, roles).directions == root.directions).all()
+    across = positions[:, roles.left_hip] - positions[:, roles.right_hip]
+    np.testing.assert_allclose((root.directions * across[:, [0, 2]]).sum(axis=-1), 0.0, atol=EXACT)
+    assert (root.directions[:, 1] > 0).all()  # forward, not backward
