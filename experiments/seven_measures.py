@@ -25,12 +25,13 @@ from pfnn_jax.evaluation.style_classifier import (
 )
 from pfnn_jax.evaluation.style_test import predict_rows
 from pfnn_jax.models.adapters import Style
+from pfnn_jax.motion.features import root_steps
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 from pfnn_jax.runtime.predictor import Predictor
 from pfnn_jax.runtime.rollout import stability
-from pfnn_jax.runtime.turning import PEAK_RATIO, TURN_RATE, is_sound, mean_speed, walk_circles
+from pfnn_jax.runtime.turning import PEAK_RATIO, TURN_RATE, is_sound, walk_circles
 
 CHUNK = 4096
 """Rows predicted at once."""
@@ -153,7 +154,8 @@ def walks(
     walking = [take for take in takes if is_walk(take)][:starts]
     first = [take.rows[layout.name] for take in walking]
     if speed is None:
-        speed = max(mean_speed(rows_of(walking, layout.name, mirrored=False).y, layout), 0.3)
+        travel, _ = root_steps(layout, rows_of(walking, layout.name, mirrored=False).y)
+        speed = max(float(np.linalg.norm(travel, axis=1).mean()), 0.3)
     found = [walk_circles(predictor, layout, rows.x[0], rows.phase[0], speed, seconds) for rows in first]
     return jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *found), speed
 

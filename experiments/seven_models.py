@@ -152,4 +152,3 @@ def _fresh(config: PretrainConfig, layout: FrameLayout, num_styles: int) -> dict
     make = partial(init_adapter, config.adapter, config.hidden, sizes.num_control_points)
     bank = jax.vmap(make)(jax.random.split(key, num_styles))
     return _tree(init_network(sizes, key), bank, None if generator is None else film_generator(generator).init(key))
-

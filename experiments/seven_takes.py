@@ -235,4 +235,3 @@ def _between(take: Take, start: int, stop: int) -> Take:
 
     mirrored = None if take.mirrored is None else kept(take.mirrored)
     return replace(take, clip=cut(take.clip, start, stop), rows=kept(take.rows), mirrored=mirrored)
-

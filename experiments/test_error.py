@@ -24,12 +24,12 @@ import tyro
 
 from experiments.seven_measures import (
     Reference,
+    held_out_takes,
     make_reference,
     one_step,
     pooled_frechet,
     real_motion,
     rollout_test,
-    held_out_takes,
 )
 from experiments.seven_models import Model, load_model, save_model, train_model
 from experiments.seven_takes import Takes, load_takes, windows_of
@@ -176,7 +176,10 @@ def main(config: Config) -> dict[str, Any]:
     result = _begin(file, used)
     started = time.perf_counter()
     takes = load_takes(used.data, used.held_out, used.takes, used.seconds_per_style)
-    print(f"{len(takes.train)} takes to learn, {len(takes.test)} to test: {time.perf_counter() - started:.0f} s", flush=True)
+    print(
+        f"{len(takes.train)} takes to learn, {len(takes.test)} to test: {time.perf_counter() - started:.0f} s",
+        flush=True,
+    )
     classifier = get_classifier(config.out, takes, used.classifier_epochs)
     reference = make_reference(classifier, takes.styles, takes.train)
     if "real" not in result:

@@ -44,8 +44,8 @@ def random_predictor(sizes: NetworkConfig, adapter: AdapterConfig | None = None)
     """A fresh network with unit statistics, and a fresh adapter where one is described."""
     key = jax.random.key(0)
     style = None if adapter is None else init_adapter(adapter, sizes.hidden, sizes.num_control_points, key)
-    inputs, outputs = sizes.input_size, sizes.output_size
-    statistics = (jnp.zeros(inputs), jnp.ones(inputs), jnp.zeros(outputs), jnp.ones(outputs))
+    widths = [width for width in (sizes.input_size, sizes.output_size, sizes.phase_size) if width]
+    statistics = [values for width in widths for values in (jnp.zeros(width), jnp.ones(width))]
     return Predictor(init_network(sizes, key), style, *statistics)
 
 
@@ -97,10 +97,19 @@ def character_figures(sizes: NetworkConfig, rank: int, repetitions: int, num_fra
     return [*times, ratio]
 
 
-def walk(evaluate_frame: Callable, input_size: int, num_frames: int) -> Work:
-    """Work of one character's frames, one after another: (x [Dx] NumPy, phase) -> y, fetched as a NumPy array."""
+def walk(evaluate_frame: Callable, input_size: int, num_frames: int, phase_size: int = 0) -> Work:
+    """Work of one character's frames, one after another: (x [Dx] NumPy, phase) -> y, fetched as a NumPy array.
+
+    Args:
+        evaluate_frame: of one frame.
+        input_size: Dx.
+        num_frames: of the walk.
+        phase_size: G numbers that go round together, as local phases do; 0 for a scalar phase in radians.
+    """
     x = np.random.default_rng(0).normal(size=input_size).astype(np.float32)
     phases = [np.float32(2 * math.pi * (frame % CYCLE) / CYCLE) for frame in range(num_frames)]
+    if phase_size:
+        phases = [np.sin(phase + np.arange(phase_size, dtype=np.float32)) for phase in phases]
 
     def work():
         for phase in phases:

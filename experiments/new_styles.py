@@ -1,0 +1,302 @@
+"""Styles that no model has seen, added to the pretrained models of Mason 2022 from one walk, each in every way.
+
+Parent    Mason 2022 §5.3.2 and Figure 11: the FiLM generator is fine-tuned on data of the new style, the rest frozen.
+Question  what does each way of adding a style need (parameters, seconds, frames), and what does it reach on takes that
+          were not used: another walk, side steps, walking back, running? Does fine-tuning separate the new styles?
+Data      Bandai-Namco-1: active, angry, happy, old, tired, on the skeleton of Bandai-Namco-2, with which
+          `experiments.test_error` pretrained the models. Learned from the first walk and its mirror image.
+Expect    see docs/results.md.
+Run       python -m experiments.new_styles --pretrained runs/test_error --data OLD --new NEW --out runs/new_styles
+          OLD is the folder that test_error was given, NEW that of the new styles. Each style is written when it is
+          done; run again with the same --out, and it goes on.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+
+from experiments.markdown import markdown_table
+from experiments.new_style_methods import (
+    WAYS,
+    Budget,
+    Learned,
+    by_content,
+    frames_of,
+    named,
+    window_films,
+)
+from experiments.new_style_plot import film_map
+from experiments.seven_measures import (
+    Reference,
+    make_reference,
+    one_step,
+    pooled_frechet,
+    real_motion,
+    rollout_test,
+)
+from experiments.seven_models import Model, load_model
+from experiments.seven_takes import Take, Takes, load_takes, windows_of
+from experiments.test_error import network_folder
+from pfnn_jax.errors import InputError
+from pfnn_jax.evaluation.plots import error_bars, save_figure
+from pfnn_jax.evaluation.style_classifier import ClassifierConfig, train_classifier
+from pfnn_jax.models.film import Film, film_to_vector
+from pfnn_jax.motion.bvh import write_whole
+from pfnn_jax.training.checkpoint import plain
+
+LEARN = "walk"
+"""Content of the takes of which the first is learned from."""
+
+MEASURES = ("walk", "side", "back", "run", "all")
+"""Takes by what they show."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """The experiment.
+
+    Attributes:
+        pretrained: folder of results of `experiments.test_error`.
+        data: the data that those were trained on.
+        new: folder of BVH files of the new styles.
+        out: folder of results.
+        styles: the new styles.
+        seed: of the pretrained models, and of the learning.
+        held_out, takes, seconds_per_style: as `test_error` was given them.
+        budget: how long is trained.
+        circle_seconds: length of the walks.
+        starts: first poses of the walks, each to both sides.
+        classifier_epochs: passes of the style classifier.
+        windows: clips of each style in the map of FiLM vectors (50 in the paper).
+        perplexity: of t-SNE.
+    """
+
+    pretrained: Path
+    data: str
+    new: Path
+    out: Path
+    styles: tuple[str, ...] = ("active", "angry", "happy", "old", "tired")
+    seed: int = 0
+    held_out: float = 0.125
+    takes: int = 0
+    seconds_per_style: float = 60.0
+    budget: Budget = field(default_factory=Budget)
+    circle_seconds: float = 12.0
+    starts: int = 2
+    classifier_epochs: int = 6
+    windows: int = 50
+    perplexity: float = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class NewStyle:
+    """One new style.
+
+    Attributes:
+        name: as the classifier knows it, apart from a known style of the same name.
+        clip: the take that is learned from.
+        others: takes that are not.
+    """
+
+    name: str
+    clip: Take
+    others: tuple[Take, ...]
+
+
+def new_styles(config: Config) -> dict[str, NewStyle]:
+    """The new styles' takes; the first walk is learned from."""
+    takes = load_takes(str(config.new), held=0).train
+    found = {}
+    for style in config.styles:
+        own = named([take for take in takes if take.style == style], f"new {style}")
+        walks = [take for take in own if take.content == LEARN]
+        if not walks:
+            raise InputError(config.new, "style", style, f"must have a take named {LEARN}")
+        found[style] = NewStyle(f"new {style}", walks[0], tuple(take for take in own if take is not walks[0]))
+    return found
+
+
+def make_judge(known: Takes, styles: Mapping[str, NewStyle], config: Config) -> tuple[Reference, dict[str, Any]]:
+    """A classifier of known and new styles together, and how well it does on real takes that it was not trained on.
+
+    The last walk of every new style is kept from it for that.
+    """
+    names = (*known.styles, *(style.name for style in styles.values()))
+    last = [[take for take in style.others if take.content == LEARN][-1:] for style in styles.values()]
+    kept = [take for some in last for take in some]
+    own = [take for style in styles.values() for take in (style.clip, *style.others)]
+    learn = [*known.train, *(take for take in own if take not in kept)]
+    windows, labels = windows_of(learn, names)
+    classifier = train_classifier(windows, labels, len(names), ClassifierConfig(epochs=config.classifier_epochs))
+    reference = make_reference(classifier, names, [*known.train, *own])
+    return reference, {
+        "styles": names,
+        "known": real_motion(known.test, reference),
+        "new": real_motion(kept, reference) if kept else None,
+    }
+
+
+def measure(
+    model: Model, learned: Learned, style: NewStyle, reference: Reference, config: Config
+) -> tuple[dict[str, Any], np.ndarray | None]:
+    """One row for one style, and the features of its generated windows."""
+    errors = {}
+    for kind, takes in {**by_content(style.others), "all": list(style.others)}.items():
+        found = one_step(model, takes, {style.name: learned.style})
+        errors[kind] = {key: found[key] for key in ("mse", "bones")}
+    walks = rollout_test(
+        model,
+        style.name,
+        [style.clip, *style.others],
+        reference,
+        seconds=config.circle_seconds,
+        starts=config.starts,
+        run_as=learned.style,
+    )
+    generated = walks.pop("features")
+    row = {
+        "trained": learned.trained,
+        "stored": learned.stored,
+        "seconds": learned.seconds,
+        "frames": frames_of(style.clip),
+        "choice": learned.choice,
+        "errors": errors,
+        "walks": walks,
+    }
+    return row, generated
+
+
+def main(config: Config) -> dict[str, Any]:
+    """Learns and measures the styles that are not there yet; writes the table, the bars and the map."""
+    config.out.mkdir(parents=True, exist_ok=True)
+    known = load_takes(config.data, config.held_out, config.takes, config.seconds_per_style)
+    styles = new_styles(config)
+    models = {name: _need(config, name, known) for name in dict.fromkeys(name for name, _ in WAYS.values())}
+    reference, judged = make_judge(known, styles, config)
+    print(f"real walks of new styles: {100 * judged['new']['recognition']:.0f} % recognised", flush=True)
+    rows: dict[str, dict[str, Any]] = {}
+    for number, (style, new) in enumerate(styles.items()):
+        file = config.out / f"style_{style}.json"
+        if not file.exists():
+            write_whole(file, json.dumps(plain(run_style(new, models, reference, config, number)), indent=1))
+        rows[style] = json.loads(file.read_text())
+        best = rows[style]["fine-tuned generator"]["errors"]["all"]["mse"]
+        print(f"{style}: fine-tuned generator {best:.3f} on takes not used", flush=True)
+    result = {"config": {k: str(v) for k, v in asdict(config).items()}, "real": judged, "styles": rows}
+    result["summary"] = summary(rows, reference)
+    result["map"] = draw_map(models["lpn_film"], known, styles, config)
+    write_whole(config.out / "results.json", json.dumps(plain(result), indent=1) + "\n")
+    write_whole(config.out / "table.md", table(result["summary"]))
+    bars = {way: {m: row["mse"][m] for m in MEASURES if m in row["mse"]} for way, row in result["summary"].items()}
+    save_figure(error_bars(bars, "New styles, takes not used", "normalised squared error"), config.out / "errors.png")
+    return result
+
+
+def run_style(
+    style: NewStyle, models: Mapping[str, Model], reference: Reference, config: Config, number: int
+) -> dict[str, Any]:
+    """Every way for one style."""
+    rows = {}
+    for way, (name, learn) in WAYS.items():
+        learned = learn(models[name], style.clip, config.budget, config.seed)
+        row, generated = measure(models[name], learned, style, reference, config)
+        row["network"] = name
+        row["frechet"] = pooled_frechet({style.name: {"features": generated}}, reference)
+        rows[way] = row
+        if learned.generator is not None:
+            films = window_films(models[name], learned.generator, [style.clip, *style.others])
+            np.save(config.out / f"films_{style.clip.style.removeprefix('new ')}.npy", _vectors(films))
+    return rows
+
+
+def draw_map(model: Model, known: Takes, styles: Mapping[str, NewStyle], config: Config) -> dict[str, dict[str, float]]:
+    """t-SNE of the FiLM vectors of windows before and after fine-tuning, and how well new styles stand apart."""
+    rng = np.random.default_rng(config.seed)
+
+    def some(films: Film | np.ndarray) -> np.ndarray:
+        vectors = films if isinstance(films, np.ndarray) else _vectors(films)
+        return vectors[np.sort(rng.permutation(len(vectors))[: config.windows])]
+
+    before = {style: some(window_films(model, model.generator, _of(known.train, style))) for style in known.styles}
+    after = dict(before)
+    for style, new in styles.items():
+        before[new.name] = some(window_films(model, model.generator, [new.clip, *new.others]))
+        after[new.name] = some(np.load(config.out / f"films_{style}.npy"))
+    figure, apart = film_map({"before fine-tuning": before, "after": after}, config.perplexity, config.seed)
+    save_figure(figure, config.out / "film_vectors.png")
+    return apart
+
+
+def summary(rows: Mapping[str, Mapping[str, Any]], reference: Reference) -> dict[str, dict[str, Any]]:
+    """Means over the styles, of every way."""
+    found = {}
+    for way in WAYS:
+        own = [style[way] for style in rows.values()]
+        kinds = [kind for kind in MEASURES if any(kind in row["errors"] for row in own)]
+        mse = {kind: _mean([row["errors"][kind]["mse"] for row in own if kind in row["errors"]]) for kind in kinds}
+        found[way] = {
+            "network": own[0]["network"],
+            "trained": own[0]["trained"],
+            "stored": own[0]["stored"],
+            "seconds": _mean([row["seconds"] for row in own]),
+            "frames": _mean([row["frames"] for row in own]),
+            "mse": mse,
+            "spread": float(np.std([row["errors"]["all"]["mse"] for row in own], ddof=1)) if len(own) > 1 else None,
+            "bones": _mean([row["errors"]["all"]["bones"] for row in own]),
+            "sound": _mean([row["walks"]["sound"] for row in own]),
+            "recognition": _mean([row["walks"]["recognition"] for row in own]),
+            "skating": _mean([row["walks"]["skating"] for row in own]),
+            "frechet": _mean([row["frechet"] for row in own]),
+        }
+    return found
+
+
+def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
+    """Every way, means over the new styles."""
+    head = ["way", "network", "trained", "per style", "seconds", "frames", *MEASURES, "± styles", "bones, mm"]
+    head += ["sound, %", "recognised, %", "Fréchet", "skating, cm/s"]
+    lines = []
+    for way, row in rows.items():
+        cells = [way, row["network"], f"{row['trained']:,}", f"{row['stored']:,}", row["seconds"], row["frames"]]
+        cells += [row["mse"].get(kind) for kind in MEASURES] + [row["spread"], _scaled(row["bones"], 1000)]
+        cells += [_scaled(row["sound"], 100), _scaled(row["recognition"], 100), row["frechet"]]
+        lines.append([*cells, _scaled(row["skating"], 100)])
+    return markdown_table(head, lines)
+
+
+def _need(config: Config, name: str, known: Takes) -> Model:
+    folder = network_folder(config.pretrained, name, config.seed)
+    model = load_model(folder, known)
+    if model is None:
+        raise InputError(folder, "network", "absent", "experiments.test_error must have trained it, with this seed")
+    return model
+
+
+def _of(takes: Sequence[Take], style: str) -> list[Take]:
+    return [take for take in takes if take.style == style]
+
+
+def _vectors(films: Film) -> np.ndarray:
+    """[W, 4H] of Films with leaves [W, 2, H]."""
+    return np.asarray(jax.vmap(film_to_vector)(films))
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else scale * value
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))
