@@ -15,10 +15,12 @@ from pfnn_jax.evaluation.clips import evaluate_clips
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.sources import list_clips
 from pfnn_jax.runtime.generate import Mode, generate
+from pfnn_jax.runtime.mixture import parse_style
 from pfnn_jax.runtime.paths import make_path
 from pfnn_jax.runtime.released import import_released_pfnn
-from pfnn_jax.runtime.rows import RowMode, predict_file
-from pfnn_jax.training.run import load_run
+from pfnn_jax.runtime.released_lpn import import_released_lpn
+from pfnn_jax.runtime.rows import LayerNorm, RowMode, predict_file
+from pfnn_jax.training.run import list_styles, load_run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,12 +29,13 @@ class Generate(Command):
 
     Attributes:
         run_path: a run.
-        style: one of its styles; style-agnostic motion by default.
+        style: one of its styles, or a mixture `A:0.5+B:0.3+C:0.2` whose weights sum to one. By default style-agnostic
+            motion, and on a FiLM run the mean of its styles.
         path: straight, circle, figure-eight, or a CSV file of points x,z in metres.
         size: length of a straight path or radius of the others, metres.
         speed: metres per second.
         seconds: how long; by default as long as the path takes.
-        mode: the exact spline, or a table of 50 slices.
+        mode: the network as it is, or a table of 50 slices of a global phase.
         out: the BVH file, in centimetres.
         overwrite: replace an existing file.
     """
@@ -49,10 +52,9 @@ class Generate(Command):
 
     def run(self) -> Any:
         refuse_existing(self.out, self.overwrite)
-        path = make_path(self.path, self.size)
-        made = generate(
-            load_run(self.run_path), self.style, path, speed=self.speed, seconds=self.seconds, mode=self.mode
-        )
+        path, run = make_path(self.path, self.size), load_run(self.run_path)
+        style = None if self.style is None else parse_style(self.style, list_styles(run.path), run.path)
+        made = generate(run, style, path, speed=self.speed, seconds=self.seconds, mode=self.mode)
         write_bvh(self.out, made.clip, overwrite=self.overwrite)
         seconds = made.clip.num_frames / made.clip.fps
         print(f"{self.out}: {seconds:.1f} s")
@@ -88,21 +90,23 @@ class ImportReleased(Command):
     """Make a run from the authors' released weights.
 
     Attributes:
-        kind: pfnn (Holden 2017).
-        directory: folder of `.bin` tables, any four or more of the fifty.
+        kind: pfnn (Holden 2017), or lpn (Mason 2022, with its 100 styles).
+        directory: folder of `.bin` files; of pfnn any four or more of the fifty tables, of lpn all.
         out: the run's folder.
         overwrite: replace an existing run.
     """
 
-    kind: Argument[Literal["pfnn"]]
+    kind: Argument[Literal["pfnn", "lpn"]]
     directory: Annotated[Argument[Path], tyro.conf.arg(metavar="DIR")]
     out: Path
     overwrite: bool = False
 
     def run(self) -> Any:
-        run = import_released_pfnn(self.directory, self.out, self.overwrite)
-        print(f"{run.path}: {run.config.layout}, recovered from tables {run.config.pretrain.get('indices', '')}")
-        return {"run": run.path, **run.config.pretrain}
+        make = {"pfnn": import_released_pfnn, "lpn": import_released_lpn}[self.kind]
+        run = make(self.directory, self.out, self.overwrite)
+        styles = len(list_styles(run.path))
+        print(f"{run.path}: {run.config.layout}" + (f", {styles} styles" if styles else ""))
+        return {"run": run.path, "styles": styles, **run.config.pretrain}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,10 +115,12 @@ class Predict(Command):
 
     Attributes:
         run_path: a run.
-        rows: `.npz` file with `x` in the layout's units and `phase` in radians.
+        rows: `.npz` file with `x` in the layout's units and `phase` in radians, or `gating_x` for a gating network.
+            `style` [N] or `styles` [N, M] with `weights` [N, M] tell each row's own: indices into the run's styles.
         out: `.npz` file that gets `y` in the layout's units.
-        style: one of the run's styles; style-agnostic by default.
-        mode: the exact spline, or the 50-slice table, truncated or nearest.
+        style: one of the run's styles or a mixture, as in `generate`, for all rows.
+        mode: the network as it is, or the 50-slice table of a global phase, truncated or nearest.
+        layer_norm: of FiLM styles: population statistics, or sample statistics as in the authors' training.
         overwrite: replace an existing file.
     """
 
@@ -123,10 +129,20 @@ class Predict(Command):
     out: Path
     style: str | None = None
     mode: RowMode = "cubic"
+    layer_norm: LayerNorm = "population"
     overwrite: bool = False
 
     def run(self) -> Any:
-        y = predict_file(self.run_path, self.rows, self.out, style=self.style, mode=self.mode, overwrite=self.overwrite)
+        style = None if self.style is None else parse_style(self.style, list_styles(self.run_path), self.run_path)
+        y = predict_file(
+            self.run_path,
+            self.rows,
+            self.out,
+            style=style,
+            mode=self.mode,
+            layer_norm=self.layer_norm,
+            overwrite=self.overwrite,
+        )
         print(f"{self.out}: y {y.shape[0]} x {y.shape[1]}")
         return {"out": self.out, "rows": y.shape[0]}
 

@@ -44,6 +44,8 @@ class ControllerConfig:
         jog_speed: metres per second from which the gait is jog (only `pfnn2017` reads gaits other than stand).
         trajectory_rate, phase_rate: shares of the predicted trajectory and local phases, see `rule_2022` (layouts of
             the next frame only).
+        steering: least share of the angle between its facing and the way to a followed path by which a character is
+            turned, see `pursuit`. Below 1 it keeps the swaying that belongs to its style.
         command_gain: by what commanded velocities are multiplied. A network that was steered by other numbers than
             metres per second answers to those.
     """
@@ -59,10 +61,19 @@ class ControllerConfig:
     jog_speed: float = 2.0
     trajectory_rate: float = 0.85
     phase_rate: float = 0.5
+    steering: float = 1.0
     command_gain: float = 1.0
 
     def __post_init__(self) -> None:
-        shares = ("velocity_rate", "direction_rate", "gait_rate", "pose_rate", "trajectory_rate", "phase_rate")
+        shares = (
+            "velocity_rate",
+            "direction_rate",
+            "gait_rate",
+            "pose_rate",
+            "trajectory_rate",
+            "phase_rate",
+            "steering",
+        )
         for name in shares:
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"ControllerConfig.{name} must be in (0, 1], got {getattr(self, name)}.")
@@ -72,12 +83,13 @@ class ControllerConfig:
 
 
 _MASON = ControllerConfig(0.75, 1.25, velocity_rate=0.25, direction_rate=0.25, gait_rate=0.25, look_ahead=0.8)
+_MASON_2022 = replace(_MASON, steering=0.25)
 
 CONTROLLERS = {
     "mason2018": _MASON,
-    "mason2022": _MASON,
-    "mason2022_mann": _MASON,
-    "mason2022_pfnn": _MASON,
+    "mason2022": _MASON_2022,
+    "mason2022_mann": _MASON_2022,
+    "mason2022_pfnn": _MASON_2022,
     "pfnn2017": ControllerConfig(0.5, 2.0, velocity_rate=0.9, direction_rate=0.9, gait_rate=0.1, look_ahead=0.6),
 }
 """The constants of the published demos, by layout. None follows paths: the look-aheads are those that kept

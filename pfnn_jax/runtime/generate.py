@@ -22,7 +22,8 @@ from pfnn_jax.runtime.lookup import table_phase
 from pfnn_jax.runtime.mixture import StyleChoice
 from pfnn_jax.runtime.paths import Path
 from pfnn_jax.runtime.predictor import Predictor, evaluate, make_predictor
-from pfnn_jax.runtime.rollout import EvaluateFn, Frames, follow_path, make_track, rollout
+from pfnn_jax.runtime.pursuit import make_track
+from pfnn_jax.runtime.rollout import EvaluateFn, Frames, follow_path, rollout
 from pfnn_jax.runtime.state import CharacterState, initial_state, place_state, straight_row
 from pfnn_jax.training.run import Run, list_styles, style_note
 

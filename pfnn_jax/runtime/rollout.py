@@ -17,40 +17,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.runtime.controller import CONTROLLERS, Command, ControllerConfig, step
-from pfnn_jax.runtime.ground import lift, mix, root_yaw, to_world, unit
-from pfnn_jax.runtime.paths import Path, resample_path
+from pfnn_jax.runtime.ground import lift, root_yaw, to_world, unit
+from pfnn_jax.runtime.pursuit import Track, advance_progress, point_at, pursue
 from pfnn_jax.runtime.state import ROOT, CharacterState
 
 EvaluateFn = Callable[[Any, jax.Array, jax.Array], jax.Array]
 """(params, x [Dx], phase [] or [G]) -> y [Dy] in layout units, as `evaluate` and `evaluate_lookup`."""
-
-SEARCH = np.arange(0.0, 1.0, 0.05, dtype=np.float32)
-"""Metres ahead of its progress at which a character looks for its nearest point on a path."""
-
-ARRIVAL = 0.1
-"""Metres before the end of an open path at which a character is told to stand."""
-
-
-@struct.dataclass(kw_only=True)
-class Track:
-    """A path to follow, for JAX.
-
-    Attributes:
-        points: [N, 2] metres at equal distances along the path; a closed one repeats its first point at the end.
-        length: [] metres.
-        closed: [] bool.
-        speed: [] metres per second asked for.
-    """
-
-    points: jax.Array
-    length: jax.Array
-    closed: jax.Array
-    speed: jax.Array
 
 
 @struct.dataclass(kw_only=True)
@@ -99,28 +75,6 @@ class Stability:
     speed: jax.Array
     turn_rate: jax.Array
     trajectory_error: jax.Array | None = None
-
-
-def make_track(path: Path, speed: float, num_points: int | None = None) -> Track:
-    """A path at a speed in metres per second; a batch of tracks for `vmap` needs one `num_points` for all."""
-    if num_points is not None:
-        path = resample_path(path.points, path.closed, num_points)
-    points = np.concatenate([path.points, path.points[:1]]) if path.closed else path.points
-    return Track(
-        points=jnp.asarray(points, jnp.float32),
-        length=jnp.float32(path.length),
-        closed=jnp.asarray(path.closed),
-        speed=jnp.float32(speed),
-    )
-
-
-def point_at(track: Track, distance: jax.Array) -> jax.Array:
-    """Points [..., 2] at distances [...] metres along a track: open tracks stop at their end, closed ones go round."""
-    last = track.points.shape[0] - 1
-    along = jnp.where(track.closed, jnp.mod(distance, track.length), jnp.clip(distance, 0.0, track.length))
-    place = along * (last / track.length)
-    first = jnp.clip(place.astype(jnp.int32), 0, last - 1)
-    return mix(track.points[first], track.points[first + 1], (place - first)[..., None])
 
 
 @partial(jax.jit, static_argnames=("evaluate_fn", "layout", "config"))
@@ -175,8 +129,8 @@ def follow_path(
     def frame(carry, _):
         state, progress = carry
         root = state.positions[ROOT]
-        progress = _advance_progress(track, root, progress)
-        command = _pursue(track, state, progress, constants)
+        progress = advance_progress(track, root, progress)
+        command = pursue(track, state, progress, constants)
         after, y = step(partial(evaluate_fn, params), layout, state, command, constants)
         distance = jnp.linalg.norm(root - point_at(track, progress))
         return (after, progress), (y, state.phase, _seen(after), progress, distance)
@@ -281,29 +235,3 @@ def _seen(after: CharacterState) -> dict[str, jax.Array]:
         "root_yaw": root_yaw(after.directions[ROOT - 1]),
         "joint_positions": after.joint_positions,
     }
-
-
-def _advance_progress(track: Track, root: jax.Array, progress: jax.Array) -> jax.Array:
-    """Progress [] metres after a look at the stretch just ahead: the nearest point of it, never backwards."""
-    stations = progress + SEARCH
-    candidates = point_at(track, stations)
-    nearest = stations[jnp.argmin(jnp.sum((candidates - root[None]) ** 2, axis=-1))]
-    # Between two stations the path is almost straight: the root's projection on it is exact enough.
-    half = 0.5 * float(SEARCH[1])
-    before, after = point_at(track, nearest - half), point_at(track, nearest + half)
-    chord = after - before
-    share = jnp.dot(root - before, chord) / jnp.maximum(jnp.dot(chord, chord), 1e-12)
-    refined = nearest + half * (2.0 * jnp.clip(share, 0.0, 1.0) - 1.0)
-    furthest = jnp.where(track.closed, jnp.inf, track.length)
-    return jnp.minimum(jnp.maximum(refined, progress), furthest)
-
-
-def _pursue(track: Track, state: CharacterState, progress: jax.Array, config: ControllerConfig) -> Command:
-    """The command that leads from a character's root to the track's point ahead of it."""
-    toward = point_at(track, progress + track.speed * config.look_ahead) - state.positions[ROOT]
-    squared = jnp.dot(toward, toward)
-    going = squared > 1e-8
-    direction = jnp.where(going, toward * jax.lax.rsqrt(jnp.where(going, squared, 1.0)), state.target_direction)
-    arrived = ~track.closed & (progress > track.length - ARRIVAL)
-    direction = jnp.where(arrived, state.target_direction, direction)
-    return Command(velocity=jnp.where(arrived, 0.0, track.speed) * direction, direction=direction)

@@ -10,11 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.models.network import Network
+from pfnn_jax.motion.features import root_steps
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
+from pfnn_jax.runtime.controller import ControllerConfig
 from pfnn_jax.runtime.paths import circle
 from pfnn_jax.runtime.predictor import Predictor, assemble_predictor, evaluate
-from pfnn_jax.runtime.rollout import Frames, Stability, follow_path, make_track, stability
+from pfnn_jax.runtime.pursuit import make_track
+from pfnn_jax.runtime.rollout import Frames, Stability, follow_path, stability
 from pfnn_jax.runtime.state import initial_state
 from pfnn_jax.training.few_shot import assemble
 
@@ -39,12 +42,18 @@ def predictor_of(trained: Any, shared: Network, normaliser: Normaliser) -> Predi
 
 def mean_speed(y: np.ndarray, layout: FrameLayout) -> float:
     """Metres per second along the ground, mean over rows y [N, Dy] in layout units."""
-    velocity = y[:, layout.output_slice("root_velocity")]
-    return float(np.linalg.norm(velocity, axis=1).mean()) * layout.length_unit / layout.time_unit
+    velocity, _ = root_steps(layout, y)
+    return float(np.linalg.norm(velocity, axis=1).mean())
 
 
 def walk_circles(
-    predictor: Predictor, layout: FrameLayout, x: np.ndarray, phase: float, speed: float, seconds: float
+    predictor: Predictor,
+    layout: FrameLayout,
+    x: np.ndarray,
+    phase: np.ndarray | float,
+    speed: float,
+    seconds: float,
+    config: ControllerConfig | None = None,
 ) -> Frames:
     """Rollouts on two circles at `TURN_RATE`, left and right, from the pose of a real row.
 
@@ -52,9 +61,10 @@ def walk_circles(
         predictor: the network and style.
         layout: of its rows.
         x: [Dx] a row of the style, in layout units.
-        phase: [] radians of that row.
+        phase: [] radians of that row, or [G] in layout units.
         speed: metres per second.
         seconds: length of the rollouts.
+        config: constants of the controller, by default those of the layout.
 
     Returns:
         Frames with a leading axis of 2: turning left, then right.
@@ -66,8 +76,8 @@ def walk_circles(
     num_frames = round(seconds * layout.fps)
 
     def one(track, point, yaw):
-        state = initial_state(layout, jnp.asarray(x), jnp.float32(phase), point, yaw)
-        return follow_path(evaluate, predictor, layout, state, track, num_frames)
+        state = initial_state(layout, jnp.asarray(x), jnp.asarray(phase, jnp.float32), point, yaw)
+        return follow_path(evaluate, predictor, layout, state, track, num_frames, config=config)
 
     return jax.vmap(one)(tracks, points, yaws)
 
@@ -83,7 +93,13 @@ def is_sound(found: Stability, allowed_peak: float) -> np.ndarray:
 
 
 def make_stability_check(
-    shared: Network, normaliser: Normaliser, layout: FrameLayout, x: np.ndarray, y: np.ndarray, phase: np.ndarray
+    shared: Network,
+    normaliser: Normaliser,
+    layout: FrameLayout,
+    x: np.ndarray,
+    y: np.ndarray,
+    phase: np.ndarray,
+    config: ControllerConfig | None = None,
 ) -> Callable[[Any], bool]:
     """A judge of trained parameters for `choose`: do both circles stay sound?
 
@@ -91,6 +107,7 @@ def make_stability_check(
         shared, normaliser, layout: of the run.
         x, y, phase: [N, ...] rows of the clip, in layout units: its first row starts the rollouts, its speed is
             asked for, and its own range of poses is the measure of what is whole.
+        config: constants of the controller, by default those of the layout.
     """
     pose = layout.output_slice("joint_position")
     own = np.mean(normaliser.outputs.apply(y)[:, pose] ** 2, axis=1).max()
@@ -99,7 +116,7 @@ def make_stability_check(
 
     def is_stable(trained: Any) -> bool:
         predictor = predictor_of(trained, shared, normaliser)
-        frames = walk_circles(predictor, layout, x[0], float(phase[0]), speed, SECONDS)
+        frames = walk_circles(predictor, layout, x[0], phase[0], speed, SECONDS, config)
         found = jax.vmap(lambda one: stability(layout, one, mean, std))(frames)
         return bool(is_sound(found, PEAK_RATIO * own).all())
 

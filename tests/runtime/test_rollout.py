@@ -15,7 +15,8 @@ from pfnn_jax.models.adapters import AdapterConfig, init_adapter
 from pfnn_jax.models.network import NetworkConfig, init_network, predict
 from pfnn_jax.runtime.controller import CONTROLLERS, Command, ControllerConfig, network_input, steer, step
 from pfnn_jax.runtime.paths import circle, figure_eight, mirror_path, resample_path, straight
-from pfnn_jax.runtime.rollout import Frames, follow_path, locked_rollout, make_track, point_at, rollout, stability
+from pfnn_jax.runtime.pursuit import make_track, point_at
+from pfnn_jax.runtime.rollout import Frames, follow_path, locked_rollout, rollout, stability
 from pfnn_jax.runtime.state import ROOT, initial_state, place_state, standing_state
 from tests.runtime.walkers import (
     LAYOUT,
