@@ -113,13 +113,17 @@ def speeds(points: np.ndarray, fps: float) -> np.ndarray:
 def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarray:
     """Phase vectors of one bone: amplitude times speed times (sin φ, cos φ) (Mason et al. 2022, Eq. 1).
 
+    The speed is the root mean square over a window of one second. The paper writes the norm of the velocity over that
+    window; of mean, root mean square and maximum, the root mean square gives the spread of the published statistics and
+    the lengths that the authors' network predicts for real walks.
+
     The vectors are smoothed like the source. Where two fits beside each other disagree their vectors cancel, so the
     phase turns without a jump and the length says that it is uncertain. Frames within a quarter of a second of an end
     take the phase that the outermost whole window's sinusoid has there.
 
     Args:
         source: [T] source function in any unit; neither its scale nor its offset matters.
-        speed: [T] metres per second of the bone seen from the hips; its mean over the second around a frame counts.
+        speed: [T] metres per second of the bone seen from the hips.
         fps: frames per second.
 
     Returns:
@@ -135,7 +139,8 @@ def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarra
     seconds = (np.arange(frames) - nearest) / fps
     phase = fit.phase[nearest - half] + 2 * np.pi * fit.frequency[nearest - half] * seconds
     around = 2 * round(WINDOW_SECONDS * fps / 2) + 1
-    length = fit.amplitude[nearest - half] * uniform_filter1d(speed, around, mode="nearest")
+    square = uniform_filter1d(speed**2, around, mode="nearest")  # a running sum, so that zero may come out below it
+    length = fit.amplitude[nearest - half] * np.sqrt(np.maximum(square, 0.0))
     return _smooth(length[:, None] * np.stack([np.sin(phase), np.cos(phase)], axis=-1), fps)
 
 
