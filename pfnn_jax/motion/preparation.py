@@ -25,7 +25,7 @@ from pfnn_jax.motion.workers import default_workers, map_in_order
 FORMAT = 2
 """Version of the files on disk."""
 
-FEW_BYTES = 16_000_000
+FEW_BYTES = 32_000_000
 """Files that are read sooner than other processes start."""
 
 Progress = Callable[[int, int, str], None]
