@@ -211,23 +211,6 @@ def load_dataset(path: Path) -> Dataset:
     )
 
 
-def stack(dataset: Dataset, styles: Sequence[str] | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x [S, N, Dx], y [S, N, Dy] and phase [S, N] of several styles, normalised, float32: the first rows of each.
-
-    Args:
-        dataset: prepared.
-        styles: in the order wanted; None for all.
-
-    Raises:
-        InputError: for an unknown style.
-    """
-    chosen = dataset.styles if styles is None else styles
-    rows = [[array[: dataset.frames_per_style] for array in dataset.arrays(style)] for style in chosen]
-    statistics = dataset.normaliser.inputs, dataset.normaliser.outputs
-    x, y = (np.stack([statistics[k].apply(row[k]) for row in rows]).astype(np.float32) for k in (0, 1))
-    return x, y, np.stack([row[2] for row in rows])
-
-
 def _swap(work: Path, out: Path) -> None:
     """Puts a finished folder in its place; an old one is kept until the new one stands there."""
     old = work.with_name(f"{work.name}.old")
