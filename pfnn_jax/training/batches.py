@@ -119,7 +119,8 @@ def num_clip_columns(layout: FrameLayout) -> int:
 def window_rows(windows, num_frames: int, xp=np):
     """Row numbers [..., T] of windows [..., 2]; a window shorter than T is padded by its last row."""
     first, count = windows[..., :1], windows[..., 1:]
-    return first + xp.minimum(xp.arange(num_frames, dtype=windows.dtype), count - 1)
+    frames = xp.arange(num_frames, dtype=windows.dtype).reshape((1,) * (windows.ndim - 1) + (-1,))
+    return first + xp.minimum(frames, count - 1)
 
 
 def cut_windows(num_rows: int, length: int = CLIP_FRAMES, stride: int = CLIP_FRAMES // 2) -> np.ndarray:

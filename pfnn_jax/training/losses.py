@@ -63,7 +63,7 @@ def bone_length_loss(
     """
     chex.assert_equal_shape([prediction, target])
     columns = layout.output_slice("joint_position")
-    std, mean = (jnp.asarray(values, prediction.dtype)[columns] for values in (output_std, output_mean))
+    std, mean = (jnp.asarray(values, prediction.dtype)[None, columns] for values in (output_std, output_mean))
     bones = np.flatnonzero(np.asarray(parents) >= 0)
 
     def lengths(y) -> jax.Array:

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DiagonalLayer
+from pfnn_jax.models.adapters import OneHot
+from pfnn_jax.models.film import Film
+from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
 from pfnn_jax.models.network import Network, NetworkConfig, config_of, init_network, num_parameters
 from pfnn_jax.training.batches import Batch
 from pfnn_jax.training.few_shot import (
@@ -32,16 +34,26 @@ from pfnn_jax.training.few_shot import (
     train_grid,
 )
 from pfnn_jax.training.losses import l1_penalty, squared_error
-from pfnn_jax.training.steps import predict_batch
+from pfnn_jax.training.steps import Objective, bones_of, predict_batch
 from tests.models.helpers import randomise
-from tests.training.toy import HIDDEN, assert_bitwise, on_host, toy_data, toy_network, toy_style
+from tests.training.toy import HIDDEN, assert_bitwise, body_rows, on_host, toy_data, toy_network, toy_style
 
 # A batched product sums in another order than a single one: a few ulp of parameters below one, over a dozen steps.
 BATCHED = 1e-6
 # Share of the error left after 180 steps on 24 frames; half of it is left by the weakest, a blended bias, which can
 # fit the posture but not how the output follows the input.
-LEARNED = {"cp": 0.5, "full": 0.2, "diagonal": 0.6, "bias": 0.7, "fine_tune": 0.01, "scratch": 0.01}
-ADAPTERS: tuple[Method, ...] = ("cp", "full", "diagonal", "bias")
+LEARNED = {
+    "cp": 0.5,
+    "full": 0.2,
+    "diagonal": 0.6,
+    "bias": 0.7,
+    "dense": 0.7,
+    "one_hot": 0.9,
+    "film": 0.9,
+    "fine_tune": 0.01,
+    "scratch": 0.01,
+}
+ADAPTERS: tuple[Method, ...] = ("cp", "full", "diagonal", "bias", "dense", "one_hot", "film")
 SMALL = FewShotConfig(
     rank=3,
     learning_rates=(1e-3, 5e-3),
@@ -92,6 +104,9 @@ def test_the_shared_network_is_bitwise_unchanged(method):
         ("full", BlendedLayer),
         ("diagonal", DiagonalLayer),
         ("bias", BiasLayer),
+        ("dense", DenseLayer),
+        ("one_hot", OneHot),
+        ("film", Film),
         ("fine_tune", Network),
         ("scratch", Network),
     ],
@@ -239,15 +254,45 @@ def test_a_step_of_rate_zero_changes_the_optimiser_alone():
     shared = toy_network()
     state = init_few_shot_state(initial_parameters(SMALL, shared, jax.random.key(0)))
     still = Setting(jnp.float32(0), jnp.float32(0.3), jnp.float32(0.3))
-    after = few_shot_step(state, still, shared, toy_style(), jax.random.key(1), 0.01)
+    after = few_shot_step(state, still, shared, toy_style(), jax.random.key(1), Objective(0.01))
     assert_bitwise(after.trained, state.trained)
     assert not np.array_equal(after.optimiser.mu.a, state.optimiser.mu.a)
+
+
+def test_a_film_starts_where_it_is_told():
+    shared, config = toy_network(), dataclasses.replace(SINGLE, method="film", learning_rates=(1e-12,), stops=(1,))
+    start = randomise(initial_parameters(config, shared, jax.random.key(0)), 4)
+    found = train_grid(shared, toy_style(), held_out(), config, start=start)[0].trained
+    assert_close(found, start)
+    assert not np.allclose(train_grid(shared, toy_style(), held_out(), config)[0].trained.scale, start.scale)
+
+
+def test_a_film_bears_no_penalty():
+    film = initial_parameters(dataclasses.replace(SMALL, method="film"), toy_network(), jax.random.key(0))
+    prediction, target = jnp.ones((2, 3)), jnp.zeros((2, 3))
+    loss, error = Objective(l1=10.0).loss(prediction, target, (film,))
+    assert loss == error == 1.0
+
+
+def test_bones_draw_few_shot_learning_where_they_are_known():
+    rows = body_rows(num_frames=(40,))
+    shared = init_network(NetworkConfig(84, 78, HIDDEN, 8, phase_size=8), jax.random.key(0))
+    data = Batch(rows.x, rows.y, rows.phase)
+    config = dataclasses.replace(SINGLE, method="film", stops=(40,), learning_rates=(1e-2,), main_dropouts=(0.0,))
+
+    def bone_error(bones):
+        trained = train_grid(shared, data, data, config, bones=bones)[0].trained
+        return float(bones_of(rows).loss(predict_batch(shared, trained, data, None, None), data.y))
+
+    assert bone_error(bones_of(rows)) < bone_error(None)
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("method", "film"),
+        ("method", "none"),
+        ("l1", -1.0),
+        ("bone_length", -1.0),
         ("stops", ()),
         ("stops", (10, 5)),
         ("stops", (0, 5)),

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.training.losses import l1_penalty, squared_error
+from pfnn_jax.motion.layout import mason2018, mason2022, pfnn2017
+from pfnn_jax.training.losses import bone_length_loss, l1_penalty, squared_error
 
 FLOAT32 = 1e-6  # a few ulp over sums of six terms near one
+LENGTHS = 1e-5  # single precision: differences of lengths, a tenth of the lengths themselves
+PARENTS = np.array([-1, 0, 1, 1, 0])
 
 
 def test_squared_error_is_the_mean_over_all_axes():
@@ -65,3 +68,64 @@ def test_gradient_of_l1_penalty_away_from_zero(norm):
         signs = jnp.array([1.0, -1.0, -1.0, 1.0])
         tree = (signs * jnp.linspace(0.5, 2.0, 4), -jnp.ones((2, 2)))
         check_grads(lambda *leaves: l1_penalty(leaves, norm), tree, order=2, modes=("fwd", "rev"))
+
+
+def bone_setup(make, seed=0):
+    layout, rng = make(len(PARENTS)), np.random.default_rng(seed)
+    prediction, target = rng.normal(size=(2, 6, layout.output_size))
+    mean, std = rng.normal(size=layout.output_size), rng.uniform(0.5, 2, layout.output_size)
+    return layout, prediction, target, std, mean
+
+
+def bone_reference(layout, prediction, target, std, mean) -> float:
+    """Frame by frame and bone by bone, in double precision."""
+    columns, total = layout.output_slice("joint_position"), 0.0
+    for pair in zip(prediction, target, strict=True):
+        positions = [(y * std + mean)[columns].reshape(-1, 3) * layout.length_unit for y in pair]
+        for child, parent in enumerate(PARENTS):
+            if parent >= 0:
+                first, second = (np.linalg.norm(p[child] - p[parent]) for p in positions)
+                total += abs(first - second)
+    return total / len(prediction) / len(PARENTS)
+
+
+@pytest.mark.parametrize("make", [mason2018, mason2022, pfnn2017])
+def test_bone_length_loss_is_the_plain_sum_over_frames_and_bones(make):
+    layout, prediction, target, std, mean = bone_setup(make)
+    reference = bone_reference(layout, prediction, target, std, mean)
+    with jax.enable_x64(True):
+        found = bone_length_loss(jnp.asarray(prediction), target, layout, PARENTS, std, mean)
+        np.testing.assert_allclose(found, reference, rtol=1e-13)  # the same sum in another order
+    single = [np.asarray(values, np.float32) for values in (prediction, target)]
+    found = bone_length_loss(jnp.asarray(single[0]), single[1], layout, PARENTS, std, mean)
+    np.testing.assert_allclose(found, reference, rtol=LENGTHS)
+
+
+def test_bone_length_loss_is_zero_under_rigid_motion():
+    layout, prediction, _, std, mean = bone_setup(mason2022)
+    columns = layout.output_slice("joint_position")
+    turned = prediction * std + mean
+    points = turned[:, columns].reshape(6, -1, 3)
+    turned[:, columns] = (points[..., [2, 1, 0]] * [1, 1, -1] + [3.0, -1.0, 2.0]).reshape(6, -1)
+    with jax.enable_x64(True):
+        moved = jnp.asarray((turned - mean) / std)
+        assert bone_length_loss(moved, prediction, layout, PARENTS, std, mean) < 1e-14  # rounding of doubles
+
+
+def test_gradient_of_bone_length_loss():
+    with jax.enable_x64(True):
+        layout, prediction, target, std, mean = bone_setup(mason2022)
+        check_grads(
+            jax.jit(lambda prediction: bone_length_loss(prediction, target, layout, PARENTS, std, mean)),
+            (jnp.asarray(prediction),),
+            order=1,
+            modes=("fwd", "rev"),
+        )
+
+
+def test_the_gradient_is_finite_where_a_bone_has_no_length_or_the_right_one():
+    layout, prediction, target, std, _ = bone_setup(mason2022)
+    mean = np.zeros_like(std)
+    gradient = jax.grad(lambda y: bone_length_loss(y, jnp.asarray(target), layout, PARENTS, std, mean))
+    assert jnp.isfinite(gradient(jnp.zeros_like(jnp.asarray(prediction)))).all()
+    assert jnp.all(gradient(jnp.asarray(target)) == 0)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
 
 from pfnn_jax.errors import TrainingError
-from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
 from pfnn_jax.models.layers import CPLayer
-from pfnn_jax.training.batches import Batch
-from pfnn_jax.training.pretraining import PretrainConfig, Progress, init_state, total_steps, train
+from pfnn_jax.models.presets import LAYOUT_OF, TABLE2
+from pfnn_jax.training.batches import StyleData
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.order import order_of
+from pfnn_jax.training.pretraining import Progress, dispatch_sizes, init_state, styles_of, total_steps, train
 from pfnn_jax.training.steps import PretrainState
-from tests.training.toy import HIDDEN, INPUTS, OUTPUTS, STYLES, assert_bitwise, on_host, toy_data
+from tests.training.toy import HIDDEN, LAYOUT, STYLES, assert_bitwise, body_rows, on_host, toy_rows
 
 LEARNED = 0.05  # share of the first error left after 400 steps of a problem that the network can solve
 
@@ -26,10 +31,10 @@ def with_(config: PretrainConfig, **changes) -> PretrainConfig:
 
 
 def fresh(config: PretrainConfig = SMALL) -> PretrainState:
-    return init_state(config, INPUTS, OUTPUTS, len(STYLES))
+    return init_state(config, LAYOUT, len(STYLES))
 
 
-def run(config: PretrainConfig = SMALL, data: Batch | None = None, state: PretrainState | None = None):
+def run(config: PretrainConfig = SMALL, data: StyleData | None = None, state: PretrainState | None = None):
     """(last state, progress of every dispatch, states of every dispatch), all on the host."""
     progress, states = [], []
 
@@ -37,7 +42,7 @@ def run(config: PretrainConfig = SMALL, data: Batch | None = None, state: Pretra
         progress.append(report)
         states.append(on_host(state))
 
-    last = train(state or fresh(config), data or toy_data(), config, STYLES, on_dispatch=keep)
+    last = train(state or fresh(config), data or toy_rows(), config, STYLES, on_dispatch=keep)
     return on_host(last), progress, states
 
 
@@ -95,19 +100,26 @@ def test_the_state_depends_on_the_configuration_alone():
     assert_bitwise(fresh(), fresh())
     other = fresh(with_(SMALL, seed=1))
     assert not np.array_equal(jax.tree.leaves(other.shared)[0], jax.tree.leaves(fresh().shared)[0])
-    assert jax.tree.leaves(other.bank)[0].shape[0] == len(STYLES)
+    assert jax.tree.leaves(other.modulation)[0].shape[0] == len(STYLES)
 
 
 def test_every_style_starts_from_an_adapter_of_its_own():
-    bank = fresh().bank
+    bank = fresh().modulation
     assert isinstance(bank, CPLayer)
     assert bank.a.shape == (3, HIDDEN, 3)
     assert not np.array_equal(bank.a[0], bank.a[1])
 
 
 def test_the_length_of_training():
-    assert total_steps(with_(SMALL, steps=None, epochs=4), num_styles=3, num_frames=24) == 4 * 3 * 3
-    assert total_steps(SMALL, num_styles=3, num_frames=24) == 25
+    order = order_of(toy_rows((24, 40, 31)), 8, seed=0)
+    assert total_steps(with_(SMALL, steps=None, epochs=4), order) == 4 * 3 * 3
+    assert total_steps(SMALL, order) == 25
+
+
+def test_dispatches_end_at_multiples_of_their_size():
+    assert dispatch_sizes(0, 25, 10) == [(0, 10), (10, 10), (20, 5)]
+    assert dispatch_sizes(13, 25, 10) == [(13, 7), (20, 5)]
+    assert dispatch_sizes(25, 25, 10) == []
 
 
 def test_epochs_end_within_a_dispatch():
@@ -119,8 +131,8 @@ def test_epochs_end_within_a_dispatch():
 
 @pytest.mark.parametrize("device_bytes", [0, 2**32])
 def test_training_that_turns_non_finite_names_the_step_and_the_style(device_bytes):
-    data = toy_data()
-    data.x[1] = np.nan  # of style "old", whose first turn is step 1
+    data = toy_rows()
+    data.x[24:48] = np.nan  # of style "old", whose first turn is step 1
     kept = []
     with pytest.raises(TrainingError) as raised:
         train(
@@ -132,8 +144,8 @@ def test_training_that_turns_non_finite_names_the_step_and_the_style(device_byte
 
 
 def test_a_style_shorter_than_a_batch_is_refused():
-    with pytest.raises(ValueError, match="at most the 5 frames"):
-        run(data=toy_data(num_frames=5))
+    with pytest.raises(ValueError, match="at most the 5 rows"):
+        run(data=toy_rows((24, 5, 24)))
 
 
 @pytest.mark.parametrize(
@@ -147,8 +159,62 @@ def test_a_style_shorter_than_a_batch_is_refused():
         ("dropout", 1.0),
         ("dropout", -0.1),
         ("learning_rate", 0.0),
+        ("clips_per_batch", 0),
+        ("l1", -0.1),
+        ("bone_length", -1.0),
+        ("seed", -1),
     ],
 )
 def test_a_configuration_out_of_range_is_refused(name, value):
     with pytest.raises(ValueError, match=f"PretrainConfig.{name} must be .*got {value}"):
         with_(SMALL, **{name: value})
+
+
+def test_clips_must_divide_the_batch():
+    with pytest.raises(ValueError, match="clips_per_batch must divide batch_size 8, got 3"):
+        with_(SMALL, adapter=AdapterConfig("film"), clips_per_batch=3)
+
+
+def test_the_loss_is_that_of_the_layouts_paper():
+    old, new = SMALL.objective(toy_rows()), SMALL.objective(body_rows())
+    assert (old.l1, old.bone_length, old.bones) == (0.01, 0.0, None)
+    assert (new.l1, new.bone_length) == (0.0, 1.0) and new.bones is not None
+    assert with_(SMALL, l1=0.5, bone_length=0.0).objective(body_rows()).l1 == 0.5
+
+
+def test_bones_must_be_known_where_their_loss_is_asked_for():
+    with pytest.raises(ValueError, match="must tell `parents` and `outputs`"):
+        with_(SMALL, bone_length=1.0).objective(toy_rows())
+
+
+@pytest.mark.parametrize("name", TABLE2)
+def test_every_model_of_the_papers_trains_and_resumes_bit_for_bit(name):
+    preset = TABLE2[name]
+    data = body_rows(LAYOUT_OF[preset.backbone])
+    config = with_(
+        SMALL,
+        adapter=dataclasses.replace(preset.adapter, rank=3),
+        steps=9,
+        steps_per_dispatch=3,
+        clips_per_batch=2,
+        generator_filters=4,
+        generator_width=5,
+        generator_hidden=8,
+    )
+    losses, states = [], []
+
+    def keep(state, report):
+        losses.append(report.loss)
+        states.append(on_host(state))
+
+    last = on_host(train(init_state(config, data.layout, 3), data, config, STYLES, on_dispatch=keep))
+    assert np.isfinite(losses).all()
+    again = train(resumed(states[0]), data, with_(config, steps_per_dispatch=2), STYLES)
+    assert_bitwise(again, last)
+    from_disk = train(init_state(config, data.layout, 3), data, with_(config, device_bytes=0), STYLES)
+    assert_bitwise(from_disk, last)
+    bank = styles_of(from_disk, data, config)
+    assert all(leaf.shape[0] == 3 for leaf in jax.tree.leaves(bank))
+    points = config.network(data.layout).num_control_points
+    one = init_adapter(config.adapter, HIDDEN, points, jax.random.key(0))
+    assert [leaf.shape for leaf in jax.tree.leaves(bank)] == [(3, *leaf.shape) for leaf in jax.tree.leaves(one)]

@@ -14,9 +14,12 @@ import pytest
 from jax.test_util import check_grads
 
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
-from pfnn_jax.models.network import Dropout, NetworkConfig, init_network, predict
-from pfnn_jax.training.batches import Batch, epoch_order, gather
+from pfnn_jax.models.dropout import Dropout
+from pfnn_jax.models.network import NetworkConfig, init_network, predict
+from pfnn_jax.training.batches import Batch, Draw
+from pfnn_jax.training.order import order_of
 from pfnn_jax.training.steps import (
+    Objective,
     PretrainState,
     PretrainStep,
     init_pretrain_state,
@@ -27,18 +30,18 @@ from pfnn_jax.training.steps import (
     pretrain_loss,
 )
 from tests.models.helpers import randomise
-from tests.training.toy import HIDDEN, assert_bitwise, on_host, toy_data, toy_network, toy_style
+from tests.training.toy import HIDDEN, assert_bitwise, on_host, take, toy_data, toy_network, toy_rows, toy_style
 
 FLOAT32 = 1e-5  # a few ulp over sums of 16 products
 ADAM_EPSILON = 0.05  # Adam's first step is the rate over 1 + 1e-8/|gradient|; gradients here are above 1e-6
 RATE = 1e-3
 DROPOUT = Dropout(main=jnp.float32(0.3), adapter=jnp.float32(0.5))
 KEY = jax.random.key(7)
-KINDS: tuple[AdapterKind, ...] = ("cp", "full", "diagonal", "bias")
+KINDS: tuple[AdapterKind, ...] = ("cp", "full", "diagonal", "bias", "dense", "one_hot")
 
 
 def make_step(dropout: Dropout = DROPOUT):
-    return make_pretrain_step(optax.adam(RATE), dropout, 0.01, "mean")
+    return make_pretrain_step(optax.adam(RATE), Objective(0.01), dropout)
 
 
 def make_state(kind: AdapterKind = "cp", num_styles: int = 3) -> PretrainState:
@@ -57,8 +60,18 @@ def some_changed(first, second) -> bool:
     return any(not np.array_equal(one, other) for one, other in pairs)
 
 
-def frames_of(num_steps: int, batch_size: int = 4) -> jax.Array:
-    return epoch_order(KEY, jnp.int32(0), 3, 24, batch_size)[:num_steps]
+def draw_of(num_steps: int, batch_size: int = 4) -> Draw:
+    return order_of(toy_rows(), batch_size, seed=0).draw(0, num_steps)
+
+
+def all_rows() -> Batch:
+    """The frames of three styles one after another, on the device."""
+    rows = toy_rows()
+    return Batch(jnp.asarray(rows.x), jnp.asarray(rows.y), jnp.asarray(rows.phase))
+
+
+def one_of(draw, number: int):
+    return jax.tree.map(lambda leaf: leaf[number], draw)
 
 
 def test_a_batch_is_its_frames_one_by_one():
@@ -88,7 +101,7 @@ def test_gradient_of_the_loss(kind):
         dropout = Dropout(main=jnp.float64(0.3), adapter=jnp.float64(0.5))
         # With the key, and so the masks, fixed the loss is differentiable at parameters other than zero.
         check_grads(
-            jax.jit(lambda shared, adapter: pretrain_loss(shared, adapter, batch, dropout, KEY, 0.01, "mean")[0]),
+            jax.jit(lambda shared, adapter: pretrain_loss(shared, adapter, batch, Objective(0.01), dropout, KEY)[0]),
             (shared, adapter),
             order=1,  # training takes no second derivative, and each would compile anew
             modes=("fwd", "rev"),
@@ -98,7 +111,7 @@ def test_gradient_of_the_loss(kind):
 def test_the_loss_is_the_error_and_the_penalty_of_both_parts():
     shared, batch = toy_network(), toy_style()
     adapter = randomise(init_adapter(AdapterConfig("cp", 3), HIDDEN, 4, KEY), 2)
-    loss, error = pretrain_loss(shared, adapter, batch, DROPOUT, KEY, 0.5, "sum")
+    loss, error = pretrain_loss(shared, adapter, batch, Objective(0.5, "sum"), DROPOUT, KEY)
     size = sum(float(jnp.abs(leaf).sum()) for leaf in jax.tree.leaves((shared, adapter)))
     np.testing.assert_allclose(loss - error, 0.5 * size, rtol=FLOAT32)
 
@@ -109,10 +122,10 @@ def test_a_step_changes_its_own_style_alone(kind, number):
     state, style = dataclasses.replace(make_state(kind), step=jnp.int32(number)), number % 3
     after, error = jax.jit(make_step())(state, toy_style(style), KEY)
     for other in {0, 1, 2} - {style}:
-        assert_bitwise(style_of(after.bank, other), style_of(state.bank, other))
-        assert_bitwise(style_of(after.bank_optimiser, other), style_of(state.bank_optimiser, other))
-    assert some_changed(style_of(after.bank, style), style_of(state.bank, style))
-    assert some_changed(style_of(after.bank_optimiser, style), style_of(state.bank_optimiser, style))
+        assert_bitwise(style_of(after.modulation, other), style_of(state.modulation, other))
+        assert_bitwise(style_of(after.modulation_optimiser, other), style_of(state.modulation_optimiser, other))
+    assert some_changed(style_of(after.modulation, style), style_of(state.modulation, style))
+    assert some_changed(style_of(after.modulation_optimiser, style), style_of(state.modulation_optimiser, style))
     assert some_changed(after.shared, state.shared)
     assert after.step == number + 1
     assert error > 0
@@ -122,9 +135,9 @@ def test_the_first_step_of_every_style_has_the_length_of_adams_rate():
     state, data = make_state(), toy_data()
     step = jax.jit(make_step(Dropout(main=jnp.float32(0), adapter=jnp.float32(0))))
     for style in range(3):  # the shared network has taken steps by then; the adapter's own Adam starts afresh
-        before = style_of(state.bank, style)
+        before = style_of(state.modulation, style)
         state, _ = step(state, style_of(data, style), KEY)
-        change = jax.tree.map(lambda new, old: jnp.abs(new - old), style_of(state.bank, style), before)
+        change = jax.tree.map(lambda new, old: jnp.abs(new - old), style_of(state.modulation, style), before)
         for leaf in (change.a, change.b, change.d):
             np.testing.assert_allclose(leaf, RATE, rtol=ADAM_EPSILON)
 
@@ -138,44 +151,47 @@ def test_each_step_draws_new_masks_and_a_repeated_step_the_same():
 
 
 def test_a_dispatch_is_the_loop_of_its_steps():
-    data, frames = jax.tree.map(jnp.asarray, toy_data()), frames_of(9)
-    together, errors = make_run_steps(make_step())(make_state(), data, frames, KEY)
+    data, draw = all_rows(), draw_of(9)
+    together, errors = make_run_steps(make_step(), take)(make_state(), data, draw, KEY)
     state, step = make_state(), jax.jit(make_step())
     for number, error in enumerate(errors):
-        state, single = step(state, gather(data, number % 3, frames[number]), KEY)
+        state, single = step(state, take(data, one_of(draw, number)), KEY)
         np.testing.assert_array_equal(error, single)
     assert_bitwise(together, state)
 
 
-def test_batches_from_the_host_train_as_data_on_the_device():
-    data, frames = toy_data(), frames_of(9)
-    on_device = make_run_steps(make_step())(make_state(), jax.tree.map(jnp.asarray, data), frames, KEY)
-    batches = gather(data, (np.arange(9) % 3)[:, None], np.asarray(frames))
-    assert_bitwise(on_device, make_run_batches(make_step())(make_state(), batches, KEY))
+@pytest.mark.parametrize("rolled", [True, False])
+def test_one_compiled_loop_and_single_dispatches_are_the_same(rolled):
+    data, draw = all_rows(), draw_of(6)
+    reference = make_run_steps(make_step(), take)(make_state(), data, draw, KEY)
+    assert_bitwise(make_run_steps(make_step(), take, rolled=rolled)(make_state(), data, draw, KEY), reference)
+    batches = jax.tree.map(np.asarray, take(data, draw))
+    assert_bitwise(make_run_batches(make_step(), rolled=rolled)(make_state(), batches, KEY), reference)
 
 
-def test_runs_donate_their_state():
-    data, frames = jax.tree.map(jnp.asarray, toy_data()), frames_of(3)
+@pytest.mark.parametrize("rolled", [True, False])
+def test_runs_donate_their_state(rolled):
+    data, draw = all_rows(), draw_of(3)
     state = make_state()
-    make_run_steps(make_step())(state, data, frames, KEY)
+    make_run_steps(make_step(), take, rolled=rolled)(state, data, draw, KEY)
     assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state.shared))
     state = make_state()
-    make_run_batches(make_step())(state, gather(toy_data(), np.arange(3)[:, None], np.asarray(frames)), KEY)
-    assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state.bank_optimiser))
+    make_run_batches(make_step(), rolled=rolled)(state, jax.tree.map(np.asarray, take(data, draw)), KEY)
+    assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state.modulation_optimiser))
 
 
 def test_all_styles_and_dispatches_of_one_length_share_one_compilation():
     chex.clear_trace_counter()
-    run = make_run_steps(cast(PretrainStep, chex.assert_max_traces(make_step(), n=1)))
-    data, frames = jax.tree.map(jnp.asarray, toy_data()), frames_of(12)
+    run = make_run_steps(cast(PretrainStep, chex.assert_max_traces(make_step(), n=1)), take)
+    data, draw = all_rows(), draw_of(12)
     state = make_state()
     for start in (0, 4, 8):  # dispatches that begin with styles 0, 1 and 2
-        state, _ = run(state, data, frames[start : start + 4], KEY)
+        state, _ = run(state, data, one_of(draw, slice(start, start + 4)), KEY)
     assert state.step == 12
 
 
 def test_steps_do_not_touch_the_data():
-    data = jax.tree.map(jnp.asarray, toy_data())
+    data = all_rows()
     before = on_host(data)
-    make_run_steps(make_step())(make_state(), data, frames_of(3), KEY)
+    make_run_steps(make_step(), take)(make_state(), data, draw_of(3), KEY)
     assert_bitwise(data, before)

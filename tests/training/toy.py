@@ -6,10 +6,24 @@ import jax
 import numpy as np
 
 from pfnn_jax.models.network import Network, NetworkConfig, init_network
-from pfnn_jax.training.batches import Batch
+from pfnn_jax.motion.frame_layout import FrameLayout
+from pfnn_jax.motion.layout import LAYOUTS
+from pfnn_jax.motion.normaliser import Statistics
+from pfnn_jax.training.batches import Batch, Draw, StyleData, cut_windows
 
 INPUTS, OUTPUTS, HIDDEN = 5, 4, 16
 STYLES = ("angry", "old", "proud")
+LAYOUT = FrameLayout(
+    name="toy",
+    num_joints=1,
+    fps=60.0,
+    length_unit=1.0,
+    time_unit=1.0,
+    phase_unit=1.0,
+    yaw_unit=1.0,
+    inputs=(("trajectory", 2), ("joint_position", 3)),
+    outputs=(("joint_position", 3), ("phase_change", 1)),
+)
 
 
 def toy_data(num_styles: int = len(STYLES), num_frames: int = 24, seed: int = 0) -> Batch:
@@ -21,6 +35,39 @@ def toy_data(num_styles: int = len(STYLES), num_frames: int = 24, seed: int = 0)
     phase = rng.uniform(0, 2 * np.pi, (num_styles, num_frames))
     y = np.sin(phase)[..., None] * (x @ mapping) + np.cos(phase)[..., None] * posture
     return Batch(x.astype(np.float32), y.astype(np.float32), phase.astype(np.float32))
+
+
+def toy_rows(num_frames: tuple[int, ...] = (24, 24, 24), seed: int = 0) -> StyleData:
+    """The frames of `toy_data` style after another, each style in its own number of them."""
+    data = toy_data(len(num_frames), max(num_frames), seed)
+    x, y, phase = (np.concatenate([a[s, :n] for s, n in enumerate(num_frames)]) for a in (data.x, data.y, data.phase))
+    return StyleData(x, y, phase, np.cumsum([0, *num_frames]), LAYOUT)
+
+
+def body_rows(layout: str = "mason2022", num_frames: tuple[int, ...] = (300, 30, 260), seed: int = 0) -> StyleData:
+    """Random normalised rows of three joints under a layout of 2022, with windows, parents and statistics."""
+    found, rng, total = LAYOUTS[layout](3), np.random.default_rng(seed), sum(num_frames)
+    first = np.cumsum([0, *num_frames])
+    windows = [cut_windows(n) + np.array([row, 0], np.int32) for n, row in zip(num_frames, first, strict=False)]
+    x, y = (rng.normal(size=(total, n)).astype(np.float32) for n in (found.input_size, found.output_size))
+    size = (total, found.phase_size) if found.phase_size else (total,)
+    mean = rng.normal(size=found.output_size).astype(np.float32)
+    return StyleData(
+        x=x,
+        y=y,
+        phase=rng.uniform(0, 6, size).astype(np.float32),
+        first_row=first,
+        layout=found,
+        windows=np.concatenate(windows),
+        first_window=np.cumsum([0, *map(len, windows)]),
+        parents=np.array([-1, 0, 1]),
+        outputs=Statistics(mean, rng.uniform(0.5, 2.0, found.output_size).astype(np.float32)),
+    )
+
+
+def take(data: Batch, draw: Draw) -> Batch:
+    """Rows of a draw, without clips."""
+    return jax.tree.map(lambda leaf: leaf[draw.rows], data)
 
 
 def toy_style(style: int = 0, num_frames: int = 24, seed: int = 0) -> Batch:
