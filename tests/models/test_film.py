@@ -70,8 +70,9 @@ def test_the_two_statistics_differ_by_their_divisor(float64: None):
 @pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
 @pytest.mark.parametrize("value", [0.0, -3.0, 1e4])
 def test_a_constant_vector_has_value_zero_and_a_finite_gradient(normalise, value: float):
-    constant = jnp.full(HIDDEN, value)
-    np.testing.assert_allclose(normalise(constant), np.zeros(HIDDEN), atol=1e-6)
+    with jax.enable_x64(True):  # in single precision the rounding of the mean is as large as the constant in the root
+        np.testing.assert_allclose(normalise(jnp.full(HIDDEN, value)), np.zeros(HIDDEN), atol=1e-7)
+    constant = jnp.full(HIDDEN, value, jnp.float32)
     assert np.isfinite(jax.jacrev(normalise)(constant)).all()
     assert np.isfinite(jax.jacfwd(normalise)(constant)).all()
 
@@ -130,13 +131,13 @@ def test_gradients_of_forward_with_film(float64: None):
         return forward(network, film, c, x, dropout=rates, key=KEY)
 
     arguments = (small_network(), random_film(), *frame())
-    check_grads(lambda n, f, c, x: forward(n, f, c, x), arguments, order=1, modes=("fwd", "rev"))
-    check_grads(dropped, arguments, order=1, modes=("fwd", "rev"))
+    check_grads(jax.jit(forward), arguments, order=1, modes=("fwd", "rev"))
+    check_grads(jax.jit(dropped), arguments, order=1, modes=("fwd", "rev"))
 
 
 @pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
 def test_gradients_of_modulate(normalise, float64: None):
-    check_grads(lambda film, f: modulate(film, 0, f, normalise), (random_film(), features()), order=2)
+    check_grads(jax.jit(lambda film, f: modulate(film, 0, f, normalise)), (random_film(), features()), order=2)
 
 
 @pytest.mark.parametrize("kind", ["film", "cp", "dense", "bias"])
@@ -177,19 +178,17 @@ def test_a_one_hot_input_is_kept_or_dropped_as_a_whole(float64: None):
     style = OneHot(shift=BiasLayer(biases=jax.random.normal(KEY, (POINTS, HIDDEN))))
     double = jax.tree.map(lambda leaf: 2 * leaf, style)
     rates = Dropout(main=jnp.asarray(0.0), adapter=jnp.asarray(0.5))
-    seen = set()
-    for seed in range(12):
-        y = forward(network, style, c, x, dropout=rates, key=jax.random.key(seed))
-        kept = np.allclose(y, forward(network, double, c, x), atol=FLOAT64)
-        assert kept or np.allclose(y, forward(network, None, c, x), atol=FLOAT64)
-        seen.add(kept)
-    assert seen == {True, False}
+    keys = jax.random.split(KEY, 12)
+    rows = jax.vmap(lambda key: forward(network, style, c, x, dropout=rates, key=key))(keys)
+    kept = np.isclose(rows, forward(network, double, c, x)[None], atol=FLOAT64).all(axis=1)
+    gone = np.isclose(rows, forward(network, None, c, x)[None], atol=FLOAT64).all(axis=1)
+    assert (kept ^ gone).all() and kept.any() and gone.any()
 
 
 def test_gradients_of_forward_with_a_one_hot_style(float64: None):
     style = OneHot(shift=BiasLayer(biases=jax.random.normal(KEY, (POINTS, HIDDEN))))
     arguments = (small_network(), style, *frame())
-    check_grads(lambda n, s, c, x: forward(n, s, c, x), arguments, order=1, modes=("fwd", "rev"))
+    check_grads(jax.jit(forward), arguments, order=1, modes=("fwd", "rev"))
 
 
 def test_a_film_of_another_width_is_refused():

@@ -101,7 +101,7 @@ def test_dropout_needs_a_key():
 
 
 def test_gradients(float64: None):
-    check_grads(film_generator(TINY).apply, (tiny(), clip()), order=1, modes=("fwd", "rev"))
+    check_grads(jax.jit(film_generator(TINY).apply), (tiny(), clip()), order=1, modes=("fwd", "rev"))
 
 
 def test_a_batch_is_its_clips_one_by_one(float64: None):

@@ -74,7 +74,7 @@ def test_equal_logits_blend_all_experts_alike():
     np.testing.assert_allclose(gate(gating, phase()), np.full(EXPERTS, 1 / EXPERTS), atol=FLOAT32)
 
 
-@pytest.mark.parametrize("expert", range(EXPERTS))
+@pytest.mark.parametrize("expert", [0, EXPERTS - 1])
 def test_extreme_logits_choose_one_expert(expert: int):
     """The network is then that expert's ordinary perceptron, and gradients are finite."""
     network = small_network()
@@ -86,18 +86,18 @@ def test_extreme_logits_choose_one_expert(expert: int):
     x = jnp.linspace(-1.0, 1.0, 4)
     expected = forward(alone, None, jnp.ones(1), x)
     np.testing.assert_allclose(predict(chosen, None, x, phase()), expected, atol=FLOAT32)
-    gradient = jax.grad(lambda n: predict(n, None, x, phase()).sum())(chosen)
+    gradient = jax.jit(jax.grad(lambda n: predict(n, None, x, phase()).sum()))(chosen)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
 def test_gradients(float64: None):
-    check_grads(gate, (small_gating(), phase()), order=2, modes=("fwd", "rev"))
+    check_grads(jax.jit(gate), (small_gating(), phase()), order=2, modes=("fwd", "rev"))
 
 
 def test_gradients_of_predict(float64: None):
     x = jax.random.normal(KEY, (4,))
     arguments = (small_network(), None, x, phase())
-    check_grads(lambda n, s, x, p: predict(n, s, x, p), arguments, order=1, modes=("fwd", "rev"))
+    check_grads(jax.jit(predict), arguments, order=1, modes=("fwd", "rev"))
 
 
 def test_gradients_with_dropout(float64: None):
@@ -107,7 +107,7 @@ def test_gradients_with_dropout(float64: None):
     def dropped(network, x, phase):
         return forward(network, None, coefficients(network, phase, dropout=rates, key=KEY), x, dropout=rates, key=KEY)
 
-    check_grads(dropped, (small_network(), x, phase()), order=1, modes=("fwd", "rev"))
+    check_grads(jax.jit(dropped), (small_network(), x, phase()), order=1, modes=("fwd", "rev"))
 
 
 def test_rate_zero_is_the_identity():
@@ -133,8 +133,8 @@ def test_the_inputs_are_dropped_as_well():
 
 def test_masks_of_gating_and_of_layers_are_independent():
     """The same key may be given to both: the stream of the gating network is none of those of the layers."""
-    ours = jax.random.key_data(jax.random.fold_in(KEY, 4))
-    theirs = jax.random.key_data(jax.random.split(KEY, 4))
+    ours = np.asarray(jax.random.key_data(jax.random.fold_in(KEY, 4)))
+    theirs = np.asarray(jax.random.key_data(jax.random.split(KEY, 4)))
     assert not (ours == theirs).all(axis=-1).any()
 
 
