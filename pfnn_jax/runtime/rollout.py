@@ -186,7 +186,7 @@ def _into_next_root(layout: FrameLayout, pose: dict[str, jax.Array], x: jax.Arra
     here = ground(x, "joint_position")
     there = ground(after, "joint_position") - ground(after, "joint_velocity") / (layout.fps * layout.time_unit)
     middles = jnp.mean(here, axis=0), jnp.mean(there, axis=0)
-    a, b = here - middles[0], there - middles[1]
+    a, b = here - middles[0][None], there - middles[1][None]
     turned = unit(jnp.stack([jnp.sum(a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]), jnp.sum(a * b)]))
     shift = middles[1] - to_world(middles[0], turned)
     moved = {name: to_world(block.reshape(-1, 3), turned) for name, block in pose.items()}

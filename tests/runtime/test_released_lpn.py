@@ -190,9 +190,9 @@ def alternates(contacts) -> bool:
 
 
 def test_generated_mixture_goes_round(lpn_run):
-    made = generate(lpn_run, {"Neutral": 0.5, "Old": 0.3, "Zombie": 0.2}, circle(2.0), seconds=6.0)
-    assert made.clip.style == "Neutral:0.5+Old:0.3+Zombie:0.2" and made.clip.num_frames == 360
-    assert float(np.asarray(made.frames.path_distance)[SETTLED:].mean()) < 0.5
+    made = generate(lpn_run, {"Neutral": 0.5, "Old": 0.3, "Zombie": 0.2}, circle(2.0), seconds=3.0)
+    assert made.clip.style == "Neutral:0.5+Old:0.3+Zombie:0.2" and made.clip.num_frames == 180
+    assert float(np.asarray(made.frames.path_distance).max()) < 0.5
     turned = np.unwrap(np.asarray(made.frames.root_yaw))
-    assert turned[-1] - turned[0] > 1.0
+    assert turned[-1] - turned[0] > 0.7
     assert 0.8 < made.clip.root_positions[:, 1].mean() < 1.1
