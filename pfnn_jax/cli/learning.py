@@ -14,9 +14,10 @@ from pfnn_jax.cli.progress import stage_progress, training_progress
 from pfnn_jax.evaluation.demo import DemoConfig, demo
 from pfnn_jax.motion.dataset import load_dataset
 from pfnn_jax.motion.sources import ClipFile, is_symmetric
-from pfnn_jax.runtime.learn import learn_style
+from pfnn_jax.runtime.learn import learn_style, tune_style
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.few_shot import PAPER, FewShotConfig
+from pfnn_jax.training.generator_tuning import TuningConfig
 from pfnn_jax.training.loop import pretrain
 from pfnn_jax.training.run import load_run
 
@@ -86,9 +87,11 @@ class FewShot(Command):
         stop: the frame before which to end; by default the file's end.
         mirror: also learn from the mirrored clip; by default unless the name is a style known to be asymmetric.
         roles: JSON that names the joints' roles.
-        recipe: the best of our measurements, or the paper's (CP, 100 epochs at 1e-4).
+        recipe: the best of our measurements; the paper's of 2018 (CP, 100 epochs at 1e-4); or tuning of the run's
+            FiLM generator (2022).
         overwrite: replace a style of this name.
-        config: the grid of settings; ignored, but for the seed, with `--recipe paper`.
+        config: the grid of settings; ignored, but for the seed, with the other recipes.
+        tuning: settings of `--recipe generator`.
     """
 
     run_path: Annotated[Argument[Path], tyro.conf.arg(name="run", metavar="RUN")]
@@ -98,17 +101,21 @@ class FewShot(Command):
     stop: int | None = None
     mirror: bool | None = None
     roles: Path | None = None
-    recipe: Literal["default", "paper"] = "default"
+    recipe: Literal["default", "paper", "generator"] = "default"
     overwrite: bool = False
     config: Annotated[FewShotConfig, FLAT] = field(default_factory=FewShotConfig)
+    tuning: TuningConfig = field(default_factory=TuningConfig)
 
     def run(self) -> Any:
-        config = self.config if self.recipe == "default" else replace(PAPER, seed=self.config.seed)
         clip = ClipFile(self.clip, self.name, start=self.start, stop=self.stop)
         mirror = is_symmetric(self.name) if self.mirror is None else self.mirror
-        info = learn_style(
-            load_run(self.run_path), clip, config, mirror=mirror, roles_file=self.roles, overwrite=self.overwrite
-        )
+        run, options = load_run(self.run_path), {"roles_file": self.roles, "overwrite": self.overwrite}
+        if self.recipe == "generator":
+            info = tune_style(run, clip, replace(self.tuning, seed=self.config.seed), mirror=mirror, **options)
+            print(f"{self.name}: {info['frames']} frames, {info['seconds']:.1f} s; loss {info['loss']:.4g}")
+            return info
+        config = self.config if self.recipe == "default" else replace(PAPER, seed=self.config.seed)
+        info = learn_style(run, clip, config, mirror=mirror, **options)
         choice = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in info["choice"].items())
         print(f"{self.name}: {info['frames']} frames, {info['seconds']:.1f} s; chosen: {choice}")
         return info

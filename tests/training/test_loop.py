@@ -15,14 +15,19 @@ import pytest
 
 from pfnn_jax.errors import InputError, TrainingError
 from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.motion.dataset import prepare
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.preparation import PrepareConfig
 from pfnn_jax.motion.synthetic import synthetic_clips
+from pfnn_jax.training.batches import gather_from
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.films import mean_films
 from pfnn_jax.training.log import read_metrics
 from pfnn_jax.training.loop import pretrain
-from pfnn_jax.training.pretraining import PretrainConfig
-from pfnn_jax.training.run import list_styles, load_run, load_style, train_step
+from pfnn_jax.training.order import order_of
+from pfnn_jax.training.run import list_styles, load_generator, load_run, load_style, train_step
+from pfnn_jax.training.stored import StoredData, dataset_rows
 
 CONFIG = PretrainConfig(
     adapter=AdapterConfig(rank=2), hidden=8, steps=60, batch_size=16, steps_per_dispatch=5, save_every=10
@@ -119,3 +124,32 @@ def test_training_that_turns_non_finite_keeps_the_last_good_save(dataset, tmp_pa
     losses = [json.loads(line)["loss"] for line in (out / "metrics.jsonl").read_text().splitlines()]
     assert np.isfinite(losses).all()
     assert train_step(out) == len(losses)
+
+
+def test_rows_on_disk_are_those_in_memory(dataset):
+    stored = StoredData(dataset, dataset.styles)
+    memory = dataset_rows(dataset)
+    assert dataset_rows(dataset, limit=0).nbytes == memory.nbytes == stored.nbytes
+    draw = order_of(memory, 16, seed=0, num_clips=2).draw(0, 4)
+    assert_bitwise_equal(gather_from(stored, draw), gather_from(memory, draw))
+
+
+def test_a_film_run_from_disk_is_the_one_from_memory_and_holds_its_generator(dataset, tmp_path):
+    config = replace(
+        CONFIG,
+        adapter=AdapterConfig("film"),
+        steps=10,
+        clips_per_batch=2,
+        generator_filters=4,
+        generator_width=5,
+        generator_hidden=8,
+    )
+    memory = pretrain(dataset, tmp_path / "memory", config)
+    disk = pretrain(dataset, tmp_path / "disk", replace(config, device_bytes=0))
+    assert_bitwise_equal(parameters(memory), parameters(disk))
+    sizes, generator = memory.config.generator, load_generator(memory)
+    assert sizes is not None
+    assert_bitwise_equal(generator, load_generator(disk))
+    films = mean_films(film_generator(sizes), generator, dataset_rows(dataset))
+    for index, style in enumerate(dataset.styles):
+        assert_bitwise_equal(load_style(memory, style), jax.tree.map(lambda leaf, i=index: leaf[i], films))

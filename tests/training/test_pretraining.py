@@ -194,7 +194,7 @@ def test_every_model_of_the_papers_trains_and_resumes_bit_for_bit(name):
     config = with_(
         SMALL,
         adapter=dataclasses.replace(preset.adapter, rank=3),
-        steps=9,
+        steps=6,
         steps_per_dispatch=3,
         clips_per_batch=2,
         generator_filters=4,
@@ -209,12 +209,11 @@ def test_every_model_of_the_papers_trains_and_resumes_bit_for_bit(name):
 
     last = on_host(train(init_state(config, data.layout, 3), data, config, STYLES, on_dispatch=keep))
     assert np.isfinite(losses).all()
-    again = train(resumed(states[0]), data, with_(config, steps_per_dispatch=2), STYLES)
+    # From a saved state, in dispatches of another size, and with the rows read ahead in host memory.
+    elsewhere = with_(config, steps_per_dispatch=2, device_bytes=0)
+    again = train(resumed(states[0]), data, elsewhere, STYLES)
     assert_bitwise(again, last)
-    from_disk = train(init_state(config, data.layout, 3), data, with_(config, device_bytes=0), STYLES)
-    assert_bitwise(from_disk, last)
-    bank = styles_of(from_disk, data, config)
-    assert all(leaf.shape[0] == 3 for leaf in jax.tree.leaves(bank))
+    bank = styles_of(again, data, config)
     points = config.network(data.layout).num_control_points
     one = init_adapter(config.adapter, HIDDEN, points, jax.random.key(0))
     assert [leaf.shape for leaf in jax.tree.leaves(bank)] == [(3, *leaf.shape) for leaf in jax.tree.leaves(one)]

@@ -10,6 +10,7 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
+from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.layout import mason2018
 from pfnn_jax.motion.normaliser import Normaliser, Statistics
@@ -17,20 +18,21 @@ from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
 from pfnn_jax.training import checkpoint
 from pfnn_jax.training.log import append_metrics, read_metrics, rewind_metrics
 from pfnn_jax.training.run import (
-    RunConfig,
     adapter_form,
     create_run,
     list_styles,
-    load_config,
+    load_generator,
     load_run,
     load_style,
     load_train_state,
+    save_generator,
     save_shared,
     save_style,
     save_train_state,
     style_note,
     train_step,
 )
+from pfnn_jax.training.run_config import RunConfig, load_config
 
 HIDDEN, JOINTS = 6, 3
 LAYOUT = mason2018(JOINTS)
@@ -93,7 +95,7 @@ def test_a_run_of_low_rank_networks_rebuilds_itself(tmp_path):
     assert_equal(run.shared, init_network(network, jax.random.key(0)))
 
 
-@pytest.mark.parametrize("kind", ["cp", "full", "diagonal", "bias"])
+@pytest.mark.parametrize("kind", ["cp", "full", "diagonal", "bias", "dense", "one_hot"])
 def test_styles_of_every_kind_round_trip(tmp_path, kind):
     path = make_run(tmp_path / "run")
     save_style(path, "new style", make_adapter(kind), {"clip": "a.bvh", "error": np.float32(0.5)})
@@ -289,3 +291,66 @@ def test_metrics_survive_a_kill_and_are_not_repeated(tmp_path):
     (tmp_path / "metrics.jsonl").write_text('{"step": 1}\nnonsense\n')
     with pytest.raises(InputError, match="metrics.jsonl: line 2"):
         read_metrics(tmp_path)
+
+
+GENERATOR = GeneratorConfig(features=6 * JOINTS, clip_frames=8, filters=4, width=3, hidden=5, film_hidden=HIDDEN)
+
+
+def make_film_run(path):
+    return make_run(path, adapter=AdapterConfig("film"), generator=GENERATOR)
+
+
+def test_a_generator_round_trips(tmp_path):
+    path = make_film_run(tmp_path / "run")
+    parameters = film_generator(GENERATOR).init(jax.random.key(2))
+    save_generator(path, parameters)
+    run = load_run(path)
+    assert run.config.generator == GENERATOR
+    assert_equal(load_generator(run), parameters)
+    save_style(path, "angry", make_adapter("film"), {})
+    assert_equal(load_style(run, "angry"), make_adapter("film"))
+
+
+def test_a_run_without_a_generator_says_so(tmp_path):
+    with pytest.raises(InputError, match="generator: absent"):
+        load_generator(load_run(make_run(tmp_path / "run")))
+
+
+def test_a_generator_of_another_shared_network_is_refused(tmp_path):
+    path = make_film_run(tmp_path / "run")
+    save_generator(path, film_generator(GENERATOR).init(jax.random.key(2)))
+    save_shared(path, init_network(make_config().network, jax.random.key(9)))
+    with pytest.raises(InputError, match="the generator was trained beside another shared network"):
+        load_generator(load_run(path))
+
+
+def test_films_and_adapters_do_not_stand_beside_one_network(tmp_path):
+    with pytest.raises(InputError, match="adapter kind: film; must not be film, as the run's styles are cp"):
+        save_style(make_run(tmp_path / "adapters"), "angry", make_adapter("film"), {})
+    with pytest.raises(InputError, match="adapter kind: cp; must be film"):
+        save_style(make_film_run(tmp_path / "films"), "angry", make_adapter("cp"), {})
+
+
+def test_a_configuration_written_before_there_were_generators_loads(tmp_path):
+    path = make_run(tmp_path / "run")
+    file, old = path / "config.json", load_run(path).config
+    data = json.loads(file.read_text())
+    for name in ("generator", "command_gain"):
+        del data[name]
+    for name in ("phase_size", "gating_hidden"):
+        del data["network"][name]
+    file.write_text(json.dumps(data))
+    assert load_run(path).config == old
+
+
+def test_a_gating_network_needs_a_layout_and_statistics_of_phases(tmp_path):
+    gated = dataclasses.replace(make_config().network, phase_size=8)
+    with pytest.raises(ValueError, match="must have phase_size 0 for layout mason2018, got 8"):
+        make_config(network=gated)
+    phases = Statistics(np.zeros(8, np.float32), np.ones(8, np.float32))
+    path = tmp_path / "run"
+    config = make_config()
+    create_run(path, config, dataclasses.replace(NORMALISER, phases=phases))
+    save_shared(path, init_network(config.network, jax.random.key(0)))
+    with pytest.raises(InputError, match="phase columns: 8; must equal phase_size 0"):
+        load_run(path)

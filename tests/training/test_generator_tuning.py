@@ -1,0 +1,73 @@
+"""Tuning a generator: what stays frozen, what it gives, and that it learns the style."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.films import mean_films
+from pfnn_jax.training.generator_tuning import TuningConfig, tune_generator
+from pfnn_jax.training.pretraining import init_state
+from tests.training.toy import HIDDEN, assert_bitwise, body_rows, on_host
+
+PRETRAINED = PretrainConfig(
+    adapter=AdapterConfig("film"),
+    hidden=HIDDEN,
+    batch_size=8,
+    generator_filters=4,
+    generator_width=5,
+    generator_hidden=8,
+)
+TUNING = TuningConfig(steps=60, batch_size=8, clips_per_batch=2, learning_rate=1e-2, dropout=0.0)
+
+
+@pytest.fixture(scope="module")
+def pretrained():
+    return init_state(PRETRAINED, body_rows().layout, 3)
+
+
+def style():
+    """30 rows of one style of which the network can learn the mean posture."""
+    data = body_rows(num_frames=(30,), seed=4)
+    return dataclasses.replace(data, y=np.broadcast_to(data.y[:1], data.y.shape))
+
+
+def tune(pretrained, config: TuningConfig = TUNING):
+    data = style()
+    sizes = PRETRAINED.generator(data.layout)
+    assert sizes is not None
+    return tune_generator(pretrained.shared, sizes, pretrained.modulation, data, config), sizes
+
+
+def test_only_the_generator_changes_and_it_learns(pretrained):
+    before = on_host((pretrained.shared, pretrained.modulation))
+    tuned, sizes = tune(pretrained)
+    assert_bitwise((pretrained.shared, pretrained.modulation), before)
+    assert not np.array_equal(jax.tree.leaves(tuned.generator)[0], jax.tree.leaves(before[1])[0])
+    assert tuned.losses.shape == (60,)
+    assert tuned.losses[-5:].mean() < 0.9 * tuned.losses[:5].mean()
+    films = mean_films(film_generator(sizes), tuned.generator, style())
+    assert_bitwise(tuned.film, jax.tree.map(lambda leaf: leaf[0], films))
+
+
+def test_tuning_depends_on_its_settings_alone(pretrained):
+    short = dataclasses.replace(TUNING, steps=4, dropout=0.3)
+    first, again = tune(pretrained, short)[0], tune(pretrained, dataclasses.replace(short, steps_per_dispatch=3))[0]
+    assert_bitwise(first.generator, again.generator)
+    other = tune(pretrained, dataclasses.replace(short, seed=1))[0]
+    assert not np.array_equal(first.losses, other.losses)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("epochs", 0), ("steps", 0), ("clips_per_batch", 3), ("dropout", 1.0), ("learning_rate", 0.0), ("batch_size", 0)],
+)
+def test_a_configuration_out_of_range_is_refused(name, value):
+    with pytest.raises(ValueError, match=f"TuningConfig.{name} must"):
+        dataclasses.replace(TUNING, **{name: value})
