@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,8 @@ from pfnn_jax.models.network import Network, num_parameters, predict
 FLOAT64 = 1e-7
 FLOAT32 = 1e-4  # in standard deviations of each output: ten times what single precision does to these networks
 
+Tree = TypeVar("Tree")
+
 EXPERTS, STYLES = 8, 100
 
 
@@ -31,24 +33,24 @@ class Released(NamedTuple):
 
 
 def read(folder: Path, name: str, *shape: int) -> np.ndarray:
-    return np.fromfile(folder / f"{name}.bin", "<f4").astype(np.float64).reshape(shape)
+    return np.fromfile(folder / f"{name}.bin", "<f4").reshape(shape)
 
 
 def blended(folder: Path, layer: int, outputs: int, inputs: int) -> BlendedLayer:
     weights = [read(folder, f"cp{layer}_a{e}", outputs, inputs).T for e in range(EXPERTS)]
     biases = [read(folder, f"cp{layer}_b{e}", outputs) for e in range(EXPERTS)]
-    return BlendedLayer(weights=np.stack(weights), biases=np.stack(biases))
+    return BlendedLayer(weights=jnp.asarray(np.stack(weights)), biases=jnp.asarray(np.stack(biases)))
 
 
 def dense(folder: Path, layer: int, outputs: int, inputs: int) -> DenseLayer:
     weights = read(folder, f"wc{layer}_w", outputs, inputs).T
-    return DenseLayer(weights=weights, biases=read(folder, f"wc{layer}_b", outputs))
+    return DenseLayer(weights=jnp.asarray(weights), biases=jnp.asarray(read(folder, f"wc{layer}_b", outputs)))
 
 
-def vectors(folder: Path, name: str) -> np.ndarray:
+def vectors(folder: Path, name: str) -> jax.Array:
     """[S, 2, 512]"""
     rows = [[read(folder, f"Style_{s:03d}_{name}{layer}", 512) for layer in (1, 2)] for s in range(STYLES)]
-    return np.array(rows)
+    return jnp.asarray(np.array(rows))
 
 
 @pytest.fixture(scope="module")
@@ -71,17 +73,23 @@ def load(path: Path) -> dict[str, np.ndarray]:
 
 
 def normalised(statistics: tuple[np.ndarray, np.ndarray], values: np.ndarray) -> np.ndarray:
+    """In double precision, as the golden values are."""
     mean, std = statistics
-    return (values - mean) / std
+    return (values - mean.astype(np.float64)) / std
+
+
+def in_full_precision(tree: Tree) -> Tree:
+    """float64 where that is on; the files hold float32."""
+    return jax.tree.map(lambda leaf: leaf.astype(float), tree)
 
 
 def styles_of(released: Released, golden: dict[str, np.ndarray]) -> Film:
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf[golden["style"]]), released.films)
+    return jax.tree.map(lambda leaf: leaf[golden["style"]], in_full_precision(released.films))
 
 
 def predict_all(released: Released, golden: dict[str, np.ndarray], **options) -> jax.Array:
     """Normalised outputs [N, 342] in the precision that is on."""
-    network = jax.tree.map(jnp.asarray, released.network)
+    network = in_full_precision(released.network)
     x = jnp.asarray(normalised(released.input_statistics, golden["x"]))
     phase = jnp.asarray(normalised(released.phase_statistics, golden["gating_x"]))
     each = jax.vmap(lambda style, x, p: predict(network, style, x, p, **options))
@@ -94,9 +102,11 @@ def test_size(released: Released):
 
 def test_every_stage(released: Released, reference: Path, float64: None):
     golden = load(reference / "lpn_golden_dev.npz")
-    network, films = jax.tree.map(jnp.asarray, released.network), styles_of(released, golden)
-    phase = normalised(released.phase_statistics, golden["gating_x"])
-    c = jax.vmap(gate, (None, 0))(network.gating, phase)
+    network, films = in_full_precision(released.network), styles_of(released, golden)
+    gating = network.gating
+    assert gating is not None
+    phase = jnp.asarray(normalised(released.phase_statistics, golden["gating_x"]))
+    c = jax.vmap(gate, (None, 0))(gating, phase)
     np.testing.assert_allclose(c, golden["gating_coeffs"], atol=FLOAT64)
     value = jnp.asarray(normalised(released.input_statistics, golden["x"]))
     for index in (0, 1):
@@ -127,8 +137,8 @@ def test_predict_in_single_precision(released: Released, reference: Path):
 
 def test_mixtures_of_three_styles(released: Released, reference: Path, float64: None):
     golden = load(reference / "lpn_golden_mix_dev.npz")
-    stacked = jax.tree.map(lambda leaf: jnp.asarray(leaf[golden["styles"]]), released.films)
-    network = jax.tree.map(jnp.asarray, released.network)
+    stacked = jax.tree.map(lambda leaf: leaf[golden["styles"]], in_full_precision(released.films))
+    network = in_full_precision(released.network)
     x = jnp.asarray(normalised(released.input_statistics, golden["x"]))
     phase = jnp.asarray(normalised(released.phase_statistics, golden["gating_x"]))
     each = jax.vmap(lambda three, weights, x, p: predict(network, mix(three, weights), x, p))
