@@ -21,6 +21,7 @@ GRID = 48  # frequencies: 0.08 Hz apart, where the error over half a second vari
 NEAR = 0.01  # share of a window's power: minima this near to the best of the grid are refined too
 REFINEMENTS = 24  # most steps of the frequency; few windows need more than four
 ENOUGH = 1e-11  # share of a window's power that a step must be able to gain
+FEWER = 0.7  # windows still going are set apart when they are fewer than this share
 NEWTON_STEPS = 5  # of the multiplier: each doubles its digits
 BLOCK = 2048  # windows at a time, so that what they need stays in the processor's cache
 
@@ -71,7 +72,7 @@ class _Bounds:
 
 @dataclass(frozen=True, eq=False)
 class _Gram:
-    """Sums over a window of the three functions' products, at angular frequency x per sample."""
+    """Sums over a window of the three functions' products, at one angular frequency per sample."""
 
     sin: np.ndarray  # of sin²
     cos: np.ndarray  # of cos²
@@ -82,6 +83,9 @@ class _Gram:
     def free(self) -> np.ndarray:
         """Sum of squares of the cosine less its mean."""
         return self.cos - self.total**2 / self.count
+
+    def take(self, index: np.ndarray) -> _Gram:
+        return _Gram(self.sin[index], self.cos[index], self.total[index], self.count)
 
 
 def fit_sinusoids(windows: np.ndarray, fps: float, lowest: float = LOWEST, highest: float = HIGHEST) -> Sinusoids:
@@ -134,10 +138,18 @@ def _read(windows: np.ndarray) -> _Windows:
     return _Windows(after - before, after + before, columns[half], mean, low - mean, high - mean, power)
 
 
-def _gram(x: np.ndarray, count: int) -> _Gram:
-    """Closed forms: the sum of cos over a window is Dirichlet's kernel."""
-    double = np.sin(count * x) / np.sin(x)
-    return _Gram((count - double) / 2, (count + double) / 2, np.sin(count * x / 2) / np.sin(x / 2), count)
+def _gram(x: np.ndarray, count: int) -> tuple[_Gram, np.ndarray, np.ndarray]:
+    """Sums at angular frequencies x, and the derivatives of `total` and of `cos` (of `sin`: the same, negative).
+
+    The sum of cos(k x) over a window is Dirichlet's kernel D(x) = sin(count x / 2) / sin(x / 2), and
+    cos² = (1 + cos 2x) / 2.
+    """
+    s, c, top, top_rise = np.sin(x / 2), np.cos(x / 2), np.sin(count * x / 2), np.cos(count * x / 2)
+    total, sin_x = top / s, 2 * s * c
+    double = 2 * top * top_rise / sin_x
+    rise = (count * top_rise - total * c) / (2 * s)
+    double_rise = (count * (1 - 2 * top * top) - double * (1 - 2 * s * s)) / (2 * sin_x)
+    return _Gram((count - double) / 2, (count + double) / 2, total, count), rise, double_rise
 
 
 def _grid_errors(data: _Windows, grid: np.ndarray) -> np.ndarray:
@@ -148,7 +160,7 @@ def _grid_errors(data: _Windows, grid: np.ndarray) -> np.ndarray:
     """
     half = len(data.odd)
     angles = grid[:, None] * np.arange(1, half + 1)
-    gram = _gram(grid, 2 * half + 1)
+    gram, _, _ = _gram(grid, 2 * half + 1)
     p, q = np.sin(angles) @ data.odd, np.cos(angles) @ data.even + data.centre
     a, b = p / gram.sin[:, None], q / gram.free[:, None]
     error = data.power - a * p - b * q
@@ -160,8 +172,7 @@ def _grid_errors(data: _Windows, grid: np.ndarray) -> np.ndarray:
     rows, columns = np.nonzero(outside & (error <= bound))
     error[outside] = np.inf
     bounds = _Bounds(data.low[columns], data.high[columns], data.power[columns])
-    chosen = _Gram(gram.sin[rows], gram.cos[rows], gram.total[rows], gram.count)
-    error[rows, columns] = _solve(bounds, p[rows, columns], q[rows, columns], chosen)[3]
+    error[rows, columns] = _solve(bounds, p[rows, columns], q[rows, columns], gram.take(rows))[3]
     return error
 
 
@@ -227,7 +238,7 @@ def _refine(data: _Windows, grid: np.ndarray, start: np.ndarray, curvature: np.n
 
     One step of Newton's method from the grid point, then the secant rule, both inside a bracket that closes. Where a
     bound begins to hold the slope has a corner, on which the secant rule is slow: every third step halves the bracket.
-    Windows leave when a straight slope to the bracket's end would gain nothing more.
+    Windows leave when their next step would gain nothing more.
     """
     low, x, high = grid[np.maximum(start - 1, 0)], grid[start], grid[np.minimum(start + 1, len(grid) - 1)]
     best = np.full((5, len(x)), np.inf)
@@ -238,13 +249,16 @@ def _refine(data: _Windows, grid: np.ndarray, start: np.ndarray, curvature: np.n
         low, high = np.where(slope < 0, x, low), np.where(slope > 0, x, high)
         with np.errstate(divide="ignore", invalid="ignore"):
             following = x - slope / (curvature if step == 0 else (slope - last_slope) / (x - last_x))
-        halve = (step % 3 == 2) | ~((following > low) & (following < high))
-        following = np.where(halve, 0.5 * (low + high), following)
-        going = np.flatnonzero(np.abs(slope) * (high - low) > ENOUGH * data.power)
+        inside = (following > low) & (following < high)
+        way = np.where(inside, np.abs(following - x), high - low)
+        following = np.where(inside & (step % 3 != 2), following, 0.5 * (low + high))
+        going = np.flatnonzero(np.abs(slope) * way > ENOUGH * data.power)
         if not len(going):
             break
-        data, left = data.take(going), left[going]
-        low, high, last_x, last_slope, x = (v[going] for v in (low, high, x, slope, following))
+        last_x, last_slope, x = x, slope, following
+        if len(going) < FEWER * len(x):
+            data, left = data.take(going), left[going]
+            low, high, last_x, last_slope, x = (v[going] for v in (low, high, last_x, last_slope, x))
     return best
 
 
@@ -254,16 +268,14 @@ def _evaluate(data: _Windows, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     The bounds do not depend on frequency, so the derivative of the best error is that at fixed a, b and offset.
     """
     half = len(data.odd)
-    gram, (sin, cos) = _gram(x, 2 * half + 1), _powers(x, half)
+    (gram, total_rise, cos_rise), (sin, cos) = _gram(x, 2 * half + 1), _powers(x, half)
     k = np.arange(1.0, half + 1)[:, None]
     dot = "kn,kn->n"
     p, q = np.einsum(dot, data.odd, sin), np.einsum(dot, data.even, cos) + data.centre
     fit = _solve(data, p, q, gram)
     a, b, offset, _ = fit
-    rise_p, fall_q = np.einsum(dot, k * data.odd, cos), np.einsum(dot, k * data.even, sin)
-    rise_total, rise_double = _kernel_slope(x, gram.count), _kernel_slope(2 * x, gram.count)
-    # error = power + a² (count - D(2x)) / 2 + b² (count + D(2x)) / 2 + 2 b offset D(x) - 2 a p - 2 b q + ...
-    return fit, (b * b - a * a) * rise_double + 2 * (b * offset * rise_total - a * rise_p + b * fall_q)
+    p_rise, q_rise = np.einsum(dot, data.odd, k * cos), -np.einsum(dot, data.even, k * sin)
+    return fit, (b * b - a * a) * cos_rise + 2 * (b * offset * total_rise - a * p_rise - b * q_rise)
 
 
 def _powers(x: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray]:
@@ -274,9 +286,3 @@ def _powers(x: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray]:
         sin[k] = sin[k - 1] * cos[0] + cos[k - 1] * sin[0]
         cos[k] = cos[k - 1] * cos[0] - sin[k - 1] * sin[0]
     return sin, cos
-
-
-def _kernel_slope(x: np.ndarray, count: int) -> np.ndarray:
-    """Derivative of Dirichlet's kernel sin(count x / 2) / sin(x / 2)."""
-    sin = np.sin(x / 2)
-    return (count * np.cos(count * x / 2) * sin - np.sin(count * x / 2) * np.cos(x / 2)) / (2 * sin**2)
