@@ -19,7 +19,17 @@ from pfnn_jax.motion.normaliser import fit_normaliser, save_normaliser
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
 from pfnn_jax.motion.splits import SPLITS
 from pfnn_jax.motion.style_writer import StyleWriter
-from pfnn_jax.motion.takes import Group, Prepared, Source, TakeRows, content_of, name_of, prepare_group, style_of
+from pfnn_jax.motion.takes import (
+    Group,
+    Prepared,
+    Source,
+    TakeRows,
+    content_of,
+    has_hand_ends,
+    name_of,
+    prepare_group,
+    style_of,
+)
 from pfnn_jax.motion.workers import default_workers, map_in_order
 
 FORMAT = 2
@@ -139,7 +149,10 @@ def write_dataset(
 
 
 def _groups(clips: Sequence[Source], config: PrepareConfig, roles_file: Path | None) -> list[Group]:
-    """Takes by style, content and name, so that their order does not matter; together where they share axes."""
+    """Takes by style, content and name, so that their order does not matter; together where they share axes.
+
+    Hand ends become joints where all takes have them: in a few Bandai-Namco files alone they do not lie at the wrist.
+    """
 
     def place(source: Source) -> tuple[str, ...]:
         return style_of(source), content_of(source), Path(name_of(source)).name, name_of(source)
@@ -147,8 +160,10 @@ def _groups(clips: Sequence[Source], config: PrepareConfig, roles_file: Path | N
     def key(source: Source) -> tuple[str, ...]:
         return place(source)[:2] if LAYOUTS[config.layout](1).phase_kind == "local" else place(source)
 
+    hands = all(map(has_hand_ends, clips)) if LAYOUTS[config.layout](1).next_frame else False
+    shares = config.validation, config.test
     return [
-        Group(tuple(sources), config.layout, config.mirror, config.validation, config.test, config.seed, roles_file)
+        Group(tuple(sources), config.layout, config.mirror, *shares, config.seed, roles_file, hands)
         for _, sources in groupby(sorted(clips, key=place), key=key)
     ]
 

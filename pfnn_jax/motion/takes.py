@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,9 @@ from pfnn_jax.motion.skeleton import Skeleton, need_roles
 from pfnn_jax.motion.splits import SPLITS, row_windows, split_blocks, take_generator
 from pfnn_jax.motion.style100 import IDLE, TRANSITION
 
+HEAD = 10_000
+"""Lines of a BVH file that its hierarchy does not exceed."""
+
 Source = ClipFile | LabelledClip
 """A clip on disk, or one in memory with its labels."""
 
@@ -39,6 +44,7 @@ class Group:
         validation, test: shares of a take's rows.
         seed: of the places of those shares.
         roles_file: JSON naming the joints' roles.
+        hands: make joints of hand ends where the layout has them.
     """
 
     sources: tuple[Source, ...]
@@ -47,7 +53,8 @@ class Group:
     validation: float
     test: float
     seed: int
-    roles_file: Path | None
+    roles_file: Path | None = None
+    hands: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +115,19 @@ def name_of(source: Source) -> str:
     return str(source.path) if isinstance(source, ClipFile) else source.clip.source
 
 
+def has_hand_ends(source: Source) -> bool:
+    """Whether a take's hands end away from their wrists; of a file, whether any of its End Sites does."""
+    if isinstance(source, LabelledClip):
+        return extend_hands(source.clip) is not source.clip
+    try:
+        with Path(source.path).open(encoding="latin-1") as file:
+            head = "".join(takewhile(lambda line: line.strip().upper() != "MOTION", islice(file, HEAD)))
+    except OSError:
+        return True  # its reader will say what is wrong
+    sites = re.findall(r"End\s+Site[^{]*\{\s*OFFSET([^}]*)\}", head, re.IGNORECASE)
+    return any(re.search("[1-9]", offset) for offset in sites)
+
+
 def load_take(clip_file: ClipFile, layout: str, roles_file: Path | None = None) -> LabelledClip:
     """A clip as a layout wants it: at its rate, with hand ends and phase labels where it uses them.
 
@@ -121,15 +141,14 @@ def load_take(clip_file: ClipFile, layout: str, roles_file: Path | None = None) 
         InputError: for bad files, or a skeleton without roles.
     """
     wanted = LAYOUTS[layout](1)
-    take = load_labelled(clip_file, wanted.fps, roles_file, phase=wanted.phase_kind == "global")
-    return _with_hands(take, wanted)
+    return _with_hands(_load_labelled(clip_file, wanted, roles_file), wanted)
 
 
 def take_features(take: LabelledClip, layout: FrameLayout, mirror: bool = False) -> list[Features]:
     """A take's rows and, with `mirror`, those of its mirror image: of the same frames.
 
     Args:
-        take: as `load_take` gives it, or made otherwise; its hands are extended where the layout has their ends.
+        take: as `load_take` gives it, or made otherwise; its hands are extended where the layout has more joints.
         layout: of its joints.
         mirror: whether to add the mirror image.
 
@@ -137,7 +156,8 @@ def take_features(take: LabelledClip, layout: FrameLayout, mirror: bool = False)
         NoGaitError: for a clip too short or, where a phase is needed, without steps.
         InputError: for a clip of another frame rate or number of joints.
     """
-    take = _with_hands(take, layout)
+    if take.clip.skeleton.num_joints != layout.num_joints:
+        take = _with_hands(take, layout)
     phases = _local_phases([take], layout)[0]
     return [features for _, features in _images(take, layout, mirror, phases)]
 
@@ -164,14 +184,18 @@ def _load(source: Source, group: Group) -> LabelledClip | str:
         return "an idle take; the layout is of locomotion"
     try:
         if isinstance(source, ClipFile):
-            return load_take(source, group.layout, group.roles_file)
-        return _with_hands(source, wanted)
+            source = _load_labelled(source, wanted, group.roles_file)
+        need_roles(source.clip.skeleton, source.clip.source)
+        return _with_hands(source, wanted) if group.hands else source
     except NoGaitError as error:
         return f"{error.value}; {error.rule}"
 
 
+def _load_labelled(clip_file: ClipFile, layout: FrameLayout, roles_file: Path | None) -> LabelledClip:
+    return load_labelled(clip_file, layout.fps, roles_file, phase=layout.phase_kind == "global")
+
+
 def _with_hands(take: LabelledClip, layout: FrameLayout) -> LabelledClip:
-    need_roles(take.clip.skeleton, take.clip.source)
     return replace(take, clip=extend_hands(take.clip)) if layout.next_frame else take
 
 

@@ -21,7 +21,7 @@ from pfnn_jax.motion.preparation import PrepareConfig
 from pfnn_jax.motion.sources import list_clips
 from pfnn_jax.motion.splits import row_windows, split_blocks, take_generator
 from pfnn_jax.motion.synthetic import mixed_schedule, synthesise
-from pfnn_jax.motion.takes import load_take, take_features
+from pfnn_jax.motion.takes import has_hand_ends, load_take, take_features
 from pfnn_jax.motion.workers import map_in_order
 from tests.motion.tasks import invert
 
@@ -174,6 +174,16 @@ def test_a_take_of_another_skeleton_in_100style_is_named(mocap, tmp_path):
     with pytest.raises(InputError, match="Old_FW.bvh: skeleton: 23 joints, .*; all clips share one skeleton, of 25"):
         prepare(list_clips(folder), tmp_path / "set", TENTHS)
     assert not (tmp_path / "set").exists()
+
+
+def test_hand_ends_are_joints_only_where_all_takes_have_them(mocap, tmp_path):
+    """Four of the Bandai-Namco files have End Sites away from the wrists, the others at them."""
+    normal = [clip for clip in list_clips(mocap / "bandai-namco-1") if clip.style == "normal"]
+    assert [has_hand_ends(clip) for clip in normal].count(True) == 4
+    assert prepare(normal, tmp_path / "all", TENTHS).skeleton.num_joints == 21
+    alone = prepare([clip for clip in normal if has_hand_ends(clip)], tmp_path / "four", TENTHS)
+    assert alone.skeleton.num_joints == 23
+    assert all(has_hand_ends(clip) for clip in list_clips(mocap / "100style"))
 
 
 def test_takes_without_steps_are_learned_where_no_phase_is_wanted(mocap):
