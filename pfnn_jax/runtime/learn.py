@@ -60,8 +60,8 @@ def learn_style(
     _check_length(learn, config.batch_size, clip_file.path)
     # A Film that changes nothing is no motion of any style: the mean of the run's styles is the nearest that is known.
     options = {"start": load_choice(run, None) if config.method == "film" else None, "bones": _bones(run)}
-    data = (to_batch(part, run.normaliser) for part in (learn, held))
-    candidates = train_grid(run.shared, *data, config, **options)
+    data, held_out = to_batch(learn, run.normaliser), to_batch(held, run.normaliser)
+    candidates = train_grid(run.shared, data, held_out, config, **options)
     is_stable = make_stability_check(
         run.shared, run.normaliser, run.layout, rows.x, rows.y, rows.phase, controller_of(run)
     )

@@ -23,7 +23,7 @@ from jax.core import Tracer
 from pfnn_jax.models.adapters import OneHot, Style
 from pfnn_jax.models.film import Film
 from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer, Layer
-from pfnn_jax.models.network import Network
+from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.runtime.predictor import Predictor, evaluate, evaluate_at
 
@@ -67,7 +67,7 @@ def make_lookup(predictor: Predictor, num_slices: int = NUM_SLICES, mode: Lookup
         raise ValueError("`predictor` must have a spline of a global phase, got a gating network.")
     if num_slices < 1:
         raise ValueError(f"`num_slices` must be at least 1, got {num_slices}.")
-    control_points = predictor.network.layers[0].num_control_points
+    control_points = config_of(predictor.network).num_control_points
     phases = jnp.arange(num_slices, dtype=jnp.float32) * (2 * math.pi / num_slices)
     slices = []
     for coefficients in jax.vmap(lambda phase: catmull_rom_basis(phase, control_points))(phases):

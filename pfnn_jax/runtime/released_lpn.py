@@ -153,7 +153,7 @@ def _skeleton(shared: Network, films: Film, normaliser: Normaliser, source: Path
     def poses(bank: Film) -> jax.Array:
         x, phase = predictor.input_mean, predictor.phase_mean
         assert phase is not None
-        return jax.vmap(lambda style: evaluate(predictor.replace(style=style), x, phase))(bank)
+        return jax.vmap(lambda style: evaluate(replace(predictor, style=style), x, phase))(bank)
 
     y = np.asarray(poses(films), np.float64)
     positions, forward, up = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -190,6 +190,6 @@ def _evaluate_films(
     layer_norm: LayerNorm,
 ) -> jax.Array:
     def one(style: Style, x: jax.Array, phase: jax.Array) -> jax.Array:
-        return evaluate(predictor.replace(style=style), x, phase, normalise=NORMS[layer_norm])
+        return evaluate(replace(predictor, style=style), x, phase, normalise=NORMS[layer_norm])
 
     return jax.vmap(one)(mix_rows(bank, indices, weights), x, phase)
