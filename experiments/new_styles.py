@@ -113,7 +113,7 @@ class NewStyle:
 
 def new_styles(config: Config) -> dict[str, NewStyle]:
     """The new styles' takes; the first walk is learned from."""
-    takes = load_takes(str(config.new), held=0).train
+    takes = load_takes(str(config.new), held=0, styles=config.styles).train
     found = {}
     for style in config.styles:
         own = named([take for take in takes if take.style == style], f"new {style}")

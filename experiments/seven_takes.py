@@ -84,7 +84,14 @@ class Takes:
         return layout_for(name, self.skeleton)
 
 
-def load_takes(data: str, share: float = 0.125, most: int = 0, seconds: float = 60.0, held: int | None = None) -> Takes:
+def load_takes(
+    data: str,
+    share: float = 0.125,
+    most: int = 0,
+    seconds: float = 60.0,
+    held: int | None = None,
+    styles: Sequence[str] | None = None,
+) -> Takes:
     """Takes of a folder of BVH files, or of the procedural styles.
 
     Of every style and content, some whole takes spread over the list are test takes; a content of one take is cut in
@@ -96,11 +103,12 @@ def load_takes(data: str, share: float = 0.125, most: int = 0, seconds: float = 
         most: at most so many takes of each style and content, 0 for all.
         seconds: of each procedural style.
         held: number of test takes of each style and content instead of `share`.
+        styles: those that are read; all by default.
 
     Raises:
         InputError: if nothing can be used.
     """
-    groups, left_out = _synthetic(seconds) if data == "synthetic" else _files(Path(data), most)
+    groups, left_out = _synthetic(seconds) if data == "synthetic" else _files(Path(data), most, styles)
     train, test, skeleton = [], [], None
     for (style, content), clips in groups.items():
         takes = make_takes(style, content, clips, left_out)
@@ -190,10 +198,14 @@ def runs_of(part: Features) -> Iterator[tuple[int, int]]:
         yield start, stop - start
 
 
-def _files(folder: Path, most: int) -> tuple[dict[tuple[str, str], list[LabelledClip]], dict[str, str]]:
+def _files(
+    folder: Path, most: int, styles: Sequence[str] | None
+) -> tuple[dict[tuple[str, str], list[LabelledClip]], dict[str, str]]:
     groups: dict[tuple[str, str], list[LabelledClip]] = defaultdict(list)
     left_out: dict[str, str] = {}
     for file in list_clips(folder):
+        if styles is not None and file.style not in styles:
+            continue
         key = (file.style, file.content)
         if file.content.startswith(("idle", "transition")):
             left_out[str(file.path)] = "only walking and running are compared"

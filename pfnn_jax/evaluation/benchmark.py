@@ -12,6 +12,15 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from pfnn_jax.evaluation.benchmark_lpn import (
+    generator_config,
+    generator_figures,
+    local_phase_figures,
+    lpn_character_figures,
+    lpn_preparation_figures,
+    lpn_sizes,
+    lpn_step_figures,
+)
 from pfnn_jax.evaluation.benchmark_runtime import character_figures, crowd_figures, preparation_figures
 from pfnn_jax.evaluation.benchmark_training import few_shot_figures, rate_figures, step_figures
 from pfnn_jax.evaluation.timing import Figure, machine, versions
@@ -25,7 +34,7 @@ def _mocap() -> Path | None:
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """Sizes of the benchmark; the defaults are the paper's network and take under 4 minutes on two cores.
+    """Sizes of the benchmark; the defaults are the papers' networks and take some 8 minutes on two cores.
 
     Attributes:
         num_joints: J of the layout `mason2018`, which gives the network's inputs and outputs (234 and 400 at 31).
@@ -37,6 +46,9 @@ class BenchmarkConfig:
         few_shot_epochs: length of its training.
         characters: sizes of the crowds.
         frames: of one character in one repetition.
+        lpn_joints: J of the layout `mason2022`, which gives the LPN's inputs and outputs (348 and 342 at 25).
+        generator_filters, generator_hidden: sizes of the FiLM generator.
+        clips: that it reads at once.
         seconds_per_style: of synthetic motion to prepare, of each of 8 styles.
         repetitions: of every short figure; few-shot training takes a third of them.
         mocap: folder with real motion capture (`bandai-namco-2`, `pfnn`) to prepare; from PFNN_JAX_MOCAP by default.
@@ -51,6 +63,10 @@ class BenchmarkConfig:
     few_shot_epochs: int = 100
     characters: tuple[int, ...] = (256, 1024)
     frames: int = 300
+    lpn_joints: int = 25
+    generator_filters: int = 256
+    generator_hidden: int = 2048
+    clips: int = 8
     seconds_per_style: float = 30.0
     repetitions: int = 9
     mocap: Path | None = field(default_factory=_mocap)
@@ -74,7 +90,7 @@ class BenchmarkConfig:
 def run_benchmark(
     config: BenchmarkConfig | None = None, *, on_section: Callable[[str], None] = lambda name: None
 ) -> dict[str, Any]:
-    """Measures training steps, few-shot learning, run time and preparation.
+    """Measures training steps, few-shot learning, run time and preparation, of both papers' systems.
 
     Args:
         config: sizes.
@@ -107,11 +123,29 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
     for number in config.characters:
         sections[f"{number} characters"] = lambda n=number: crowd_figures(sizes, rank, n, repetitions)
     few = max(1, repetitions // 3)
+    sections |= _sections_2022(config)
     sections["preparation"] = lambda: preparation_figures(config.mocap, config.seconds_per_style, few)
     # Last, as it empties the caches of compiled functions.
     sections["few-shot learning"] = lambda: few_shot_figures(
         sizes, rank, config.few_shot_frames, config.few_shot_epochs, few
     )
+    return sections
+
+
+def _sections_2022(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
+    """The system of Mason 2022."""
+    sizes, repetitions = lpn_sizes(config.lpn_joints, config.hidden), config.repetitions
+    few = max(1, repetitions // 3)
+    generator = generator_config(config.lpn_joints, config.hidden, config.generator_filters, config.generator_hidden)
+    sections: dict[str, Callable[[], list[Figure]]] = {}
+    for batch in config.batch_sizes:
+        sections[f"LPN training steps of {batch} frames"] = lambda b=batch: lpn_step_figures(
+            sizes, b, few, config.steps_per_dispatch
+        )
+    sections["one character of an LPN"] = lambda: lpn_character_figures(sizes, repetitions, config.frames)
+    sections["FiLM generator"] = lambda: generator_figures(generator, config.clips, few)
+    sections["local phases"] = lambda: local_phase_figures(config.seconds_per_style, few)
+    sections["preparation for an LPN"] = lambda: lpn_preparation_figures(config.mocap, config.seconds_per_style, few)
     return sections
 
 

@@ -15,9 +15,9 @@ import optax
 from pfnn_jax.evaluation.timing import Figure, Work, figure, interleave
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
 from pfnn_jax.models.dropout import Dropout, drop
+from pfnn_jax.models.film import Film, modulate
 from pfnn_jax.models.layers import BlendedLayer, Layer, linear
-from pfnn_jax.models.network import Network, NetworkConfig, init_network
-from pfnn_jax.models.spline import catmull_rom_basis
+from pfnn_jax.models.network import Network, NetworkConfig, coefficients, init_network
 from pfnn_jax.training.batches import Batch, Draw
 from pfnn_jax.training.few_shot import PAPER, FewShotConfig, refit, train_grid
 from pfnn_jax.training.losses import l1_penalty, squared_error
@@ -43,48 +43,54 @@ AIMS = {32: 12.0, 256: 20.0}
 
 
 def random_frames(shape: tuple[int, ...], sizes: NetworkConfig, seed: int = 0) -> Batch:
-    """Normal inputs and outputs at uniform phases, with leading axes `shape`."""
+    """Normal inputs and outputs at uniform phases or, for a gating network, normal ones; leading axes `shape`."""
     rng = np.random.default_rng(seed)
     x, y = (rng.normal(size=(*shape, size)).astype(np.float32) for size in (sizes.input_size, sizes.output_size))
-    return Batch(jnp.asarray(x), jnp.asarray(y), jnp.asarray(rng.uniform(0, 2 * np.pi, shape), jnp.float32))
+    phase = rng.normal(size=(*shape, sizes.phase_size)) if sizes.phase_size else rng.uniform(0, 2 * np.pi, shape)
+    return Batch(jnp.asarray(x), jnp.asarray(y), jnp.asarray(phase, jnp.float32))
 
 
-def fresh_state(sizes: NetworkConfig, rank: int, num_styles: int = STYLES) -> PretrainState:
-    """A state at step 0 with CP adapters."""
-    make = partial(init_adapter, AdapterConfig("cp", rank), sizes.hidden, sizes.num_control_points)
+def fresh_state(sizes: NetworkConfig, form: AdapterConfig, num_styles: int = STYLES) -> PretrainState:
+    """A state at step 0 with a bank of styles."""
+    make = partial(init_adapter, form, sizes.hidden, sizes.num_control_points)
     bank = jax.vmap(make)(jax.random.split(jax.random.key(1), num_styles))
     return init_pretrain_state(init_network(sizes, jax.random.key(0)), bank, optax.adam(LEARNING_RATE))
 
 
-def per_sample_outputs(network: Network, adapter: Layer, batch: Batch, dropout: Dropout, key: jax.Array) -> jax.Array:
+def per_sample_outputs(
+    network: Network, style: Layer | Film, batch: Batch, dropout: Dropout, key: jax.Array
+) -> jax.Array:
     """The network as published implementations write it: a weight matrix [I, O] blended for every frame.
 
     The same function of its arguments as `predict_batch`, up to the draw of the dropout masks.
     """
-    points = network.layers[0].num_control_points
-    x, phase = jnp.asarray(batch.x), jnp.asarray(batch.phase)
-    coefficients = jax.vmap(partial(catmull_rom_basis, num_control_points=points))(phase)
-    keys = jax.random.split(key, 4)
+    x, phase, keys = jnp.asarray(batch.x), jnp.asarray(batch.phase), jax.random.split(key, 5)
+    blend = jax.vmap(lambda phase, key: coefficients(network, phase, dropout=dropout, key=key))
+    c = blend(phase, jax.random.split(keys[4], x.shape[0]))
 
     def blended(layer: Layer, x: jax.Array) -> jax.Array:
         assert isinstance(layer, BlendedLayer)
-        weights = jnp.einsum("bk,kio->bio", coefficients, layer.weights)
-        return jnp.einsum("bi,bio->bo", x, weights) + coefficients @ layer.biases
+        weights = jnp.einsum("bk,kio->bio", c, layer.weights)
+        return jnp.einsum("bi,bio->bo", x, weights) + c @ layer.biases
+
+    def activate(index: int, f: jax.Array) -> jax.Array:
+        return jax.nn.elu(jax.vmap(partial(modulate, style, index))(f) if isinstance(style, Film) else f)
 
     first, second, third = network.layers
-    hidden = jax.nn.elu(blended(first, drop(keys[0], dropout.main, x)))
-    residual = jax.vmap(partial(linear, adapter))(coefficients, drop(keys[3], dropout.adapter, hidden))
-    hidden = jax.nn.elu(blended(second, drop(keys[1], dropout.main, hidden)) + residual)
-    return blended(third, drop(keys[2], dropout.main, hidden))
+    hidden = activate(0, blended(first, drop(keys[0], dropout.main, x)))
+    f = blended(second, drop(keys[1], dropout.main, hidden))
+    if not isinstance(style, Film):
+        f = f + jax.vmap(partial(linear, style))(c, drop(keys[3], dropout.adapter, hidden))
+    return blended(third, drop(keys[2], dropout.main, activate(1, f)))
 
 
-def make_per_sample_step(dropout: Dropout) -> Callable:
+def make_per_sample_step(dropout: Dropout, l1: float = L1) -> Callable:
     """`make_pretrain_step` with `per_sample_outputs`: the same loss, Adam, bank and state."""
     optimiser = optax.adam(LEARNING_RATE)
 
     def loss(shared, adapter, batch, key):
         error = squared_error(per_sample_outputs(shared, adapter, batch, dropout, key), batch.y)
-        return error + L1 * (l1_penalty(shared) + l1_penalty(adapter)), error
+        return error + (l1 * (l1_penalty(shared) + l1_penalty(adapter)) if l1 else 0.0), error
 
     def step(state: PretrainState, batch: Batch, run_key: jax.Array):
         banks = state.modulation, state.modulation_optimiser
@@ -146,14 +152,40 @@ def flops(shapes: list[tuple[int, int, int]]) -> int:
 
 def step_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: int, num_steps: int) -> list[Figure]:
     """A training step beside the per-sample formulation, in pairs."""
-    section = f"training step, batch {batch_size}"
+    section, aim = f"training step, batch {batch_size}", AIMS.get(batch_size)
+    return compare_steps(section, sizes, AdapterConfig("cp", rank), L1, batch_size, repetitions, num_steps, aim)
+
+
+def compare_steps(
+    section: str,
+    sizes: NetworkConfig,
+    form: AdapterConfig,
+    l1: float,
+    batch_size: int,
+    repetitions: int,
+    num_steps: int,
+    aim: float | None,
+) -> list[Figure]:
+    """A training step of a network with styles of any form beside the per-sample formulation, in pairs.
+
+    Args:
+        section: name of the figures' section.
+        sizes: of the network.
+        form: of the styles.
+        l1: weight of the penalty; there is no bone-length loss.
+        batch_size: B.
+        repetitions: of each.
+        num_steps: steps in one dispatch of ours.
+        aim: how many times faster ours should be.
+    """
     dropout = Dropout(main=jnp.float32(RATE), adapter=jnp.float32(RATE))
     data = random_frames((STYLES, FRAMES), sizes)
-    ours = make_pretrain_step(optax.adam(LEARNING_RATE), Objective(L1), dropout)
+    ours = make_pretrain_step(optax.adam(LEARNING_RATE), Objective(l1), dropout)
+    naive = make_per_sample_step(dropout, l1)
     seconds = interleave(
         {
-            "ours": stepper(ours, fresh_state(sizes, rank), data, batch_size, num_steps),
-            "naive": stepper(make_per_sample_step(dropout), fresh_state(sizes, rank), data, batch_size, 1),
+            "ours": stepper(ours, fresh_state(sizes, form), data, batch_size, num_steps),
+            "naive": stepper(naive, fresh_state(sizes, form), data, batch_size, 1),
         },
         repetitions,
     )
@@ -162,7 +194,7 @@ def step_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: 
         figure(section, "step", 1e3 * step, "ms"),
         figure(section, "step with per-sample weights", 1e3 * seconds["naive"], "ms"),
         figure(section, "frames per second", batch_size / step, "1/s"),
-        figure(section, "times faster", seconds["naive"] / step, "x", at_least=AIMS.get(batch_size)),
+        figure(section, "times faster", seconds["naive"] / step, "x", at_least=aim),
     ]
 
 
@@ -175,7 +207,7 @@ def rate_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: 
     section = f"share of the matrix-product rate, batch {batch_size}"
     shapes = products(sizes, rank, batch_size)
     dropout = Dropout(main=jnp.float32(RATE), adapter=jnp.float32(RATE))
-    data, state = random_frames((STYLES, FRAMES), sizes), fresh_state(sizes, rank)
+    data, state = random_frames((STYLES, FRAMES), sizes), fresh_state(sizes, AdapterConfig("cp", rank))
     batch = jax.tree.map(lambda leaf: leaf[0, :batch_size], data)
     parameters = (state.shared, jax.tree.map(lambda leaf: leaf[0], state.modulation))
 
@@ -188,7 +220,7 @@ def rate_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: 
     step = make_pretrain_step(optax.adam(LEARNING_RATE), Objective(L1), dropout)
     works = {str(shape): _product(shape) for shape in dict.fromkeys(shapes)}
     works |= {"gradient": gradient(None), "gradient with dropout": gradient(dropout)}
-    works |= {"step": stepper(step, fresh_state(sizes, rank), data, batch_size, num_steps)}
+    works |= {"step": stepper(step, fresh_state(sizes, AdapterConfig("cp", rank)), data, batch_size, num_steps)}
     seconds = interleave(works, repetitions)
     best = max(flops([shape]) / np.median(seconds[str(shape)]) for shape in shapes)
     alone = np.sum([seconds[str(shape)] for shape in shapes], axis=0)

@@ -42,6 +42,10 @@ TINY = BenchmarkConfig(
     few_shot_frames=40,
     few_shot_epochs=1,
     characters=(2,),
+    lpn_joints=23,
+    generator_filters=2,
+    generator_hidden=4,
+    clips=2,
     frames=2,
     seconds_per_style=5.0,
     repetitions=2,
@@ -64,7 +68,13 @@ def test_per_sample_weights_compute_what_the_flattened_product_computes():
 
 
 def test_both_training_steps_update_one_style_and_count_steps():
-    work = stepper(make_per_sample_step(STILL), fresh_state(SIZES, 2), random_frames((8, 16), SIZES), 4, num_steps=3)
+    work = stepper(
+        make_per_sample_step(STILL),
+        fresh_state(SIZES, AdapterConfig("cp", 2)),
+        random_frames((8, 16), SIZES),
+        4,
+        num_steps=3,
+    )
     errors = work()
     assert errors.shape == (3,) and np.isfinite(errors).all()
     assert np.isfinite(work()).all()  # the state was donated and is held by the work
@@ -110,7 +120,7 @@ def test_the_result_is_json_with_machine_versions_and_figures(result):
     again = json.loads(json.dumps(result))
     assert again["machine"] == machine() and again["machine"]["processor"]
     assert again["versions"] == versions()
-    assert len({row["section"] for row in again["figures"]}) == 6
+    assert len({row["section"] for row in again["figures"]}) == 11
     for row in again["figures"]:
         assert row["value"] > 0 and row["low"] <= row["value"] <= row["high"] and row["repetitions"] >= 1
 
