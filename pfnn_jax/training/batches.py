@@ -78,7 +78,7 @@ class StyleData:
 
 
 class Rows(Protocol):
-    """Rows of S styles, in memory (`StyleData`) or on disk (`streaming.StoredData`)."""
+    """Rows of S styles, in memory (`StyleData`) or on disk (`stored.StoredData`)."""
 
     @property
     def first_row(self) -> np.ndarray: ...
@@ -139,7 +139,8 @@ def make_gather(layout: FrameLayout, clip_frames: int = CLIP_FRAMES) -> Callable
         batch = jax.tree.map(lambda leaf: leaf[draw.rows], data)
         if draw.windows is None:
             return batch
-        return batch.replace(clip=data.x[window_rows(draw.windows, clip_frames, jnp)][..., columns])
+        clip = data.x[window_rows(draw.windows, clip_frames, jnp)][..., columns]
+        return Batch(batch.x, batch.y, batch.phase, clip)
 
     return gather
 
@@ -150,4 +151,4 @@ def gather_from(data: Rows, draw: Draw, clip_frames: int = CLIP_FRAMES) -> Batch
     if draw.windows is None:
         return batch
     index = window_rows(np.asarray(draw.windows), clip_frames)
-    return batch.replace(clip=data.take_clips(index, clip_columns(data.layout)))
+    return Batch(batch.x, batch.y, batch.phase, data.take_clips(index, clip_columns(data.layout)))

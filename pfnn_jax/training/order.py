@@ -65,7 +65,8 @@ class StepOrder:
         assert self.windows is not None and self.first_window is not None
         style = step % self.num_styles
         rng = np.random.default_rng((self.seed, _CLIPS, step))
-        return self.windows[rng.integers(*self.first_window[style : style + 2], self.num_clips)]
+        first, stop = self.first_window[style : style + 2]
+        return self.windows[rng.integers(first, stop, self.num_clips)]
 
     def draw(self, first_step: int, count: int) -> Draw:
         """Rows and clips of `count` steps."""

@@ -122,7 +122,7 @@ def dispatch_sizes(begin: int, steps: int, size: int) -> list[tuple[int, int]]:
 
 
 def make_dispatch(
-    step: Callable, data: Rows, order: StepOrder, dispatches: list[tuple[int, int]], run_key: jax.Array, limit: int
+    step: Callable, data: Rows, order: StepOrder, dispatches: list[tuple[int, int]], run_key: Any, limit: int
 ):
     """(state, first step, number of steps) -> (state, losses [n]), with the data on the device where it fits `limit`.
 

@@ -196,20 +196,21 @@ def make_pretrain_step(
     def update(state: PretrainState, modulation: Any, moments: Any, batch: Batch, run_key: jax.Array):
         key = jax.random.fold_in(run_key, state.step)
         (to_shared, to_modulation), error = gradient(state.shared, modulation, batch, objective, dropout, key)
-        shared = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
-        return *shared, *descend(optimiser, to_modulation, moments, modulation), error
+        shared, shared_moments = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
+        modulation, moments = descend(optimiser, to_modulation, moments, modulation)
+        return shared, shared_moments, modulation, moments, error
 
     def bank_step(state: PretrainState, batch: Batch, run_key: jax.Array):
         bank = state.modulation, state.modulation_optimiser
         number = state.step % jax.tree.leaves(state.modulation)[0].shape[0]
         one = jax.tree.map(lambda leaf: leaf[number], bank)
-        shared, shared_moments, *changed, error = update(state, *one, batch, run_key)
-        style, moments = jax.tree.map(lambda leaf, new: leaf.at[number].set(new), bank, tuple(changed))
-        return PretrainState(shared, style, shared_moments, moments, state.step + 1), error
+        shared, shared_moments, *changed, error = update(state, one[0], one[1], batch, run_key)
+        bank, moments = jax.tree.map(lambda leaf, new: leaf.at[number].set(new), bank, tuple(changed))
+        return PretrainState(shared, bank, shared_moments, moments, state.step + 1), error
 
     def generator_step(state: PretrainState, batch: Batch, run_key: jax.Array):
-        whole = state.modulation, state.modulation_optimiser
-        shared, shared_moments, parameters, moments, error = update(state, *whole, batch, run_key)
+        parts = update(state, state.modulation, state.modulation_optimiser, batch, run_key)
+        shared, shared_moments, parameters, moments, error = parts
         return PretrainState(shared, parameters, shared_moments, moments, state.step + 1), error
 
     return bank_step if generator is None else generator_step

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -22,35 +21,17 @@ class StoredData:
 
     Attributes:
         dataset: prepared.
-        styles: names, in order.
-        split: `train`, `validation` or `test`.
+        arrays: x, y and phase of every style, memory maps in layout units.
+        first_row: [S+1] first row of every style, and N.
+        windows: [W, 2] first row and number of rows of the clips of all styles.
+        first_window: [S+1] first window of every style, and W.
     """
 
     dataset: Dataset
-    styles: tuple[str, ...]
-    split: str = "train"
-
-    @cached_property
-    def arrays(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """x, y and phase of every style: memory maps in layout units."""
-        return [self.dataset.arrays(style, self.split) for style in self.styles]
-
-    @cached_property
-    def first_row(self) -> np.ndarray:
-        """[S+1] first row of every style, and N."""
-        return np.cumsum([0, *(len(arrays[0]) for arrays in self.arrays)])
-
-    @cached_property
-    def first_window(self) -> np.ndarray:
-        """[S+1] first window of every style, and W."""
-        return np.cumsum([0, *(len(self.dataset.clips_of(style, self.split)) for style in self.styles)])
-
-    @cached_property
-    def windows(self) -> np.ndarray:
-        """[W, 2] first row and number of rows of the clips of all styles."""
-        shifts = [np.array([row, 0]) for row in self.first_row[:-1]]
-        clips = [self.dataset.clips_of(style, self.split) for style in self.styles]
-        return np.concatenate([c + s for c, s in zip(clips, shifts, strict=True)]).astype(np.int32)
+    arrays: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+    first_row: np.ndarray
+    windows: np.ndarray
+    first_window: np.ndarray
 
     @property
     def layout(self) -> FrameLayout:
@@ -74,7 +55,8 @@ class StoredData:
 
     def take(self, rows: np.ndarray) -> Batch:
         """Rows [...] of any styles, normalised."""
-        return normalised(*(self._read(rows, which) for which in range(3)), self.dataset.normaliser)
+        x, y, phase = (self._read(rows, which) for which in range(3))
+        return normalised(x, y, phase, self.dataset.normaliser)
 
     def take_clips(self, index: np.ndarray, columns: Columns) -> np.ndarray:
         """Columns of normalised x at rows [..., T]."""
@@ -82,7 +64,7 @@ class StoredData:
 
     def in_memory(self) -> StyleData:
         """All rows, read once."""
-        styles = [normalised(*arrays, self.dataset.normaliser) for arrays in self.arrays]
+        styles = [normalised(x, y, phase, self.dataset.normaliser) for x, y, phase in self.arrays]
         return StyleData(
             x=np.concatenate([style.x for style in styles]),
             y=np.concatenate([style.y for style in styles]),
@@ -106,6 +88,22 @@ class StoredData:
         return found.reshape(*rows.shape, *first.shape[1:])
 
 
+def stored_rows(dataset: Dataset, styles: Sequence[str] | None = None, *, split: str = "train") -> StoredData:
+    """The rows of a prepared dataset, left on disk; arguments as in `dataset_rows`."""
+    names = dataset.styles if styles is None else tuple(styles)
+    arrays = tuple(dataset.arrays(style, split) for style in names)
+    clips = [dataset.clips_of(style, split) for style in names]
+    first_row = np.cumsum([0, *(len(x) for x, _, _ in arrays)])
+    moved = [windows + np.array([row, 0]) for windows, row in zip(clips, first_row, strict=False)]
+    return StoredData(
+        dataset=dataset,
+        arrays=arrays,
+        first_row=first_row,
+        windows=np.concatenate(moved).astype(np.int32),
+        first_window=np.cumsum([0, *map(len, clips)]),
+    )
+
+
 def dataset_rows(
     dataset: Dataset, styles: Sequence[str] | None = None, *, split: str = "train", limit: int | None = None
 ) -> Rows:
@@ -120,5 +118,5 @@ def dataset_rows(
     Raises:
         InputError: for an unknown style.
     """
-    stored = StoredData(dataset, dataset.styles if styles is None else tuple(styles), split)
+    stored = stored_rows(dataset, styles, split=split)
     return stored if limit is not None and stored.nbytes > limit else stored.in_memory()

@@ -27,7 +27,7 @@ from pfnn_jax.training.log import read_metrics
 from pfnn_jax.training.loop import pretrain
 from pfnn_jax.training.order import order_of
 from pfnn_jax.training.run import list_styles, load_generator, load_run, load_style, train_step
-from pfnn_jax.training.stored import StoredData, dataset_rows
+from pfnn_jax.training.stored import dataset_rows, stored_rows
 
 CONFIG = PretrainConfig(
     adapter=AdapterConfig(rank=2), hidden=8, steps=60, batch_size=16, steps_per_dispatch=5, save_every=10
@@ -127,7 +127,7 @@ def test_training_that_turns_non_finite_keeps_the_last_good_save(dataset, tmp_pa
 
 
 def test_rows_on_disk_are_those_in_memory(dataset):
-    stored = StoredData(dataset, dataset.styles)
+    stored = stored_rows(dataset)
     memory = dataset_rows(dataset)
     assert dataset_rows(dataset, limit=0).nbytes == memory.nbytes == stored.nbytes
     draw = order_of(memory, 16, seed=0, num_clips=2).draw(0, 4)

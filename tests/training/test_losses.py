@@ -86,7 +86,7 @@ def bone_reference(layout, prediction, target, std, mean) -> float:
             if parent >= 0:
                 first, second = (np.linalg.norm(p[child] - p[parent]) for p in positions)
                 total += abs(first - second)
-    return total / len(prediction) / len(PARENTS)
+    return float(total) / len(prediction) / len(PARENTS)
 
 
 @pytest.mark.parametrize("make", [mason2018, mason2022, pfnn2017])

@@ -70,7 +70,7 @@ def all_rows() -> Batch:
     return Batch(jnp.asarray(rows.x), jnp.asarray(rows.y), jnp.asarray(rows.phase))
 
 
-def one_of(draw, number: int):
+def one_of(draw, number: int | slice):
     return jax.tree.map(lambda leaf: leaf[number], draw)
 
 
