@@ -104,14 +104,14 @@ def toe_contacts(clip: MotionClip | EndEffectors, config: LocalPhaseConfig | Non
 
 
 def speeds(points: np.ndarray, fps: float) -> np.ndarray:
-    """[T] metres per second of points [T, 3] by central differences."""
+    """[T, ...] metres per second of points [T, ..., 3] by central differences."""
     if len(points) < 2:
-        return np.zeros(len(points))
+        return np.zeros(points.shape[:-1])
     return np.linalg.norm(np.gradient(points, 1 / fps, axis=0), axis=-1)
 
 
 def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarray:
-    """Phase vectors of one bone: amplitude times speed times (sin φ, cos φ) (Mason et al. 2022, Eq. 1).
+    """Phase vectors of bones: amplitude times speed times (sin φ, cos φ) (Mason et al. 2022, Eq. 1).
 
     The speed is the root mean square over a window of one second. The paper writes the norm of the velocity over that
     window; of mean, root mean square and maximum, the root mean square gives the spread of the published statistics and
@@ -122,26 +122,31 @@ def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarra
     take the phase that the outermost whole window's sinusoid has there.
 
     Args:
-        source: [T] source function in any unit; neither its scale nor its offset matters.
-        speed: [T] metres per second of the bone seen from the hips.
+        source: [T] or [T, B] source functions in any unit; neither their scales nor their offsets matter.
+        speed: of the same shape, metres per second of the bones seen from the hips.
         fps: frames per second.
 
     Returns:
-        [T, 2] metres per second, φ growing with time; zero for clips shorter than five frames.
+        [T, 2] or [T, B, 2] metres per second, φ growing with time; zero for clips shorter than five frames.
     """
-    frames = len(source)
+    if source.ndim == 1:
+        return local_phases(source[:, None], speed[:, None], fps)[:, 0]
+    frames, bones = source.shape
     half = min(round(FIT_SECONDS * fps / 2), (frames - 1) // 2)
     if half < 2:
-        return np.zeros((frames, 2))
-    windows = np.lib.stride_tricks.sliding_window_view(_smooth(normalise_source(source, fps), fps), 2 * half + 1)
-    fit = fit_sinusoids(windows, fps)
+        return np.zeros((frames, bones, 2))
+    wave = _smooth(normalise_source(source, fps), fps)
+    windows = np.lib.stride_tricks.sliding_window_view(wave, 2 * half + 1, axis=0)
+    fit = fit_sinusoids(windows.reshape(-1, 2 * half + 1), fps)  # all bones at once
     nearest = np.clip(np.arange(frames), half, frames - 1 - half)
-    seconds = (np.arange(frames) - nearest) / fps
-    phase = fit.phase[nearest - half] + 2 * np.pi * fit.frequency[nearest - half] * seconds
+    amplitude, frequency, phase = (
+        values.reshape(-1, bones)[nearest - half] for values in (fit.amplitude, fit.frequency, fit.phase)
+    )
+    phase = phase + 2 * np.pi * frequency * ((np.arange(frames) - nearest) / fps)[:, None]
     around = 2 * round(WINDOW_SECONDS * fps / 2) + 1
-    square = uniform_filter1d(speed**2, around, mode="nearest")  # a running sum, so that zero may come out below it
-    length = fit.amplitude[nearest - half] * np.sqrt(np.maximum(square, 0.0))
-    return _smooth(length[:, None] * np.stack([np.sin(phase), np.cos(phase)], axis=-1), fps)
+    square = uniform_filter1d(speed**2, around, axis=0, mode="nearest")  # a running sum: zero may come out below it
+    length = amplitude * np.sqrt(np.maximum(square, 0.0))
+    return _smooth(length[..., None] * np.stack([np.sin(phase), np.cos(phase)], axis=-1), fps)
 
 
 def clip_local_phases(
@@ -160,9 +165,7 @@ def clip_local_phases(
     ends = _ends(clip)
     axes = axes or fit_axes([ends])
     sources = source_functions(ends, axes, config)
-    return np.stack(
-        [local_phases(sources[:, bone], speeds(ends.local[:, bone], ends.fps), ends.fps) for bone in range(4)], axis=1
-    )
+    return local_phases(sources, speeds(ends.local, ends.fps), ends.fps)
 
 
 def source_functions(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhaseConfig | None = None) -> np.ndarray:
@@ -186,8 +189,7 @@ def goes_by_contacts(contacts: np.ndarray) -> np.ndarray:
 
 def smooth_sources(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhaseConfig | None = None) -> np.ndarray:
     """[T, 4] sources as sinusoids are fitted to them: normalised in a window of a second, and smoothed."""
-    sources = source_functions(ends, axes, config)
-    return np.stack([_smooth(normalise_source(source, ends.fps), ends.fps) for source in sources.T], axis=1)
+    return _smooth(normalise_source(source_functions(ends, axes, config), ends.fps), ends.fps)
 
 
 def mirror_local_phases(phases: np.ndarray) -> np.ndarray:
@@ -200,19 +202,18 @@ def _ends(clip: MotionClip | EndEffectors) -> EndEffectors:
 
 
 def normalise_source(source: np.ndarray, fps: float) -> np.ndarray:
-    """Source [T] less its mean and over its deviation in the second around each frame; zero where it is constant.
+    """Sources [T, ...] less their mean and over their deviation in the second around each frame; zero if constant.
 
     At the ends of the clip the window holds what there is of that second.
     """
-    source = source - source.mean()
-    largest = np.abs(source).max()
-    if largest == 0:
-        return source
-    source, half = source / largest, round(WINDOW_SECONDS * fps / 2)
+    source = source - source.mean(axis=0)
+    largest = np.abs(source).max(axis=0)
+    source, half = source / np.where(largest > 0, largest, 1.0), round(WINDOW_SECONDS * fps / 2)
     frames = np.arange(len(source))
     first, last = np.maximum(frames - half, 0), np.minimum(frames + half + 1, len(source))
-    count = last - first
-    sums, squares = (np.concatenate([[0.0], np.cumsum(values)]) for values in (source, source**2))
+    count = (last - first).reshape(-1, *[1] * (source.ndim - 1))
+    zero = np.zeros_like(source[:1])
+    sums, squares = (np.cumsum(np.concatenate([zero, values]), axis=0) for values in (source, source**2))
     mean = (sums[last] - sums[first]) / count
     deviation = np.sqrt(np.maximum((squares[last] - squares[first]) / count - mean**2, 0.0))
     return (source - mean) / np.where(deviation > FLAT, deviation, 1.0)

@@ -140,7 +140,7 @@ def test_axes_are_pooled_over_takes(walk):
         np.testing.assert_array_equal(axes.means[bone], mean)
     pooled, own = clip_local_phases(walk, axes=axes), clip_local_phases(walk)
     assert np.abs(pooled[:, :2] - own[:, :2]).max() > 0
-    np.testing.assert_array_equal(pooled[:, 2:], own[:, 2:])  # feet go by contacts
+    np.testing.assert_allclose(pooled[:, 2:], own[:, 2:], atol=ROUNDING)  # feet go by contacts
 
 
 @pytest.mark.parametrize("style", ["neutral", "zombie", "old"])
