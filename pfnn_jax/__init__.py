@@ -47,11 +47,12 @@ _ROOMS = {
     "training.run": ("Run", "list_styles", "load_generator", "load_run", "load_style", "save_style"),
     "training.stored": ("dataset_rows",),
     "runtime.generate": ("generate",),
-    "runtime.learn": ("learn_style",),
+    "runtime.learn": ("learn_style", "tune_style"),
     "runtime.lookup": ("evaluate_lookup", "make_lookup"),
     "runtime.paths": ("circle", "figure_eight", "read_path", "straight"),
     "runtime.predictor": ("evaluate", "make_predictor"),
     "runtime.released": ("import_released_pfnn",),
+    "runtime.released_lpn": ("import_released_lpn",),
     "runtime.rollout": ("follow_path", "rollout"),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
