@@ -5,15 +5,19 @@ from __future__ import annotations
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.film import Film
 from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.training.batches import Batch
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.films import mean_films
 from pfnn_jax.training.generator_tuning import TuningConfig, tune_generator
 from pfnn_jax.training.pretraining import init_state
+from pfnn_jax.training.steps import predict_batch
 from tests.training.toy import HIDDEN, assert_bitwise, body_rows, on_host
 
 PRETRAINED = PretrainConfig(
@@ -24,7 +28,8 @@ PRETRAINED = PretrainConfig(
     generator_width=5,
     generator_hidden=8,
 )
-TUNING = TuningConfig(steps=60, batch_size=8, clips_per_batch=2, learning_rate=1e-2, dropout=0.0)
+TUNING = TuningConfig(steps=60, batch_size=8, clips_per_batch=2, learning_rate=1e-2, dropout=0.0, bone_length=0.0)
+LEARNED = 0.3  # share of the first error left after 60 steps; a single Film would leave none
 
 
 @pytest.fixture(scope="module")
@@ -32,14 +37,16 @@ def pretrained():
     return init_state(PRETRAINED, body_rows().layout, 3)
 
 
-def style():
-    """30 rows of one style of which the network can learn the mean posture."""
+def style(pretrained):
+    """30 rows of a style that the frozen network can show: what it puts out under some Film."""
     data = body_rows(num_frames=(30,), seed=4)
-    return dataclasses.replace(data, y=np.broadcast_to(data.y[:1], data.y.shape))
+    film = Film(scale=jnp.full((2, HIDDEN), 3.0), shift=jnp.full((2, HIDDEN), 2.0))
+    y = predict_batch(pretrained.shared, film, Batch(data.x, data.y, data.phase), None, None)
+    return dataclasses.replace(data, y=np.asarray(y))
 
 
 def tune(pretrained, config: TuningConfig = TUNING):
-    data = style()
+    data = style(pretrained)
     sizes = PRETRAINED.generator(data.layout)
     assert sizes is not None
     return tune_generator(pretrained.shared, sizes, pretrained.modulation, data, config), sizes
@@ -51,8 +58,8 @@ def test_only_the_generator_changes_and_it_learns(pretrained):
     assert_bitwise((pretrained.shared, pretrained.modulation), before)
     assert not np.array_equal(jax.tree.leaves(tuned.generator)[0], jax.tree.leaves(before[1])[0])
     assert tuned.losses.shape == (60,)
-    assert tuned.losses[-5:].mean() < 0.9 * tuned.losses[:5].mean()
-    films = mean_films(film_generator(sizes), tuned.generator, style())
+    assert tuned.losses[-5:].mean() < LEARNED * tuned.losses[:5].mean()
+    films = mean_films(film_generator(sizes), tuned.generator, style(pretrained))
     assert_bitwise(tuned.film, jax.tree.map(lambda leaf: leaf[0], films))
 
 
