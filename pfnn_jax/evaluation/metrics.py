@@ -18,7 +18,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "trajectory": tuple(f"trajectory_{kind}_{axis}" for kind in ("position", "direction") for axis in "xz"),
     "root": ("root_velocity", "root_yaw_rate"),
     "phase_change": ("phase_change",),
-    "contacts": ("contacts",),
+    "contacts": ("contacts", "foot_contacts"),
+    "local_phase": ("local_phase", "local_phase_change"),
 }
 """Blocks of an output vector that are judged together."""
 

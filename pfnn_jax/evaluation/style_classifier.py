@@ -22,6 +22,8 @@ from pfnn_jax.models.network import drop
 WIDTH = 5
 """Frames that a convolution sees."""
 
+ADAM = optax.scale_by_adam()
+
 CHUNK = 512
 """Windows evaluated at once: bounds memory."""
 
@@ -124,14 +126,14 @@ def train_classifier(
     weight = jnp.asarray(np.where(count > 0, len(labels) / (np.maximum(count, 1) * (count > 0).sum()), 0.0))
     batch_size = min(config.batch_size, len(labels))
     rounds = len(labels) // batch_size
-    optimiser = optax.adam(optax.cosine_decay_schedule(config.learning_rate, config.epochs * rounds))
-    state = (_trained(classifier), optimiser.init(_trained(classifier)))
+    state = (_trained(classifier), ADAM.init(_trained(classifier)))
     on_device, targets = jnp.asarray(windows, jnp.float32), jnp.asarray(labels)
     rng = np.random.default_rng(config.seed)
     for epoch in range(config.epochs):
         order = rng.permutation(len(labels))[: rounds * batch_size].reshape(rounds, batch_size)
         key = jax.random.fold_in(jax.random.key(config.seed), epoch + 1)
-        state = _epoch(state, classifier, on_device, targets, weight, jnp.asarray(order), key, optimiser, config)
+        rates = config.learning_rate * _falling(epoch, config.epochs, rounds)
+        state = _epoch(state, classifier, on_device, targets, weight, jnp.asarray(order), rates, key, config)
     return classifier.replace(**state[0])
 
 
@@ -233,9 +235,15 @@ def _normalised(classifier: StyleClassifier, windows: jax.Array) -> jax.Array:
     return (windows - classifier.mean[None, None]) / classifier.std[None, None]
 
 
-@partial(jax.jit, static_argnames=("optimiser", "config"), donate_argnums=0)
-def _epoch(state, classifier, windows, labels, weight, order, key, optimiser, config: ClassifierConfig):
-    """One pass over windows in `order` [rounds, B]: (trained arrays, optimiser state)."""
+def _falling(epoch: int, epochs: int, rounds: int) -> jax.Array:
+    """[rounds] of an epoch, of a factor that falls from one to zero along half a cosine over all epochs."""
+    done = (epoch * rounds + np.arange(rounds)) / (epochs * rounds)
+    return jnp.asarray(0.5 * (1.0 + np.cos(np.pi * done)), jnp.float32)
+
+
+@partial(jax.jit, static_argnames="config", donate_argnums=0)
+def _epoch(state, classifier, windows, labels, weight, order, rates, key, config: ClassifierConfig):
+    """One pass over windows in `order` [rounds, B] at learning rates [rounds]: (trained arrays, Adam's state)."""
 
     def loss(trained, rows, key):
         model = classifier.replace(**trained)
@@ -248,12 +256,12 @@ def _epoch(state, classifier, windows, labels, weight, order, key, optimiser, co
         return jnp.mean(weight[labels[rows]] * own)
 
     def body(state, step):
-        rows, key = step
+        rows, rate, key = step
         trained, moments = state
-        update, moments = optimiser.update(jax.grad(loss)(trained, rows, key), moments, trained)
-        return (optax.apply_updates(trained, update), moments), None
+        update, moments = ADAM.update(jax.grad(loss)(trained, rows, key), moments)
+        return (jax.tree.map(lambda value, change: value - rate * change, trained, update), moments), None
 
-    return jax.lax.scan(body, state, (order, jax.random.split(key, len(order))))[0]
+    return jax.lax.scan(body, state, (order, rates, jax.random.split(key, len(order))))[0]
 
 
 def _in_chunks(work, windows: np.ndarray) -> np.ndarray:

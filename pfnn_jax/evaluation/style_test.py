@@ -21,7 +21,7 @@ from pfnn_jax.evaluation.metrics import (
     resting_heights,
     skating_ratio,
 )
-from pfnn_jax.motion.features import Features, join_rows, select_rows
+from pfnn_jax.motion.features import Features, join_rows, root_steps, select_rows
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 from pfnn_jax.runtime.predictor import Predictor, evaluate
@@ -60,8 +60,7 @@ def predict_rows(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Ar
 
 def is_turning(y: np.ndarray, layout: FrameLayout, degrees_per_second: float = 20.0) -> np.ndarray:
     """[N] whether the root turns faster than a rate in the true outputs y [N, Dy]."""
-    rate = y[:, layout.output_slice("root_yaw_rate")][:, 0] * layout.yaw_unit / layout.time_unit
-    return np.abs(np.rad2deg(rate)) > degrees_per_second
+    return np.abs(np.rad2deg(root_steps(layout, y)[1])) > degrees_per_second
 
 
 def pose_and_velocity_error(y: np.ndarray, predicted: np.ndarray, layout: FrameLayout, std: np.ndarray) -> np.ndarray:
