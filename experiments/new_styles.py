@@ -55,6 +55,9 @@ from pfnn_jax.training.checkpoint import plain
 LEARN = "walk"
 """Content of the takes of which the first is learned from."""
 
+MAP_OF = "lpn_film"
+"""The model whose FiLM vectors are mapped; one of the ways must tune its generator."""
+
 MEASURES = ("walk", "side", "back", "run", "all")
 """Takes by what they show."""
 
@@ -69,6 +72,7 @@ class Config:
         new: folder of BVH files of the new styles.
         out: folder of results.
         styles: the new styles.
+        ways: rows of the table, of `WAYS`; the first ones need the networks that are named there.
         seed: of the pretrained models, and of the learning.
         held_out, takes, seconds_per_style: as `test_error` was given them.
         budget: how long is trained.
@@ -84,6 +88,7 @@ class Config:
     new: Path
     out: Path
     styles: tuple[str, ...] = ("active", "angry", "happy", "old", "tired")
+    ways: tuple[str, ...] = tuple(WAYS)
     seed: int = 0
     held_out: float = 0.125
     takes: int = 0
@@ -159,7 +164,7 @@ def measure(
         reference,
         seconds=config.circle_seconds,
         starts=config.starts,
-        run_as=learned.style,
+        predictor=model.predictor(learned.style),
     )
     generated = walks.pop("features")
     row = {
@@ -179,7 +184,9 @@ def main(config: Config) -> dict[str, Any]:
     config.out.mkdir(parents=True, exist_ok=True)
     known = load_takes(config.data, config.held_out, config.takes, config.seconds_per_style)
     styles = new_styles(config)
-    models = {name: _need(config, name, known) for name in dict.fromkeys(name for name, _ in WAYS.values())}
+    models = {
+        name: _need(config, name, known) for name in dict.fromkeys((MAP_OF, *(WAYS[way][0] for way in config.ways)))
+    }
     reference, judged = make_judge(known, styles, config)
     print(f"real walks of new styles: {100 * judged['new']['recognition']:.0f} % recognised", flush=True)
     rows: dict[str, dict[str, Any]] = {}
@@ -188,11 +195,11 @@ def main(config: Config) -> dict[str, Any]:
         if not file.exists():
             write_whole(file, json.dumps(plain(run_style(new, models, reference, config, number)), indent=1))
         rows[style] = json.loads(file.read_text())
-        best = rows[style]["fine-tuned generator"]["errors"]["all"]["mse"]
-        print(f"{style}: fine-tuned generator {best:.3f} on takes not used", flush=True)
+        errors = {way: row["errors"]["all"]["mse"] for way, row in rows[style].items()}
+        print(f"{style}: " + ", ".join(f"{way} {error:.3f}" for way, error in errors.items()), flush=True)
     result = {"config": {k: str(v) for k, v in asdict(config).items()}, "real": judged, "styles": rows}
     result["summary"] = summary(rows, reference)
-    result["map"] = draw_map(models["lpn_film"], known, styles, config)
+    result["map"] = draw_map(models[MAP_OF], known, styles, config)
     write_whole(config.out / "results.json", json.dumps(plain(result), indent=1) + "\n")
     write_whole(config.out / "table.md", table(result["summary"]))
     bars = {way: {m: row["mse"][m] for m in MEASURES if m in row["mse"]} for way, row in result["summary"].items()}
@@ -205,7 +212,8 @@ def run_style(
 ) -> dict[str, Any]:
     """Every way for one style."""
     rows = {}
-    for way, (name, learn) in WAYS.items():
+    for way in config.ways:
+        name, learn = WAYS[way]
         learned = learn(models[name], style.clip, config.budget, config.seed)
         row, generated = measure(models[name], learned, style, reference, config)
         row["network"] = name
@@ -238,7 +246,7 @@ def draw_map(model: Model, known: Takes, styles: Mapping[str, NewStyle], config:
 def summary(rows: Mapping[str, Mapping[str, Any]], reference: Reference) -> dict[str, dict[str, Any]]:
     """Means over the styles, of every way."""
     found = {}
-    for way in WAYS:
+    for way in next(iter(rows.values())):
         own = [style[way] for style in rows.values()]
         kinds = [kind for kind in MEASURES if any(kind in row["errors"] for row in own)]
         mse = {kind: _mean([row["errors"][kind]["mse"] for row in own if kind in row["errors"]]) for kind in kinds}

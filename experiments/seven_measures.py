@@ -93,7 +93,7 @@ def real_motion(takes: Sequence[Take], reference: Reference) -> dict[str, Any]:
     }
 
 
-def one_step(model: Model, takes: Sequence[Take], styles: Mapping[str, Style | str] | None = None) -> dict[str, Any]:
+def one_step(model: Model, takes: Sequence[Take], styles: Mapping[str, Style | None] | None = None) -> dict[str, Any]:
     """One-step errors on takes, in each take's own style.
 
     Args:
@@ -168,7 +168,7 @@ def rollout_test(
     *,
     seconds: float,
     starts: int,
-    run_as: Style | str | None = None,
+    predictor: Predictor | None = None,
 ) -> dict[str, Any]:
     """Walks on circles in one style: do they stay sound, follow the path, stand still on their feet, look like it?
 
@@ -179,7 +179,7 @@ def rollout_test(
         reference: real motion.
         seconds: of each walk; the first second is not judged.
         starts: number of first poses, each walked to both sides.
-        run_as: what the model runs in; its own style of that name by default.
+        predictor: of the model in another style; in its own style of that name by default.
 
     Returns:
         `walks`, `finite`, `sound` (shares), `pose_peak` (over the real one's), `path_error` (m), `speed` (achieved
@@ -188,7 +188,7 @@ def rollout_test(
         stayed finite, is None.
     """
     layout, normaliser = model.layout, model.normaliser
-    predictor = model.predictor(style if run_as is None else run_as)
+    predictor = predictor or model.predictor(style)
     frames, speed = walks(model, predictor, takes, seconds, starts)
     mean, std = (jnp.asarray(v, jnp.float32) for v in (normaliser.outputs.mean, normaliser.outputs.std))
     found = jax.vmap(partial(stability, layout), in_axes=(0, None, None))(frames, mean, std)

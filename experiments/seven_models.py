@@ -64,8 +64,8 @@ class Model:
         index = self.styles.index(name)
         return jax.tree.map(lambda leaf: leaf[index], self.bank)
 
-    def predictor(self, style: Style | str) -> Predictor:
-        """Ready to run in a style: one of its own by name, or any other's parameters."""
+    def predictor(self, style: Style | str | None) -> Predictor:
+        """Ready to run in a style: one of its own by name, any other's parameters, or without any."""
         return assemble_predictor(self.network, self.style(style) if isinstance(style, str) else style, self.normaliser)
 
 
