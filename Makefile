@@ -28,7 +28,7 @@ serve: .venv/.installed
 
 # Writes the lock file anew; needs uv. The lock names no package index and serves every supported Python.
 lock:
-	uv pip compile pyproject.toml --extra test --extra docs --extra notebooks --group build --upgrade \
+	uv pip compile pyproject.toml --extra test --extra docs --extra notebooks --extra experiments --group build --upgrade \
 	  --universal --python-version 3.11 --fork-strategy fewest \
 	  --no-header --no-emit-index-url --no-annotate --quiet -o requirements.lock
 
