@@ -33,7 +33,7 @@ def film_map(
         names = np.concatenate([np.full(len(part), style) for style, part in styles.items()])
         limit = min(perplexity, (len(vectors) - 1) / 3)
         places = TSNE(perplexity=limit, init="pca", random_state=seed).fit_transform(vectors.astype(np.float64))
-        silhouettes = silhouette_samples(vectors, names)
+        silhouettes = np.asarray(silhouette_samples(vectors, names))
         new = np.char.startswith(names, "new ")
         apart[title] = {"known": float(silhouettes[~new].mean()), "new": float(silhouettes[new].mean())}
         _draw(axes, places, names, list(styles))

@@ -10,9 +10,9 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.style_test import join_takes, one_step_test
+from pfnn_jax.motion.clip_file import ClipFile
 from pfnn_jax.motion.footsteps import NoGaitError
-from pfnn_jax.motion.labelled import load_labelled
-from pfnn_jax.motion.sources import ClipFile
+from pfnn_jax.motion.takes import load_take
 from pfnn_jax.runtime.learn import clip_parts
 from pfnn_jax.runtime.predictor import make_predictor
 from pfnn_jax.training.run import Run
@@ -44,7 +44,7 @@ def evaluate_clips(
         parts, names, left_out = [], [], {}
         for clip_file in files:
             try:
-                parts += clip_parts(load_labelled(clip_file, run.layout.fps, roles_file), run, mirror=False)
+                parts += clip_parts(load_take(clip_file, run.layout, roles_file), run, mirror=False)
                 names.append(clip_file.path.stem)
             except NoGaitError as error:
                 left_out[clip_file.path.name] = str(error)

@@ -8,7 +8,7 @@ time, a mean over the window, and a dense layer give the features; one more dens
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -93,10 +93,11 @@ def init_classifier(
         jax.random.normal(key, shape) * (2.0 / np.prod(shape[:-1])) ** 0.5
         for key, shape in zip(keys, shapes, strict=True)
     ]
+    zeros = [jnp.zeros(shape[-1]) for shape in shapes]
     return StyleClassifier(
         filters=(arrays[0], arrays[1]),
         weights=(arrays[2], arrays[3]),
-        biases=(*(jnp.zeros(shape[-1]) for shape in shapes),),
+        biases=(zeros[0], zeros[1], zeros[2], zeros[3]),
         mean=jnp.asarray(mean, jnp.float32),
         std=jnp.asarray(std, jnp.float32),
     )
@@ -134,7 +135,7 @@ def train_classifier(
         key = jax.random.fold_in(jax.random.key(config.seed), epoch + 1)
         rates = config.learning_rate * _falling(epoch, config.epochs, rounds)
         state = _epoch(state, classifier, on_device, targets, weight, jnp.asarray(order), rates, key, config)
-    return classifier.replace(**state[0])
+    return replace(classifier, **state[0])
 
 
 def features(classifier: StyleClassifier, windows: np.ndarray) -> np.ndarray:
@@ -246,7 +247,7 @@ def _epoch(state, classifier, windows, labels, weight, order, rates, key, config
     """One pass over windows in `order` [rounds, B] at learning rates [rounds]: (trained arrays, Adam's state)."""
 
     def loss(trained, rows, key):
-        model = classifier.replace(**trained)
+        model = replace(classifier, **trained)
         keys = jax.random.split(key, 3)
         x = _normalised(model, windows[rows])
         x = x + config.noise * jax.random.normal(keys[0], x.shape)

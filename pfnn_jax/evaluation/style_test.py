@@ -138,7 +138,7 @@ def circle_test(
         `skating_ratio`, `bone_error` (metres) and `jitter` (m/s³); all infinite if the walk is not finite.
     """
     speed = max(mean_speed(clip.y, layout), 0.3)
-    frames = walk_circles(predictor, layout, clip.x[0], float(clip.phase[0]), speed, seconds)
+    frames = walk_circles(predictor, layout, clip.x[0], clip.phase[0], speed, seconds)
     if not np.isfinite(np.asarray(frames.outputs)).all():
         names = ("turn_rate", "nearest_turning_pose", "skating", "skating_ratio", "bone_error", "jitter")
         return dict.fromkeys(names, float("inf"))
