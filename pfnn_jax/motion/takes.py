@@ -128,20 +128,26 @@ def has_hand_ends(source: Source) -> bool:
     return any(re.search("[1-9]", offset) for offset in sites)
 
 
-def load_take(clip_file: ClipFile, layout: str, roles_file: Path | None = None) -> LabelledClip:
-    """A clip as a layout wants it: at its rate, with hand ends and phase labels where it uses them.
+def load_take(clip_file: ClipFile, layout: FrameLayout, roles_file: Path | None = None) -> LabelledClip:
+    """A clip as a layout wants it: at its rate, with its number of joints, and phase labels where it uses them.
 
     Args:
         clip_file: the clip and the frames used.
-        layout: name in `LAYOUTS`.
+        layout: of the rows it is for.
         roles_file: JSON naming the joints' roles.
 
     Raises:
         NoGaitError: if the layout needs a phase of the gait cycle and there are no steps.
         InputError: for bad files, or a skeleton without roles.
     """
-    wanted = LAYOUTS[layout](1)
-    return _with_hands(_load_labelled(clip_file, wanted, roles_file), wanted)
+    return fit_hands(_load_labelled(clip_file, layout, roles_file), layout)
+
+
+def fit_hands(take: LabelledClip, layout: FrameLayout) -> LabelledClip:
+    """The take with the ends of its hands as joints, where the layout has those and the take has not."""
+    if take.clip.skeleton.num_joints == layout.num_joints:
+        return take
+    return _with_hands(take, layout)
 
 
 def take_features(take: LabelledClip, layout: FrameLayout, mirror: bool = False) -> list[Features]:
@@ -156,8 +162,7 @@ def take_features(take: LabelledClip, layout: FrameLayout, mirror: bool = False)
         NoGaitError: for a clip too short or, where a phase is needed, without steps.
         InputError: for a clip of another frame rate or number of joints.
     """
-    if take.clip.skeleton.num_joints != layout.num_joints:
-        take = _with_hands(take, layout)
+    take = fit_hands(take, layout)
     phases = _local_phases([take], layout)[0]
     return [features for _, features in _images(take, layout, mirror, phases)]
 

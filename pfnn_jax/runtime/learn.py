@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,10 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.motion.clip_file import ClipFile
 from pfnn_jax.motion.features import Features
-from pfnn_jax.motion.hands import extend_hands
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.preparation import same_topology
 from pfnn_jax.motion.sources import check_style_name
-from pfnn_jax.motion.takes import load_take, take_features
+from pfnn_jax.motion.takes import fit_hands, load_take, take_features
 from pfnn_jax.runtime.generate import controller_of
 from pfnn_jax.runtime.mixture import load_choice
 from pfnn_jax.runtime.turning import make_stability_check, mean_speed
@@ -54,7 +53,7 @@ def learn_style(
     """
     started = time.perf_counter()
     _check_request(run, clip_file.style, config, overwrite)
-    parts = clip_parts(load_take(clip_file, run.config.layout, roles_file), run, mirror)
+    parts = clip_parts(load_take(clip_file, run.layout, roles_file), run, mirror)
     rows = parts[0]
     learn, held = hold_out(parts, config.held_out, str(clip_file.path))
     _check_length(learn, config.batch_size, clip_file.path)
@@ -111,7 +110,7 @@ def tune_style(
     _check_new(run, clip_file.style, overwrite)
     parameters, sizes = load_generator(run), run.config.generator
     assert sizes is not None  # `load_generator` refuses such a run
-    parts = clip_parts(load_take(clip_file, run.config.layout, roles_file), run, mirror)
+    parts = clip_parts(load_take(clip_file, run.layout, roles_file), run, mirror)
     _check_length(parts, config.batch_size, clip_file.path)
     data = style_data({clip_file.style: parts}, run.layout, run.normaliser, run.skeleton.parents)
     tuned = tune_generator(run.shared, sizes, parameters, data, config, style=clip_file.style)
@@ -134,8 +133,7 @@ def clip_parts(labelled: LabelledClip, run: Run, mirror: bool) -> list[Features]
     Raises:
         InputError: if its skeleton is not the run's, or it has no usable frames.
     """
-    if run.layout.next_frame:
-        labelled = replace(labelled, clip=extend_hands(labelled.clip))
+    labelled = fit_hands(labelled, run.layout)
     same_topology(run.skeleton, labelled.clip.skeleton, labelled.clip.source)
     return take_features(labelled, run.layout, mirror)
 

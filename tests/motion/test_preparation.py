@@ -15,6 +15,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.dataset import Dataset, load_dataset, prepare
 from pfnn_jax.motion.labelled import LabelledClip
+from pfnn_jax.motion.layout import mason2022
 from pfnn_jax.motion.moments import NO_ROWS, moments_of
 from pfnn_jax.motion.npy import NpyWriter
 from pfnn_jax.motion.preparation import PrepareConfig
@@ -189,8 +190,14 @@ def test_hand_ends_are_joints_only_where_all_takes_have_them(mocap, tmp_path):
 def test_takes_without_steps_are_learned_where_no_phase_is_wanted(mocap):
     """Hops and slides have no phase of a gait cycle, but local phases."""
     idle = next(clip for clip in list_clips(mocap / "100style") if clip.content == "idle")
-    take_ = load_take(dataclasses.replace(idle, content="hop"), "mason2022")
+    take_ = load_take(dataclasses.replace(idle, content="hop"), mason2022())
     assert take_.clip.skeleton.num_joints == 25 and not take_.labels.labelled.any()
+
+
+def test_a_clip_gets_hand_ends_only_where_the_layout_has_them(mocap):
+    """A file with hand ends is of use to a network without, and the other way round it is refused later, by name."""
+    normal = next(c for c in list_clips(mocap / "bandai-namco-1") if c.style == "normal" and has_hand_ends(c))
+    assert [load_take(normal, mason2022(joints)).clip.skeleton.num_joints for joints in (21, 23)] == [21, 23]
 
 
 def test_a_growing_array_is_the_array(tmp_path):
