@@ -32,7 +32,7 @@ def test_one_step_error_by_groups_averages_to_the_whole(layout, rng):
     std = rng.uniform(0.5, 2.0, layout.output_size)
     errors = metrics.one_step_error(true, pred, layout, std)
     sizes = {
-        group: sum(size for block, size in layout.outputs if block in blocks)
+        group: sum(layout.output_width(block) for block in layout.output_blocks if block in blocks)
         for group, blocks in metrics.GROUPS.items()
     }
     assert sum(sizes.values()) == layout.output_size

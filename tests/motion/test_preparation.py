@@ -132,8 +132,8 @@ def test_the_blocks_follow_the_seed_and_the_takes_name(takes, split, tmp_path):
     other = prepare(takes, tmp_path / "set", dataclasses.replace(TENTHS, seed=1))
     assert (other.sources("angry", "test")[1] != split.sources("angry", "test")[1]).any()
     fewer = prepare(takes[1:], tmp_path / "fewer", TENTHS)
-    frames = [dataset.sources("proud", "test")[1][-40:] for dataset in (split, fewer)]
-    np.testing.assert_array_equal(*frames)
+    ours, theirs = (dataset.sources("proud", "test")[1][-40:] for dataset in (split, fewer))
+    np.testing.assert_array_equal(ours, theirs)
     assert take_generator(0, "a", "b").random() != take_generator(0, "a", "c").random()
 
 

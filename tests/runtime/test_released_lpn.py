@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.models.film import film_to_vector
+from pfnn_jax.models.film import Film, film_to_vector
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.runtime.controller import Command, step
 from pfnn_jax.runtime.generate import controller_of, default_speed, generate
@@ -78,7 +79,9 @@ def test_golden_mixtures(lpn_run, reference, tmp_path):
 
 
 def test_no_style_is_the_mean_of_all(lpn_run, bank):
-    mean = film_to_vector(make_predictor(lpn_run).style)
+    style = make_predictor(lpn_run).style
+    assert isinstance(style, Film)
+    mean = film_to_vector(style)
     np.testing.assert_allclose(mean, jnp.mean(jax.vmap(film_to_vector)(bank), axis=0), atol=1e-4)
 
 
@@ -94,7 +97,8 @@ def test_no_style_is_the_mean_of_all(lpn_run, bank):
 )
 def test_bad_rows(lpn_run, tmp_path, change, message):
     rows = {"x": np.zeros((1, 348)), "gating_x": np.zeros((1, 8)), "styles": [[0, 1, 2]], "weights": [[0.5, 0.3, 0.2]]}
-    np.savez(tmp_path / "in.npz", **{name: np.asarray(value) for name, value in (rows | change).items()})
+    x, gating_x, styles, weights = (np.asarray((rows | change)[name]) for name in rows)
+    np.savez(tmp_path / "in.npz", x=x, gating_x=gating_x, styles=styles, weights=weights)
     with pytest.raises(InputError, match=message):
         predict_file(lpn_run.path, tmp_path / "in.npz", tmp_path / "out.npz")
     assert not (tmp_path / "out.npz").exists()
@@ -122,7 +126,7 @@ def reference_rollout(run, style, num_frames):
     predictor, config = replace_style(run, style), controller_of(run)
     x = straight_row(run.layout, predictor.input_mean, 1.0)
     start = initial_state(run.layout, x, predictor.phase_mean, jnp.zeros(2), jnp.zeros(()))
-    start = start.replace(target_velocity=jnp.zeros(2))
+    start = replace(start, target_velocity=jnp.zeros(2))
 
     def frame(state, _):
         facing = state.directions[ROOT]
@@ -135,7 +139,7 @@ def reference_rollout(run, style, num_frames):
 
 
 def replace_style(run, style):
-    return make_predictor(run, "Neutral").replace(style=style)
+    return replace(make_predictor(run, "Neutral"), style=style)
 
 
 def test_a_second_of_the_authors_loop(lpn_run, bank, reference):

@@ -50,8 +50,8 @@ def predictor(reference) -> Predictor:
 def walk(predictor: Predictor, speed: float, turn: float = 0.0) -> Frames:
     """From a standing mean pose straight ahead, turning by `turn` radians at frame 300."""
     x = predictor.input_mean
-    block = slice(*LAYOUT.output_slice("joint_position").indices(LAYOUT.output_size)[:2])
-    x = x.at[LAYOUT.input_slice("joint_position")].set(predictor.output_mean[block])
+    joints = LAYOUT.output_slice("joint_position")
+    x = x.at[LAYOUT.input_slice("joint_position")].set(predictor.output_mean[joints])
     yaw = jnp.where(jnp.arange(NUM_FRAMES) < 300, 0.0, turn)
     direction = jnp.stack([jnp.sin(yaw), jnp.cos(yaw)], -1)
     start = jax.jit(standing_state, static_argnums=0)(LAYOUT, x, jnp.zeros(2), jnp.zeros(()))

@@ -121,7 +121,8 @@ def test_rollout_turns_and_moves_with_its_path():
 
 def test_mirrored_walker_on_mirrored_path():
     layout = LAYOUT["mason2018"]
-    into, out = reflection(layout.inputs), reflection(layout.outputs)
+    into = reflection({name: layout.input_width(name) for name in layout.input_blocks})
+    out = reflection({name: layout.output_width(name) for name in layout.output_blocks})
     walker, weights = OBEDIENT[layout.name], sway(layout)
 
     def mirrored(weights, x, phase):

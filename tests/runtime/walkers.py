@@ -41,8 +41,8 @@ def write_output(layout: FrameLayout, blocks: dict) -> jnp.ndarray:
         "trajectory_position_z": 1.0 / layout.length_unit,
     }
     found = [
-        jnp.ravel(blocks[name]) * units.get(name, 1.0) if name in blocks else jnp.zeros(size)
-        for name, size in layout.outputs
+        jnp.ravel(blocks[name]) * units.get(name, 1.0) if name in blocks else jnp.zeros(layout.output_width(name))
+        for name in layout.output_blocks
     ]
     return jnp.concatenate(found)
 
@@ -138,19 +138,19 @@ def sway(layout: FrameLayout, scale: float = 1e-3) -> jnp.ndarray:
     """Weights [Dy, Dx] of an obedient walker's sway, in its joints alone."""
     weights = np.zeros((layout.output_size, layout.input_size), np.float32)
     rows = layout.output_slice("joint_position")
-    size = (rows.stop - rows.start, layout.input_size)
+    size = (layout.output_width("joint_position"), layout.input_size)
     weights[rows] = scale / layout.length_unit * np.random.default_rng(0).normal(size=size)
     return jnp.asarray(weights)
 
 
-def reflection(blocks) -> jnp.ndarray:
-    """Signs that reflect a vector of blocks in the plane x = 0."""
+def reflection(widths: dict[str, int]) -> jnp.ndarray:
+    """Signs that reflect a vector of blocks of these widths in the plane x = 0."""
     signs = {"root_velocity": [-1.0, 1.0], "root_yaw_rate": [-1.0]}
     for name in ("joint_position", "joint_velocity", "joint_forward", "joint_up"):
         signs[name] = [-1.0, 1.0, 1.0] * JOINTS
     for name in ("trajectory_position_x", "trajectory_direction_x"):
         signs[name] = [-1.0]
-    return jnp.concatenate([jnp.broadcast_to(jnp.asarray(signs.get(name, [1.0])), (size,)) for name, size in blocks])
+    return jnp.concatenate([jnp.broadcast_to(jnp.asarray(signs.get(name, [1.0])), (size,)) for name, size in widths.items()])
 
 
 @partial(jax.jit, static_argnums=0)
@@ -169,4 +169,4 @@ def input_row(layout: FrameLayout, walk: dict, phase: float = 0.0) -> jnp.ndarra
         "joint_velocity": y[layout.output_slice("joint_velocity")],
         "terrain_height": jnp.zeros(36),
     }
-    return jnp.concatenate([blocks[name].ravel() for name, _ in layout.inputs])
+    return jnp.concatenate([blocks[name].ravel() for name in layout.input_blocks])
