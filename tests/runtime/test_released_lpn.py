@@ -125,6 +125,7 @@ def reference_rollout(run, style, num_frames):
     """The authors' loop without a turn: the target follows the facing, and the velocity follows the target."""
     predictor, config = replace_style(run, style), controller_of(run)
     x = straight_row(run.layout, predictor.input_mean, 1.0)
+    assert predictor.phase_mean is not None
     start = initial_state(run.layout, x, predictor.phase_mean, jnp.zeros(2), jnp.zeros(()))
     start = replace(start, target_velocity=jnp.zeros(2))
 

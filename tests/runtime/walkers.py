@@ -150,7 +150,9 @@ def reflection(widths: dict[str, int]) -> jnp.ndarray:
         signs[name] = [-1.0, 1.0, 1.0] * JOINTS
     for name in ("trajectory_position_x", "trajectory_direction_x"):
         signs[name] = [-1.0]
-    return jnp.concatenate([jnp.broadcast_to(jnp.asarray(signs.get(name, [1.0])), (size,)) for name, size in widths.items()])
+    return jnp.concatenate(
+        [jnp.broadcast_to(jnp.asarray(signs.get(name, [1.0])), (size,)) for name, size in widths.items()]
+    )
 
 
 @partial(jax.jit, static_argnums=0)
