@@ -22,6 +22,7 @@ from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.motion.features import Features, join_rows
+from pfnn_jax.runtime.turning import make_stability_check
 from pfnn_jax.training.batches import StyleData
 from pfnn_jax.training.few_shot import FewShotConfig, Method, choose, refit, train_grid
 from pfnn_jax.training.films import style_films
@@ -40,13 +41,16 @@ class Budget:
         tuning_steps: steps of generator tuning after which it is looked at, increasing.
         tuning_rate: Adam's, for the generator.
         held_out: share of the clip, at its end, by which stops and rates are chosen.
+        tolerance: by what share the error there may exceed the best: of those within it the gentlest is taken, as
+            few-shot learning does by default; 0 takes the best.
     """
 
     stops: tuple[int, ...] = (5, 10, 25, 50, 100)
-    learning_rates: tuple[float, ...] = (1e-3, 3e-3)
+    learning_rates: tuple[float, ...] = (1e-4, 1e-3, 3e-3)
     tuning_steps: tuple[int, ...] = (25, 50, 100, 200)
     tuning_rate: float = 1e-4
     held_out: float = 0.2
+    tolerance: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +109,7 @@ def generated(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
 
 
 def tuned(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
-    """The generator tuned to the clip (§5.3.2), for the number of steps that is best on the clip's last part."""
+    """The generator tuned to the clip (§5.3.2), for the least number of steps that is good enough on its last part."""
     started = time.perf_counter()
     sizes = generator_sizes(model)
     learn, held = hold_out(clip.parts(model.layout.name), budget.held_out, clip.name)
@@ -119,12 +123,13 @@ def tuned(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
         parameters, done = found.generator, stop
         off = predict(model.predictor(found.film), rows.x, rows.phase)[:, columns] - rows.y[:, columns]
         errors[stop] = float(np.mean((off / std) ** 2))
-    best = min(errors, key=lambda stop: errors[stop])
+    limit = min(errors.values()) * (1 + budget.tolerance)
+    steps = min(stop for stop, error in errors.items() if error <= limit)
     data = clip_data(model, clip.parts(model.layout.name))
-    found = tune_generator(model.network, sizes, model.generator, data, _tuning(budget, best, seed))
+    found = tune_generator(model.network, sizes, model.generator, data, _tuning(budget, steps, seed))
     film, generator = jax.tree.map(np.asarray, (found.film, found.generator))
     seconds = time.perf_counter() - started
-    return Learned(film, num_parameters(generator), num_parameters(film), seconds, f"{best} steps", generator)
+    return Learned(film, num_parameters(generator), num_parameters(film), seconds, f"{steps} steps", generator)
 
 
 def optimised(method: Method) -> Way:
@@ -139,7 +144,7 @@ def optimised(method: Method) -> Way:
             main_dropouts=(0.0,),
             stops=budget.stops,
             held_out=budget.held_out,
-            tolerance=0.0,
+            tolerance=budget.tolerance,
             seed=seed,
         )
         parts = clip.parts(model.layout.name)
@@ -149,7 +154,9 @@ def optimised(method: Method) -> Way:
         start = average(model) if method in ("film", "dense", "one_hot") else None
         bones = bones_of(clip_data(model, parts))
         candidates = train_grid(model.network, learn, held, config, start=start, bones=bones)
-        choice = choose(candidates, config.tolerance).choice
+        own = clip.rows[model.layout.name]
+        is_stable = make_stability_check(model.network, model.normaliser, model.layout, own.x, own.y, own.phase)
+        choice = choose(candidates, config.tolerance, is_stable if config.tolerance else None).choice
         style = refit(model.network, to_batch(parts, model.normaliser), choice, config, start=start, bones=bones)
         size, seconds = num_parameters(style), time.perf_counter() - started
         return Learned(style, size, size, seconds, f"lr {choice.learning_rate:g}, {choice.epochs} epochs")

@@ -43,11 +43,9 @@ def write_tables(out: Path, result: Result) -> None:
         return
     write_whole(out / "table.md", table(result, models))
     write_whole(out / "per_style.md", per_style(result, models))
-    bars = {
-        name: {column: values(result, name, column).tolist() for column in ("MSE", "BLL (Eq. 5b), mm")}
-        for name in models
-    }
-    save_figure(error_bars(bars, "Held-out takes", "normalised squared error; millimetres"), out / "test_error.png")
+    for column, file in (("MSE", "mse.png"), ("BLL (Eq. 5b), mm", "bones.png")):
+        bars = {name: {column: values(result, name, column).tolist()} for name in models}
+        save_figure(error_bars(bars, "Held-out takes, one step", column), out / file)
     seen = {
         name: {"recognised": (values(result, name, "recognised, %") / 100).tolist()}
         | {"sound walks": (values(result, name, "sound walks, %") / 100).tolist()}

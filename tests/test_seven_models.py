@@ -88,7 +88,7 @@ def test_every_measure_of_every_model(config, result):
             assert path[-1] in (entry if len(path) == 1 else entry[path[0]])
     table = (config.out / "table.md").read_text().splitlines()
     assert len(table) == 2 + len(LEARNED) + 1 and len({line.count("|") for line in table}) == 1
-    assert all((config.out / name).stat().st_size > 5000 for name in ("test_error.png", "walks.png"))
+    assert all((config.out / name).stat().st_size > 5000 for name in ("mse.png", "bones.png", "walks.png"))
 
 
 def test_what_is_there_is_not_trained_again(config, result):
