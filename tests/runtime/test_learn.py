@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.models.film import Film
+from pfnn_jax.motion.bvh import write_bvh
+from pfnn_jax.motion.dataset import prepare
+from pfnn_jax.motion.labelled import LabelledClip
+from pfnn_jax.motion.preparation import PrepareConfig
 from pfnn_jax.motion.sources import ClipFile
+from pfnn_jax.motion.synthetic import synthesise, synthetic_clips
 from pfnn_jax.runtime import turning
 from pfnn_jax.runtime.learn import learn_style, tune_style
 from pfnn_jax.runtime.mixture import load_choice
+from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.few_shot import FewShotConfig
 from pfnn_jax.training.generator_tuning import TuningConfig
+from pfnn_jax.training.loop import pretrain
 from pfnn_jax.training.run import load_run, load_style
 
 
@@ -46,3 +55,24 @@ def test_requests_that_cannot_be_met(run, mocap):
         learn_style(run, angry(mocap, "new"), FewShotConfig("cp"))
     with pytest.raises(InputError, match="generator: absent"):
         tune_style(run, angry(mocap, "new"), TuningConfig())
+
+
+def test_a_generator_is_tuned_to_a_clip_and_kept_as_it_was(tmp_path):
+    """The style is the Film of the tuned generator; the run's own generator and network do not change."""
+    clips = [LabelledClip(*take) for style in ("neutral", "proud") for take in synthetic_clips(style, 8)]
+    dataset = prepare(clips, tmp_path / "data", PrepareConfig(layout="mason2022"))
+    small = PretrainConfig(
+        AdapterConfig("film"), hidden=8, generator_filters=2, generator_width=3, generator_hidden=4, steps=2
+    )
+    run = pretrain(dataset, tmp_path / "run", small)
+    write_bvh(tmp_path / "old.bvh", synthesise("old", np.zeros(200), np.ones(200))[0])
+    files = {path: path.read_bytes() for path in (tmp_path / "run" / "generator").rglob("*") if path.is_file()}
+    tuning = TuningConfig(steps=2, learning_rate=1e-2)
+    info = tune_style(run, ClipFile(tmp_path / "old.bvh", "old"), tuning)
+    film = load_style(run, "old")
+    assert isinstance(film, Film) and np.isfinite(film.scale).all() and info["frames"] > 150 and info["mirrored"]
+    assert all(path.read_bytes() == content for path, content in files.items())
+    untuned = tune_style(run, ClipFile(tmp_path / "old.bvh", "same"), replace(tuning, learning_rate=1e-12))
+    assert untuned["loss"] != info["loss"]
+    same = load_style(run, "same")
+    assert isinstance(same, Film) and np.abs(np.asarray(film.shift) - np.asarray(same.shift)).max() > 1e-4
