@@ -34,6 +34,7 @@ from experiments.new_style_methods import (
     window_films,
 )
 from experiments.new_style_plot import film_map
+from experiments.new_style_table import MEASURES, ratios, summary, table
 from experiments.seven_measures import (
     Reference,
     make_reference,
@@ -57,9 +58,6 @@ LEARN = "walk"
 
 MAP_OF = "lpn_film"
 """The model whose FiLM vectors are mapped; one of the ways must tune its generator."""
-
-MEASURES = ("walk", "side", "back", "run", "all")
-"""Takes by what they show."""
 
 
 @dataclass(frozen=True)
@@ -198,10 +196,11 @@ def main(config: Config) -> dict[str, Any]:
         errors = {way: row["errors"]["all"]["mse"] for way, row in rows[style].items()}
         print(f"{style}: " + ", ".join(f"{way} {error:.3f}" for way, error in errors.items()), flush=True)
     result = {"config": {k: str(v) for k, v in asdict(config).items()}, "real": judged, "styles": rows}
-    result["summary"] = summary(rows, reference)
+    result["summary"] = summary(rows)
     result["map"] = draw_map(models[MAP_OF], known, styles, config)
     write_whole(config.out / "results.json", json.dumps(plain(result), indent=1) + "\n")
     write_whole(config.out / "table.md", table(result["summary"]))
+    write_whole(config.out / "ratios.md", markdown_table(["way", *MEASURES], ratios(rows)))
     bars = {way: {m: row["mse"][m] for m in MEASURES if m in row["mse"]} for way, row in result["summary"].items()}
     save_figure(error_bars(bars, "New styles, takes not used", "normalised squared error"), config.out / "errors.png")
     return result
@@ -243,43 +242,6 @@ def draw_map(model: Model, known: Takes, styles: Mapping[str, NewStyle], config:
     return apart
 
 
-def summary(rows: Mapping[str, Mapping[str, Any]], reference: Reference) -> dict[str, dict[str, Any]]:
-    """Means over the styles, of every way."""
-    found = {}
-    for way in next(iter(rows.values())):
-        own = [style[way] for style in rows.values()]
-        kinds = [kind for kind in MEASURES if any(kind in row["errors"] for row in own)]
-        mse = {kind: _mean([row["errors"][kind]["mse"] for row in own if kind in row["errors"]]) for kind in kinds}
-        found[way] = {
-            "network": own[0]["network"],
-            "trained": own[0]["trained"],
-            "stored": own[0]["stored"],
-            "seconds": _mean([row["seconds"] for row in own]),
-            "frames": _mean([row["frames"] for row in own]),
-            "mse": mse,
-            "spread": float(np.std([row["errors"]["all"]["mse"] for row in own], ddof=1)) if len(own) > 1 else None,
-            "bones": _mean([row["errors"]["all"]["bones"] for row in own]),
-            "sound": _mean([row["walks"]["sound"] for row in own]),
-            "recognition": _mean([row["walks"]["recognition"] for row in own]),
-            "skating": _mean([row["walks"]["skating"] for row in own]),
-            "frechet": _mean([row["frechet"] for row in own]),
-        }
-    return found
-
-
-def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
-    """Every way, means over the new styles."""
-    head = ["way", "network", "trained", "per style", "seconds", "frames", *MEASURES, "± styles", "bones, mm"]
-    head += ["sound, %", "recognised, %", "Fréchet", "skating, cm/s"]
-    lines = []
-    for way, row in rows.items():
-        cells = [way, row["network"], f"{row['trained']:,}", f"{row['stored']:,}", row["seconds"], row["frames"]]
-        cells += [row["mse"].get(kind) for kind in MEASURES] + [row["spread"], _scaled(row["bones"], 1000)]
-        cells += [_scaled(row["sound"], 100), _scaled(row["recognition"], 100), row["frechet"]]
-        lines.append([*cells, _scaled(row["skating"], 100)])
-    return markdown_table(head, lines)
-
-
 def _need(config: Config, name: str, known: Takes) -> Model:
     folder = network_folder(config.pretrained, name, config.seed)
     model = load_model(folder, known)
@@ -295,15 +257,6 @@ def _of(takes: Sequence[Take], style: str) -> list[Take]:
 def _vectors(films: Film) -> np.ndarray:
     """[W, 4H] of Films with leaves [W, 2, H]."""
     return np.asarray(jax.vmap(film_to_vector)(films))
-
-
-def _scaled(value: float | None, scale: float) -> float | None:
-    return None if value is None else scale * value
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
 
 
 if __name__ == "__main__":

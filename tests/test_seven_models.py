@@ -142,6 +142,9 @@ def test_every_way_of_adding_a_style(config, result, mocap, tmp_path):
     assert stored["nothing: mean style"] == 0
     assert set(found["map"]["after"]) == {"known", "new"}
     assert (tmp_path / "out" / "film_vectors.png").stat().st_size > 5000
+    errors = {way: row["errors"]["all"]["mse"] for way, row in found["styles"]["angry"].items()}
+    over = {str(line[0]): line[-1] for line in new_styles.ratios(found["styles"])}
+    assert over["FiLM vector"] == pytest.approx(errors["FiLM vector"] / errors["nothing: mean style"])
 
 
 def test_takes_are_grouped_by_what_they_show(takes):
