@@ -40,7 +40,7 @@ _ROOMS = {
     "models.network": ("Network", "NetworkConfig", "coefficients", "forward", "init_network", "predict"),
     "models.presets": ("TABLE2", "network_config"),
     "models.spline": ("catmull_rom_basis", "evaluate_spline"),
-    "training.few_shot": ("PAPER", "FewShotConfig", "train_bank", "train_grid"),
+    "training.few_shot": ("FILM", "PAPER", "FewShotConfig", "train_bank", "train_grid"),
     "training.loop": ("pretrain",),
     "training.config": ("PretrainConfig",),
     "training.generator_tuning": ("TuningConfig", "tune_generator"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 
 from pfnn_jax.cli import main
 from pfnn_jax.cli.main import COMMANDS
+from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.synthetic import STYLES, synthesise, synthetic_clips
+from pfnn_jax.training.few_shot import FILM, FewShotConfig
 from pfnn_jax.training.run import fingerprint, list_styles, load_run, load_style, style_note
 
 SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
@@ -97,6 +100,22 @@ def test_the_papers_recipe_is_one_flag_away(folder, tmp_path, monkeypatch):
     assert asked["config"].stops == (100,)
     assert asked["config"].learning_rates == (1e-4,)
     assert asked["config"].seed == 7
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"), [((), FILM), (("--seed", "7"), replace(FILM, seed=7)), (("--rank", "5"), None)]
+)
+def test_where_styles_are_films_a_film_is_learned(folder, monkeypatch, words, expected):
+    """Unless something was asked for: then that, and if it cannot be, the run says so."""
+    asked = {}
+    loaded = load_run(folder / "run")
+    films = replace(loaded, config=replace(loaded.config, adapter=AdapterConfig("film")))
+    monkeypatch.setattr("pfnn_jax.cli.learning.load_run", lambda path: films)
+    monkeypatch.setattr(
+        "pfnn_jax.cli.learning.learn_style", lambda run, clip, config, **_: asked.update(c=config) or INFO
+    )
+    run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", *words)
+    assert asked["c"] == (expected or FewShotConfig(rank=5))
 
 
 INFO = {"frames": 1, "seconds": 1.0, "choice": {"epochs": 100}}

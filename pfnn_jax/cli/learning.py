@@ -16,10 +16,10 @@ from pfnn_jax.motion.dataset import load_dataset
 from pfnn_jax.motion.sources import ClipFile, is_symmetric
 from pfnn_jax.runtime.learn import learn_style, tune_style
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.few_shot import PAPER, FewShotConfig
+from pfnn_jax.training.few_shot import FILM, PAPER, FewShotConfig
 from pfnn_jax.training.generator_tuning import TuningConfig
 from pfnn_jax.training.loop import pretrain
-from pfnn_jax.training.run import load_run
+from pfnn_jax.training.run import Run, load_run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +87,8 @@ class FewShot(Command):
         stop: the frame before which to end; by default the file's end.
         mirror: also learn from the mirrored clip; by default unless the name is a style known to be asymmetric.
         roles: JSON that names the joints' roles.
-        recipe: the best of our measurements; the paper's of 2018 (CP, 100 epochs at 1e-4); or tuning of the run's
-            FiLM generator (2022).
+        recipe: the best of our measurements, which is a Film where the run's styles are Films; the paper's of 2018
+            (CP, 100 epochs at 1e-4); or tuning of the run's FiLM generator (2022).
         overwrite: replace a style of this name.
         config: the grid of settings; ignored, but for the seed, with the other recipes.
         tuning: settings of `--recipe generator`.
@@ -114,8 +114,16 @@ class FewShot(Command):
             info = tune_style(run, clip, replace(self.tuning, seed=self.config.seed), mirror=mirror, **options)
             print(f"{self.name}: {info['frames']} frames, {info['seconds']:.1f} s; loss {info['loss']:.4g}")
             return info
-        config = self.config if self.recipe == "default" else replace(PAPER, seed=self.config.seed)
-        info = learn_style(run, clip, config, mirror=mirror, **options)
+        info = learn_style(run, clip, self._grid(run), mirror=mirror, **options)
         choice = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in info["choice"].items())
         print(f"{self.name}: {info['frames']} frames, {info['seconds']:.1f} s; chosen: {choice}")
         return info
+
+    def _grid(self, run: Run) -> FewShotConfig:
+        """The settings asked for; where none were, those for the run's kind of styles."""
+        seed = self.config.seed
+        if self.recipe == "paper":
+            return replace(PAPER, seed=seed)
+        if run.config.adapter.kind == "film" and self.config == FewShotConfig(seed=seed):
+            return replace(FILM, seed=seed)
+        return self.config

@@ -89,6 +89,9 @@ class FewShotConfig:
 PAPER = FewShotConfig(learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.3, 0.5, 0.7), stops=(100,))
 """Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid over the authors' rates of adapter dropout alone."""
 
+FILM = FewShotConfig("film", learning_rates=(1e-4, 1e-3, 3e-3), main_dropouts=(0.0,))
+"""Beside a network trained with FiLM: the 4H numbers of a Film, at rates that move them in a few epochs."""
+
 
 @struct.dataclass
 class Setting:
