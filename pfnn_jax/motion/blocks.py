@@ -72,5 +72,8 @@ def _columns(index: np.ndarray) -> Columns:
         return slice(first, last + 1)
     if len(steps) == 1:
         return slice(first, last + 1, steps.pop())
+    # Unsigned, so that JAX need not wrap them around: it remembers the width of signed constants from one program to
+    # the next, and refuses them where another precision is in force.
+    index = index.astype(np.uint32)
     index.setflags(write=False)
     return index

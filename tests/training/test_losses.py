@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -99,6 +101,15 @@ def test_bone_length_loss_is_the_plain_sum_over_frames_and_bones(make):
     single = [np.asarray(values, np.float32) for values in (prediction, target)]
     found = bone_length_loss(jnp.asarray(single[0]), single[1], layout, PARENTS, std, mean)
     np.testing.assert_allclose(found, reference, rtol=LENGTHS)
+
+
+def test_columns_serve_both_precisions_one_after_the_other():
+    """Compiled in single and evaluated in double precision: interleaved columns are arrays that JAX keeps."""
+    layout, prediction, target, std, mean = bone_setup(mason2022)
+    loss = partial(bone_length_loss, layout=layout, parents=PARENTS, output_std=std, output_mean=mean)
+    single = jax.jit(loss)(jnp.asarray(prediction, jnp.float32), target.astype(np.float32))
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(single, loss(jnp.asarray(prediction), target), rtol=LENGTHS)
 
 
 def test_bone_length_loss_is_zero_under_rigid_motion():
