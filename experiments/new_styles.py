@@ -50,7 +50,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.plots import error_bars, save_figure
 from pfnn_jax.evaluation.style_classifier import ClassifierConfig, train_classifier
 from pfnn_jax.models.film import Film, film_to_vector
-from pfnn_jax.motion.bvh import write_whole
+from pfnn_jax.motion.files import write_whole
 from pfnn_jax.training.checkpoint import plain
 
 LEARN = "walk"

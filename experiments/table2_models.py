@@ -26,7 +26,7 @@ from experiments.markdown import markdown_table
 from pfnn_jax.evaluation.benchmark_runtime import random_predictor, walk
 from pfnn_jax.evaluation.timing import Work, interleave, machine, versions
 from pfnn_jax.models.presets import TABLE2, counts, network_config
-from pfnn_jax.motion.bvh import write_whole
+from pfnn_jax.motion.files import write_whole
 from pfnn_jax.runtime.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.runtime.predictor import Predictor, evaluate
 

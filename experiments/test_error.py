@@ -43,7 +43,7 @@ from pfnn_jax.evaluation.style_classifier import (
 )
 from pfnn_jax.evaluation.timing import machine, versions
 from pfnn_jax.models.presets import TABLE2
-from pfnn_jax.motion.bvh import write_whole
+from pfnn_jax.motion.files import write_whole
 from pfnn_jax.training.checkpoint import load_record, locate, plain, save_record
 from pfnn_jax.training.config import PretrainConfig
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.markdown import markdown_table
 from pfnn_jax.evaluation.plots import error_bars, save_figure
-from pfnn_jax.motion.bvh import write_whole
+from pfnn_jax.motion.files import write_whole
 
 COLUMNS: dict[str, tuple[tuple[str, ...], float]] = {
     "MSE": (("test", "mse"), 1.0),

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.motion.files import swap_folder
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.layout import layout_for
 from pfnn_jax.motion.normaliser import Normaliser, load_normaliser
@@ -163,7 +164,7 @@ def prepare(
     try:
         work.mkdir(parents=True)
         write_dataset(clips, work, config, roles_file, progress, workers)
-        _swap(work, out)
+        swap_folder(work, out)
     except OSError as error:
         raise InputError(out, "folder", error, "must be writable, with space for the dataset") from error
     finally:
@@ -209,15 +210,3 @@ def load_dataset(path: Path) -> Dataset:
         notes=tuple(data["notes"]),
         takes_without_window=data["takes_without_window"],
     )
-
-
-def _swap(work: Path, out: Path) -> None:
-    """Puts a finished folder in its place; an old one is kept until the new one stands there."""
-    old = work.with_name(f"{work.name}.old")
-    if out.exists():
-        out.rename(old)
-    work.rename(out)
-    if old.is_dir():
-        shutil.rmtree(old)
-    else:
-        old.unlink(missing_ok=True)

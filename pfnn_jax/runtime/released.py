@@ -33,7 +33,6 @@ from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_sha
 
 NUM_TABLES = 50
 CONTROL_POINTS = 4
-LAYERS = 3
 
 MAX_CONDITION = 1e6
 """Design matrices above this condition number are of lower rank than 4 within rounding."""
