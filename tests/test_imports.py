@@ -19,8 +19,10 @@ MAY_IMPORT = {
     "models": set(),
     "training": {"motion", "models"},
     "runtime": {"motion", "models", "training"},
-    "evaluation": {"motion", "models", "training", "runtime"},
-    "cli": {"motion", "models", "training", "runtime", "evaluation"},
+    "viewer": {"motion", "models", "training", "runtime"},
+    "export": {"motion", "models", "training", "runtime"},
+    "evaluation": {"motion", "models", "training", "runtime", "viewer"},
+    "cli": {"motion", "models", "training", "runtime", "viewer", "export", "evaluation"},
 }
 ROOMS = {path.stem if path.is_file() else path.name for path in PACKAGE.iterdir() if not path.name.startswith("_")}
 FILES = sorted(PACKAGE.rglob("*.py"))

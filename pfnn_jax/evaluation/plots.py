@@ -12,9 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from pfnn_jax.evaluation.body import Capsule, body_capsules, body_points, capsule_ends
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.files import write_whole
+from pfnn_jax.viewer.body import Capsule, body_capsules, body_points, capsule_ends
 
 INK, MUTED, GRID = "#1f2733", "#6b7685", "#dfe4ea"
 SERIES = ("#2f6fde", "#e0662f", "#2f9e77", "#9a5bd0", "#c2892b", "#d04a78", "#4aa3c4", "#7a8699", "#5b7f2b", "#a0522d")

@@ -16,9 +16,9 @@ from matplotlib import _pylab_helpers
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation import plots, report
-from pfnn_jax.evaluation.body import body_capsules, body_points, capsule_ends
-from pfnn_jax.evaluation.player import Track, player_html
 from pfnn_jax.motion.synthetic import STYLES, stance_contacts, synthesise, synthetic_skeleton
+from pfnn_jax.viewer.body import body_capsules, body_points, capsule_ends
+from pfnn_jax.viewer.player import Track, player_html
 
 QUANTUM = 0.00051  # metres: half a millimetre of rounding
 MEGABYTE = 1_000_000

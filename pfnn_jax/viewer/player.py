@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.evaluation.body import Capsule, body_capsules, body_points
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.viewer.body import Capsule, body_capsules, body_points
 
 MILLIMETRE = 0.001  # finest step of a position; wider scenes than ±32 m get a coarser one
 INT16 = 32767
@@ -77,7 +77,7 @@ def player_html(tracks: Sequence[Track], *, fps: float = 30.0, start: float = 0.
 
 def player_assets() -> str:
     """Style and script of the player, once for a page."""
-    folder = files("pfnn_jax.evaluation")
+    folder = files("pfnn_jax.viewer")
     style = folder.joinpath("player.css").read_text(encoding="utf-8")
     script = folder.joinpath("player.js").read_text(encoding="utf-8")
     return f"<style>{style}</style><script>{script}</script>"
