@@ -1,9 +1,9 @@
-# Everything a contributor runs. `make test` and `make demo` need nothing but python3 (3.11 or newer) and make.
+# Everything a contributor runs. `make test`, `make demo` and `make play` need nothing but python3 (3.11 or newer) and make.
 PYTHON ?= python3
 WORKERS ?= 2
 BIN := .venv/bin
 
-.PHONY: test lint types pytest docs demo serve lock clean
+.PHONY: test lint types pytest docs demo play serve lock clean
 
 test: lint types pytest docs
 
@@ -22,6 +22,11 @@ docs: .venv/.installed
 
 demo: .venv/.installed
 	$(BIN)/pfnn-jax demo --out demo --overwrite
+
+# A character to drive in the browser: the demo's network, trained first where there is none.
+play: .venv/.installed
+	test -d demo/run || $(MAKE) demo
+	$(BIN)/pfnn-jax play demo/run
 
 serve: .venv/.installed
 	$(BIN)/mkdocs serve
