@@ -1,0 +1,57 @@
+"""A character's poses, step by step, as a clip and as the bytes of a BVH file."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from pfnn_jax.motion.bvh import write_bvh
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_normalise
+from pfnn_jax.motion.skeleton import Skeleton
+
+LONGEST = 600.0
+"""Seconds after which a recording takes no more, so that a forgotten one does not fill the memory."""
+
+
+class Recording:
+    """Poses of one skeleton at equal steps in time."""
+
+    def __init__(self, skeleton: Skeleton, fps: float, style: str, source: str) -> None:
+        self._skeleton, self._fps, self._style, self._source = skeleton, fps, style, source
+        self._hips: list[np.ndarray] = []
+        self._rotations: list[np.ndarray] = []
+
+    @property
+    def seconds(self) -> float:
+        """Length so far."""
+        return len(self._hips) / self._fps
+
+    def add(self, hips: np.ndarray, rotations: np.ndarray) -> None:
+        """One more frame: hips [3] metres and rotations [J, 4], both in the world; nothing beyond `LONGEST`."""
+        if self.seconds < LONGEST:
+            self._hips.append(np.array(hips, np.float32))
+            self._rotations.append(np.array(rotations, np.float32))
+
+    def clip(self) -> MotionClip | None:
+        """The frames as a clip, or None where there are none."""
+        if not self._hips:
+            return None
+        hips, world = np.stack(self._hips).astype(float), quat_normalise(np.stack(self._rotations).astype(float))
+        rotations = quat_multiply(quat_conjugate(world[:, np.maximum(self._skeleton.parents, 0)]), world)
+        rotations[:, 0] = world[:, 0]
+        return MotionClip(self._skeleton, self._fps, hips, rotations, self._style, "played", source=self._source)
+
+
+def bvh_bytes(clip: MotionClip) -> bytes:
+    """What `write_bvh` writes of a clip, for a download.
+
+    Raises:
+        InputError: if the clip is not finite or has no frames.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "clip.bvh"
+        write_bvh(path, clip)
+        return path.read_bytes()

@@ -1,0 +1,156 @@
+"""The runs that are played, each loaded once for all characters, and how a new style joins one of them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.runtime.controller import Command, Controller, make_controller
+from pfnn_jax.runtime.generate import default_speed
+from pfnn_jax.training.run import Run, list_styles, load_run, load_style
+from pfnn_jax.viewer.view import phase_scale
+
+SPARE = 8
+"""Rows of a bank beyond the styles there are: so many can be learned before the step is compiled once more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cast:
+    """A run as it is played: never changed, but replaced when a style joins.
+
+    Attributes:
+        name: by which pages call it: its folder's, with more of its path where two would be alike.
+        run: as loaded.
+        controller: of all of its styles, with spare rows.
+        speeds: style -> metres per second of its own walk.
+        phase_scale: amplitudes of local phases that count as one, or None.
+    """
+
+    name: str
+    run: Run
+    controller: Controller
+    speeds: Mapping[str, float]
+    phase_scale: np.ndarray | None
+
+    @property
+    def styles(self) -> tuple[str, ...]:
+        """Names of the styles, in the order of the bank; those learned since come last."""
+        return self.controller.styles
+
+
+class Stage:
+    """Everything that all characters share. Safe to use from several threads.
+
+    Args:
+        run_paths: folders of runs, at least one; loaded by `load_run`, which unpickles nothing.
+        foot_ik: whether feet are locked and arms reach, as the controller's.
+
+    Raises:
+        InputError: for a folder that is no run, a run given twice, or one whose styles cannot be loaded.
+    """
+
+    def __init__(self, run_paths: Sequence[str | Path], *, foot_ik: bool = True) -> None:
+        if not run_paths:
+            raise InputError("stage", "runs", "none", "there must be at least one run to play")
+        paths = [Path(path) for path in run_paths]
+        self._lock = threading.RLock()
+        self._casts = {name: load_cast(name, path, foot_ik) for name, path in zip(_names(paths), paths, strict=True)}
+        self._version = 0
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the runs, in the order given."""
+        return tuple(self._casts)
+
+    @property
+    def styles(self) -> list[tuple[str, str]]:
+        """(run, style) of all that can be chosen; grows when a style is learned."""
+        return [(name, style) for name, cast in self._casts.items() for style in cast.styles]
+
+    @property
+    def version(self) -> int:
+        """Grows by one whenever `styles` does."""
+        return self._version
+
+    def cast(self, run: str) -> Cast:
+        """A run as it is played now.
+
+        Raises:
+            InputError: for a run that is not on stage.
+        """
+        if run not in self._casts:
+            raise InputError("stage", "run", ascii(run)[:60], f"must be one of {', '.join(self.runs)}")
+        return self._casts[run]
+
+    def warm_up(self) -> None:
+        """Compiles one step of every run, so that the first character does not wait for it."""
+        for name in self.runs:
+            controller = self.cast(name).controller
+            state, forward = controller.start(), np.asarray([0.0, 1.0], np.float32)
+            weights = np.asarray(controller.style_weights(controller.styles[0]), np.float32)
+            command = Command(velocity=forward, direction=forward, style=weights)
+            jax.block_until_ready(controller.step(state, command))
+
+    def add_style(self, run: str, style: str) -> None:
+        """Takes a style that has been saved in a run's folder into its bank; characters can choose it at once.
+
+        Raises:
+            InputError: for an unknown run or style, or a style of another kind than the run's.
+        """
+        parameters = load_style(self.cast(run).run, style)
+        with self._lock:
+            cast = self.cast(run)
+            controller = joined(cast.run, cast.controller, style, parameters)
+            speeds = {**cast.speeds, style: default_speed(cast.run, style)}
+            self._casts = {**self._casts, run: replace(cast, controller=controller, speeds=speeds)}
+            self._version += 1
+
+
+def load_cast(name: str, path: Path, foot_ik: bool = True) -> Cast:
+    """A run with the controller of all of its styles."""
+    run = load_run(path)
+    styles = list_styles(run.path)
+    controller = make_controller(run, styles, capacity=len(styles) + SPARE, foot_ik=foot_ik)
+    speeds = {style: default_speed(run, style) for style in styles}
+    return Cast(name, run, controller, speeds, phase_scale(run.normaliser))
+
+
+def joined(run: Run, controller: Controller, style: str, parameters: object) -> Controller:
+    """A controller with one more style, in a spare row where there is one, else in a larger bank.
+
+    Raises:
+        InputError: if the style is of another kind than those of the bank.
+    """
+    count, bank = len(controller.styles), controller.params.bank
+    rows = [np.shape(leaf)[1:] for leaf in jax.tree.leaves(bank)]
+    if jax.tree.structure(bank) != jax.tree.structure(parameters) or rows != [
+        np.shape(leaf) for leaf in jax.tree.leaves(parameters)
+    ]:
+        raise InputError(run.path, "style", style, "must be of the kind of the run's other styles to be played")
+    if style in controller.styles:
+        index, styles = controller.styles.index(style), controller.styles
+    elif count < len(jax.tree.leaves(bank)[0]):
+        index, styles = count, (*controller.styles, style)
+    else:
+        return make_controller(run, (*controller.styles, style), capacity=count + 1 + SPARE)
+    bank = jax.tree.map(lambda rows, row: rows.at[index].set(row), bank, parameters)
+    return replace(controller, params=controller.params.replace(bank=bank), styles=styles)
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Short names of folders, all different: as many of the last parts of each path as that takes."""
+    whole = [path.resolve() for path in paths]
+    if len(set(whole)) < len(whole):
+        twice = next(path for path in whole if whole.count(path) > 1)
+        raise InputError(twice, "run", "given twice", "each run is played once")
+    for parts in range(1, max(len(path.parts) for path in whole) + 1):
+        names = ["/".join(path.parts[-parts:]) for path in whole]
+        if len(set(names)) == len(names):
+            return names
+    return [str(path) for path in whole]
