@@ -51,7 +51,7 @@ from pfnn_jax.evaluation.plots import error_bars, save_figure
 from pfnn_jax.evaluation.style_classifier import ClassifierConfig, train_classifier
 from pfnn_jax.models.film import Film, film_to_vector
 from pfnn_jax.motion.files import write_whole
-from pfnn_jax.training.checkpoint import plain
+from pfnn_jax.motion.plain import json_text
 
 LEARN = "walk"
 """Content of the takes of which the first is learned from."""
@@ -191,14 +191,14 @@ def main(config: Config) -> dict[str, Any]:
     for number, (style, new) in enumerate(styles.items()):
         file = config.out / f"style_{style}.json"
         if not file.exists():
-            write_whole(file, json.dumps(plain(run_style(new, models, reference, config, number)), indent=1))
+            write_whole(file, json_text(run_style(new, models, reference, config, number)))
         rows[style] = json.loads(file.read_text())
         errors = {way: row["errors"]["all"]["mse"] for way, row in rows[style].items()}
         print(f"{style}: " + ", ".join(f"{way} {error:.3f}" for way, error in errors.items()), flush=True)
     result = {"config": {k: str(v) for k, v in asdict(config).items()}, "real": judged, "styles": rows}
     result["summary"] = summary(rows)
     result["map"] = draw_map(models[MAP_OF], known, styles, config)
-    write_whole(config.out / "results.json", json.dumps(plain(result), indent=1) + "\n")
+    write_whole(config.out / "results.json", json_text(result))
     write_whole(config.out / "table.md", table(result["summary"]))
     write_whole(config.out / "ratios.md", markdown_table(["way", *MEASURES], ratios(rows)))
     bars = {way: {m: row["mse"][m] for m in MEASURES if m in row["mse"]} for way, row in result["summary"].items()}

@@ -44,7 +44,8 @@ from pfnn_jax.evaluation.style_classifier import (
 from pfnn_jax.evaluation.timing import machine, versions
 from pfnn_jax.models.presets import TABLE2
 from pfnn_jax.motion.files import write_whole
-from pfnn_jax.training.checkpoint import load_record, locate, plain, save_record
+from pfnn_jax.motion.plain import json_text, to_plain
+from pfnn_jax.training.checkpoint import load_record, locate, save_record
 from pfnn_jax.training.config import PretrainConfig
 
 
@@ -230,7 +231,7 @@ def describe(takes: Takes) -> dict[str, Any]:
 
 def _begin(file: Path, used: Config) -> dict[str, Any]:
     """The results so far; those of other settings are not mixed with these."""
-    settings = plain({k: v for k, v in asdict(used).items() if k not in ("out", "json", "models", "seeds", "tiny")})
+    settings = to_plain({k: v for k, v in asdict(used).items() if k not in ("out", "json", "models", "seeds", "tiny")})
     if not file.exists():
         return {"settings": settings, "machine": machine(), "versions": versions(), "models": {}}
     result = json.loads(file.read_text())
@@ -242,7 +243,7 @@ def _begin(file: Path, used: Config) -> dict[str, Any]:
 
 
 def _write(file: Path, result: dict[str, Any]) -> None:
-    write_whole(file, json.dumps(plain(result), indent=1) + "\n")
+    write_whole(file, json_text(result))
 
 
 def _mean(values: list) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +14,8 @@ from pfnn_jax.cli.download import Download
 from pfnn_jax.cli.learning import Demo, FewShot, Pretrain
 from pfnn_jax.cli.running import Benchmark, Evaluate, Generate, ImportReleased, Predict
 from pfnn_jax.errors import InputError, TrainingError
-from pfnn_jax.evaluation.report import to_plain
 from pfnn_jax.motion.files import write_whole
+from pfnn_jax.motion.plain import json_text
 
 COMMANDS = {
     "demo": Demo,
@@ -63,4 +62,4 @@ def main(args: Sequence[str] | None = None) -> None:
 
 
 def _write_json(path: Path, result: Any) -> None:
-    write_whole(path, json.dumps(to_plain(result), indent=2, allow_nan=False) + "\n")
+    write_whole(path, json_text(result))

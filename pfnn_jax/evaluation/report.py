@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,9 @@ from matplotlib.figure import Figure
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.plots import png_bytes
 from pfnn_jax.motion.files import write_whole
-from pfnn_jax.viewer.player import Track, player_assets, player_html
+from pfnn_jax.motion.plain import json_text
+from pfnn_jax.viewer.player import player_assets, player_html
+from pfnn_jax.viewer.tracks import Track
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,7 @@ def write_report(
     for path in (page, data):
         if path.exists() and not overwrite:
             raise InputError(path, "output", "exists", "name another folder or pass --overwrite")
-    text = json.dumps(to_plain(result), indent=2, allow_nan=False) + "\n"
+    text = json_text(result)
     rendered = render_report(sections, title=title, subtitle=subtitle, facts=facts)
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(data, text)
@@ -178,26 +179,3 @@ def format_number(value: float | int) -> str:
     if not 1e-3 <= size < 1e6:
         return f"{value:.2e}"
     return f"{value:,.{max(0, 2 - math.floor(math.log10(size)))}f}"
-
-
-def to_plain(value: Any) -> Any:
-    """What JSON can hold: NumPy and JAX arrays as lists, dataclasses as mappings, paths as text, NaN and ∞ as null.
-
-    Raises:
-        TypeError: for anything else, naming its type.
-    """
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): to_plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [to_plain(item) for item in value]
-    if is_dataclass(value) and not isinstance(value, type):
-        return to_plain(asdict(value))
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, np.generic) or hasattr(value, "__array__"):
-        return to_plain(np.asarray(value).tolist())
-    raise TypeError(f"A report cannot hold a {type(value).__name__}.")

@@ -11,7 +11,6 @@ import errno
 import hashlib
 import json
 import logging
-import math
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -25,6 +24,7 @@ import numpy as np
 from orbax.checkpoint import v1 as ocp
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.motion.plain import json_text
 
 Tree = TypeVar("Tree")
 
@@ -89,7 +89,7 @@ def saved_names(folder: Path) -> tuple[str, ...]:
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Writes a dict as one JSON file, complete or absent. Arrays of one number become numbers, NaN becomes null."""
     with replacing(path) as new:
-        new.write_text(json.dumps(plain(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        new.write_text(json_text(data), encoding="utf-8")
 
 
 def read_json(path: Path, rule: str) -> dict[str, Any]:
@@ -111,19 +111,6 @@ def read_json(path: Path, rule: str) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError(path, "line 1", type(data).__name__, f"must be a JSON object; {rule}")
     return data
-
-
-def plain(value: Any) -> Any:
-    """The same value in the types of JSON: arrays become numbers and lists, numbers that are not finite null."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value
 
 
 def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.training.checkpoint import plain, replacing, reporting_full_disk
+from pfnn_jax.motion.plain import to_plain
+from pfnn_jax.training.checkpoint import replacing, reporting_full_disk
 
 
 def append_metrics(path: str | Path, record: Mapping[str, Any]) -> None:
@@ -17,7 +18,7 @@ def append_metrics(path: str | Path, record: Mapping[str, Any]) -> None:
     Raises:
         InputError: if the disk is full.
     """
-    line = json.dumps(plain(record), allow_nan=False) + "\n"
+    line = json.dumps(to_plain(record), allow_nan=False) + "\n"
     target = Path(path) / "metrics.jsonl"
     with reporting_full_disk(target), target.open("a", encoding="utf-8") as file:
         file.write(line)

@@ -16,13 +16,13 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.network import Network, NetworkConfig, init_network
+from pfnn_jax.motion.plain import to_plain
 from pfnn_jax.training import checkpoint
 from pfnn_jax.training.checkpoint import (
     TREE,
     fingerprint,
     load_record,
     locate,
-    plain,
     read_json,
     read_note,
     replacing,
@@ -223,7 +223,7 @@ def test_other_errors_pass_and_leave_nothing(tmp_path):
 def test_json_round_trip_and_numbers_that_are_not_finite(tmp_path):
     write_json(tmp_path / "a.json", {"a": np.float32(0.5), "b": jnp.arange(2), "c": float("nan"), "d": (1, "x")})
     assert read_json(tmp_path / "a.json", "") == {"a": 0.5, "b": [0, 1], "c": None, "d": [1, "x"]}
-    assert plain({"p": tmp_path}) == {"p": str(tmp_path)}
+    assert to_plain({"p": tmp_path}) == {"p": str(tmp_path)}
 
 
 @pytest.mark.parametrize(
