@@ -25,7 +25,7 @@ from pfnn_jax.motion.layout import LAYOUTS
 from pfnn_jax.motion.phase import mirror_phase
 from pfnn_jax.motion.sources import ClipFile, list_clips
 from pfnn_jax.motion.synthetic import PRETRAINING_STYLES, synthetic_clips
-from pfnn_jax.runtime.controller import Command, step
+from pfnn_jax.runtime.frame import Command, published_step
 from pfnn_jax.runtime.lookup import NUM_SLICES, Lookup, evaluate_lookup, make_lookup
 from pfnn_jax.runtime.predictor import Predictor, evaluate
 from pfnn_jax.runtime.state import initial_state
@@ -129,7 +129,7 @@ def crowd_figures(sizes: NetworkConfig, rank: int, num_characters: int, repetiti
     start = jax.vmap(lambda x, phase: initial_state(layout, x, phase, jnp.zeros(2), jnp.zeros(())))
     states = start(x, phase)
     ahead = jnp.tile(jnp.array([[0.0, 1.0]]), (num_characters, 1))
-    one_step = partial(step, partial(evaluate, predictor), layout)
+    one_step = partial(published_step, partial(evaluate, predictor), layout)
     works = {
         "controller and network": partial(
             jax.jit(jax.vmap(one_step)), states, Command(velocity=ahead, direction=ahead)

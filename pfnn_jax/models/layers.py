@@ -7,7 +7,7 @@ flattened c ⊗ x, so that no weight matrix of a single sample is ever built.
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import chex
 import jax
@@ -78,14 +78,26 @@ class DenseLayer:
     biases: jax.Array  # [O]
 
 
-Layer: TypeAlias = BlendedLayer | CPLayer | DiagonalLayer | BiasLayer | DenseLayer
+@struct.dataclass(kw_only=True)
+class MixedLayer:
+    """A weighted sum of C layers of one kind: `y = Σ_c w_c layer_c(x)`.
+
+    As an adapter: a mixture of styles whose parameters stay shared under `vmap`, whatever each sample's weights.
+    Layers of weight zero cost nothing where a single sample is evaluated.
+    """
+
+    layers: Any  # one of the other records, with leaves [C, ...]
+    weights: jax.Array  # [C]
+
+
+Layer: TypeAlias = BlendedLayer | CPLayer | DiagonalLayer | BiasLayer | DenseLayer | MixedLayer
 
 
 def linear(layer: Layer, coefficients: jax.Array, x: jax.Array) -> jax.Array:
     """One frame through one layer.
 
     Args:
-        layer: any of the five records.
+        layer: any of the six records.
         coefficients: [K] blending coefficients c (a dense layer ignores them, whatever their number).
         x: [I] input of one frame.
 
@@ -109,9 +121,25 @@ def linear(layer: Layer, coefficients: jax.Array, x: jax.Array) -> jax.Array:
         case DenseLayer(weights=weights, biases=biases):
             chex.assert_shape(weights, (x.shape[0], None))
             return x @ weights + biases
+        case MixedLayer(layers=layers, weights=weights):
+            return _mixed(layers, weights, coefficients, x)
     raise TypeError(
-        f"`layer` must be a BlendedLayer, CPLayer, DiagonalLayer, BiasLayer or DenseLayer, got {type(layer).__name__}."
+        "`layer` must be a BlendedLayer, CPLayer, DiagonalLayer, BiasLayer, DenseLayer or MixedLayer, "
+        f"got {type(layer).__name__}."
     )
+
+
+def _mixed(layers: Any, weights: jax.Array, coefficients: jax.Array, x: jax.Array) -> jax.Array:
+    """[O] the weighted sum of layers [C, ...], in a loop so that at no time more than one of them is read."""
+
+    def output(index: int | jax.Array) -> jax.Array:
+        return weights[index] * linear(jax.tree.map(lambda leaf: leaf[index], layers), coefficients, x)
+
+    def add(index: jax.Array, total: jax.Array) -> jax.Array:
+        return jax.lax.cond(weights[index] != 0.0, lambda: total + output(index), lambda: total)
+
+    total = jax.eval_shape(output, 0)
+    return jax.lax.fori_loop(0, weights.shape[0], add, jnp.zeros(total.shape, total.dtype))
 
 
 def _uniform(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:

@@ -1,178 +1,275 @@
-"""One character under control: what a command does to the trajectory, and what a network's output does to the body.
+"""A character that a person drives: any style of a run, mixed, at any speed, from standing to standing.
 
-The loop of Holden 2017, Mason 2018 (§5.1) and Mason 2022, a pure function of one character and one frame: `step`. At
-frame i
+`step` is a pure function of one character and one frame: use it in a loop, in `lax.scan` (`drive`), and under `vmap`
+for crowds. Inside it is the published loop of `frame`; around that stand what an application needs besides: the mixing
+of styles, and a body with rigid bones.
 
-1. `steer` turns the predicted future trajectory towards the command,
-2. `network_input` writes x_i from the state,
-3. the network predicts y_i, and
-4. `advance` places the joints and moves root, phase and trajectory on to frame i+1.
-
-The state is in metres, seconds and radians in the world; layouts are met only in 2 and 4, of which there are two frame
-rules: `rule_2017` and, for layouts of the next frame, `rule_2022`.
+    controller = make_controller(run)
+    state = controller.start()
+    state = controller.step(state, Command(velocity=..., direction=..., style=controller.style_weights("Zombie")))
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.motion.layout import FrameLayout
-from pfnn_jax.runtime import rule_2017, rule_2022
-from pfnn_jax.runtime.ground import mix, turn_towards
-from pfnn_jax.runtime.state import NUM_POINTS, ROOT, CharacterState
+from pfnn_jax.errors import InputError
+from pfnn_jax.models.adapters import OneHot
+from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import mix as mix_parameters
+from pfnn_jax.models.layers import MixedLayer
+from pfnn_jax.motion.frame_layout import FrameLayout
+from pfnn_jax.runtime.blocks import read_block
+from pfnn_jax.runtime.frame import Command, ControllerConfig, published_step
+from pfnn_jax.runtime.generate import controller_of
+from pfnn_jax.runtime.ground import mix, orthonormal, to_world
+from pfnn_jax.runtime.mixture import check_weights, load_bank
+from pfnn_jax.runtime.predictor import Predictor, assemble_predictor, evaluate
+from pfnn_jax.runtime.state import ROOT, CharacterState, standing_state
+from pfnn_jax.training.run import Run, list_styles
 
-Evaluate = Callable[[jax.Array, jax.Array], jax.Array]
-"""(x [Dx], phase [] or [G]) -> y [Dy], in layout units."""
+STYLE_RATE = 0.06
+"""Share per frame of the way from a character's style to the commanded one: nine tenths of it in 0.6 s."""
 
-
-@dataclass(frozen=True)
-class ControllerConfig:
-    """How a character answers its commands. Shares are per frame at 60 fps.
-
-    Attributes:
-        position_bias, direction_bias: a future point at w of a second takes 1 - (1 - w)^bias of the command.
-        velocity_rate, direction_rate, gait_rate: share of the way from the old target to the commanded one.
-        look_ahead: seconds of the commanded speed by which a followed path is looked ahead.
-        pose_rate: share of the predicted joint positions; the rest is the previous pose moved on by its velocity.
-        stand_speed: metres per second below which the gait turns into standing.
-        jog_speed: metres per second from which the gait is jog (only `pfnn2017` reads gaits other than stand).
-        trajectory_rate, phase_rate: shares of the predicted trajectory and local phases, see `rule_2022` (layouts of
-            the next frame only).
-        steering: least share of the angle between its facing and the way to a followed path by which a character is
-            turned, see `pursuit`. Below 1 it keeps the swaying that belongs to its style.
-        command_gain: by what commanded velocities are multiplied. A network that was steered by other numbers than
-            metres per second answers to those.
-    """
-
-    position_bias: float
-    direction_bias: float
-    velocity_rate: float
-    direction_rate: float
-    gait_rate: float
-    look_ahead: float
-    pose_rate: float = 0.5
-    stand_speed: float = 0.06
-    jog_speed: float = 2.0
-    trajectory_rate: float = 0.85
-    phase_rate: float = 0.5
-    steering: float = 1.0
-    command_gain: float = 1.0
-
-    def __post_init__(self) -> None:
-        shares = (
-            "velocity_rate",
-            "direction_rate",
-            "gait_rate",
-            "pose_rate",
-            "trajectory_rate",
-            "phase_rate",
-            "steering",
-        )
-        for name in shares:
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"ControllerConfig.{name} must be in (0, 1], got {getattr(self, name)}.")
-        for name in ("position_bias", "direction_bias", "stand_speed", "jog_speed", "look_ahead", "command_gain"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"ControllerConfig.{name} must be above 0, got {getattr(self, name)}.")
-
-
-_MASON = ControllerConfig(0.75, 1.25, velocity_rate=0.25, direction_rate=0.25, gait_rate=0.25, look_ahead=0.8)
-_MASON_2022 = replace(_MASON, steering=0.25)
-
-CONTROLLERS = {
-    "mason2018": _MASON,
-    "mason2022": _MASON_2022,
-    "mason2022_mann": _MASON_2022,
-    "mason2022_pfnn": _MASON_2022,
-    "pfnn2017": ControllerConfig(0.5, 2.0, velocity_rate=0.9, direction_rate=0.9, gait_rate=0.1, look_ahead=0.6),
-}
-"""The constants of the published demos, by layout. None follows paths: the look-aheads are those that kept
-closest to circles and figures of eight, with the released network and with one trained on procedural walks."""
+STYLE_SNAP = 1e-3
+"""Weights nearer than this to the commanded ones are set to them, so that styles that are left cost nothing."""
 
 
 @struct.dataclass(kw_only=True)
-class Command:
-    """What is asked of a character at one frame, in the world.
+class ControllerParams:
+    """The arrays of a controller.
 
     Attributes:
-        velocity: [2] metres per second on the ground (x, z); zero asks it to stand.
-        direction: [2] unit vector that it shall face.
+        predictor: network and statistics, without a style.
+        bank: C styles, leaves [C, ...]; rows beyond the named ones are zeros.
+        stand: [Dx] the row of inputs, in layout units, in whose pose a character begins.
+        stand_output: [Dy] the row of outputs whose rotations and contacts it begins with.
     """
 
-    velocity: jax.Array
-    direction: jax.Array
+    predictor: Predictor
+    bank: Any
+    stand: jax.Array
+    stand_output: jax.Array
 
 
-def step(
-    evaluate: Evaluate,
-    layout: FrameLayout,
-    state: CharacterState,
-    command: Command,
-    config: ControllerConfig | None = None,
-) -> tuple[CharacterState, jax.Array]:
-    """One frame of one character.
+@dataclass(frozen=True)
+class ControllerSetup:
+    """What a controller is compiled for.
+
+    Attributes:
+        layout: of the network's rows.
+        config: constants of the published loop.
+    """
+
+    layout: FrameLayout
+    config: ControllerConfig
+    parents: tuple[int, ...]
+    offsets: tuple[tuple[float, ...], ...]
+
+
+@struct.dataclass(kw_only=True)
+class ControllerState:
+    """One character between two frames.
+
+    Attributes:
+        motion: what the network reads and writes.
+        style: [C] weights, on their way to the commanded ones.
+        joints: [J, 3] metres, the body's joints in the world, with rigid bones.
+        world_rotations: [J, 4] its rotations in the world, wxyz.
+        contacts: [4] in [0, 1]: left heel, left toe, right heel, right toe.
+    """
+
+    motion: CharacterState
+    style: jax.Array
+    joints: jax.Array
+    world_rotations: jax.Array
+    contacts: jax.Array
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """A run made ready to be driven; `make_controller` makes it.
+
+    Attributes:
+        params: its arrays.
+        setup: what it is compiled for.
+        styles: names of the first rows of the bank.
+    """
+
+    params: ControllerParams
+    setup: ControllerSetup
+    styles: tuple[str, ...]
+
+    def start(self, position: Any = (0.0, 0.0), yaw: Any = 0.0, style: str | int = 0) -> ControllerState:
+        """A character that stands at `position` [2] metres and faces `yaw` radians, in a style by name or number."""
+        index = self.styles.index(style) if isinstance(style, str) else style
+        weights = jnp.zeros(len(jax.tree.leaves(self.params.bank)[0])).at[index].set(1.0)
+        return start(self.setup, self.params, jnp.asarray(position, jnp.float32), jnp.float32(yaw), weights)
+
+    def step(self, state: ControllerState, command: Command) -> ControllerState:
+        """The state one frame later."""
+        return step(self.setup, self.params, state, command)
+
+    def style_weights(self, choice: str | Mapping[str, float]) -> np.ndarray:
+        """[C] weights of a style by name, or of a mixture by names and weights that sum to one.
+
+        Raises:
+            InputError: for an unknown style, or weights that do not sum to one.
+        """
+        chosen = {choice: 1.0} if isinstance(choice, str) else dict(choice)
+        check_weights(tuple(chosen.values()), "controller", "style weights")
+        weights = np.zeros(len(jax.tree.leaves(self.params.bank)[0]), np.float32)
+        for name, weight in chosen.items():
+            if name not in self.styles:
+                raise InputError("controller", "style", name, f"must be one of {', '.join(self.styles)}")
+            weights[self.styles.index(name)] = weight
+        return weights
+
+
+def make_controller(
+    run: Run, styles: Sequence[str] | None = None, capacity: int | None = None, *, foot_ik: bool = True
+) -> Controller:
+    """A controller of a run.
 
     Args:
-        evaluate: the network, (x [Dx], phase [] or [G]) -> y [Dy] in layout units.
-        layout: its layout.
-        state: before frame i.
-        command: of frame i.
-        config: by default the published constants of the layout.
+        run: as `load_run` returns it.
+        styles: names; by default all of the run's.
+        capacity: C, rows of the bank, at least the number of styles: spare rows take styles that are learned later
+            without another compilation.
+        foot_ik: hold feet that are in contact on the ground.
 
-    Returns:
-        The state before frame i+1, and y_i [Dy] in layout units. Root i is the state's point `ROOT - 1`; its joints
-        are those that y_i predicts: of frame i, or of frame i+1 where the layout is of the next frame.
+    Raises:
+        InputError: for an unknown style, styles of different kinds, or a run without styles.
     """
-    config = config or CONTROLLERS[layout.name]
-    state = steer(layout, state, command, config)
-    y = evaluate(network_input(layout, state), state.phase)
-    return advance(layout, state, y, config), y
+    names = tuple(list_styles(run.path) if styles is None else styles)
+    if not names:
+        raise InputError(run.path, "styles", "none", "a controller needs at least one style")
+    spare = max(capacity or 0, len(names)) - len(names)
+    bank = jax.tree.map(
+        lambda leaf: jnp.concatenate([jnp.asarray(leaf), jnp.zeros((spare, *leaf.shape[1:]), leaf.dtype)]),
+        load_bank(run, names),
+    )
+    params = ControllerParams(
+        predictor=assemble_predictor(run.shared, None, run.normaliser),
+        bank=bank,
+        stand=jnp.asarray(run.normaliser.inputs.mean, jnp.float32),
+        stand_output=jnp.asarray(run.normaliser.outputs.mean, jnp.float32),
+    )
+    skeleton = run.skeleton
+    setup = ControllerSetup(
+        run.layout,
+        controller_of(run),
+        tuple(int(p) for p in skeleton.parents),
+        tuple(tuple(float(v) for v in row) for row in skeleton.offsets),
+    )
+    return Controller(params, setup, names)
 
 
-def steer(layout: FrameLayout, state: CharacterState, command: Command, config: ControllerConfig) -> CharacterState:
-    """The state with its target, gait and future trajectory drawn towards the command."""
-    velocity = mix(state.target_velocity, config.command_gain * command.velocity, config.velocity_rate)
-    facing = turn_towards(state.target_direction, command.direction, config.direction_rate)
-    ahead = np.arange(1, NUM_POINTS - ROOT, dtype=np.float32) / 60.0
-    toward_position = 1.0 - (1.0 - ahead[:, None]) ** config.position_bias
-    toward_direction = 1.0 - (1.0 - ahead) ** config.direction_bias
-    steps = mix(jnp.diff(state.positions[ROOT:], axis=0), velocity[None] / layout.fps, toward_position)
-    future = state.positions[ROOT][None] + jnp.cumsum(steps, axis=0)
-    directions = turn_towards(state.directions[ROOT + 1 :], facing, toward_direction)
-    gait = mix(state.gait[ROOT], _wanted_gait(velocity, config), config.gait_rate)
-    return replace(
-        state,
-        positions=state.positions.at[ROOT + 1 :].set(future),
-        directions=state.directions.at[ROOT + 1 :].set(directions),
-        gait=state.gait.at[ROOT:].set(gait),
-        target_velocity=velocity,
-        target_direction=facing,
+@partial(jax.jit, static_argnums=0)
+def start(
+    setup: ControllerSetup, params: ControllerParams, position: jax.Array, yaw: jax.Array, style: jax.Array
+) -> ControllerState:
+    """A character that stands at `position` [2] metres, facing `yaw` [] radians, in a style [C]."""
+    motion = standing_state(setup.layout, params.stand, position, yaw)
+    return _embody(setup, motion, style, params.stand_output, motion.positions[ROOT], motion.directions[ROOT])
+
+
+@partial(jax.jit, static_argnums=0)
+def step(setup: ControllerSetup, params: ControllerParams, state: ControllerState, command: Command) -> ControllerState:
+    """One character, one frame later."""
+    style = state.style
+    if command.style is not None:
+        moved = mix(style, command.style, STYLE_RATE)
+        style = jnp.where(jnp.abs(moved - command.style) < STYLE_SNAP, command.style, moved)
+    predictor = params.predictor.replace(style=mixed_style(params.bank, style))
+    root, facing = state.motion.positions[ROOT], state.motion.directions[ROOT]
+    motion, y = published_step(partial(evaluate, predictor), setup.layout, state.motion, command, setup.config)
+    return _embody(setup, motion, style, y, root, facing)
+
+
+@partial(jax.jit, static_argnums=0)
+def drive(
+    setup: ControllerSetup, params: ControllerParams, state: ControllerState, commands: Command
+) -> tuple[ControllerState, ControllerState]:
+    """A character under a command for every frame: the last state, and all of them, leaves [T, ...]."""
+
+    def frame(state: ControllerState, command: Command):
+        state = step(setup, params, state, command)
+        return state, state
+
+    return jax.lax.scan(frame, state, commands)
+
+
+def mixed_style(bank: Any, weights: jax.Array) -> Any:
+    """The weighted sum of what C styles add: Films and one-hot shifts by parameters, residuals by their outputs."""
+    if isinstance(bank, Film | OneHot):
+        return mix_parameters(bank, weights)
+    return MixedLayer(layers=bank, weights=weights)
+
+
+def _embody(
+    setup: ControllerSetup, motion: CharacterState, style: jax.Array, y: jax.Array, root: jax.Array, facing: jax.Array
+) -> ControllerState:
+    """The rigid body of a state whose output y [Dy] was predicted from a root [2] facing [2]."""
+    world = _world_rotations(setup.layout, y, facing)
+    joints = [motion.joint_positions[0]]
+    for parent, offset in zip(setup.parents[1:], setup.offsets[1:], strict=True):
+        joints.append(joints[parent] + _rotate(world[parent], jnp.asarray(offset, world.dtype)))
+    return ControllerState(
+        motion=motion, style=style, joints=jnp.stack(joints), world_rotations=world, contacts=_contacts(setup.layout, y)
     )
 
 
-def network_input(layout: FrameLayout, state: CharacterState) -> jax.Array:
-    """x [Dx] in layout units of a steered state, by the layout's frame rule."""
-    return (rule_2022 if layout.next_frame else rule_2017).network_input(layout, state)
+def _contacts(layout: FrameLayout, y: jax.Array) -> jax.Array:
+    if layout.has_output("contacts"):
+        return jnp.clip(y[layout.output_slice("contacts")], 0.0, 1.0)
+    if layout.has_output("foot_contacts"):
+        right, left = jnp.clip(y[layout.output_slice("foot_contacts")], 0.0, 1.0)
+        return jnp.stack([left, left, right, right])
+    return jnp.zeros(4, y.dtype)
 
 
-def advance(layout: FrameLayout, state: CharacterState, y: jax.Array, config: ControllerConfig) -> CharacterState:
-    """The state before the next frame, from a steered state and its output y [Dy], by the layout's frame rule."""
-    if layout.next_frame:
-        return rule_2022.advance(layout, state, y, config.pose_rate, config.trajectory_rate, config.phase_rate)
-    return rule_2017.advance(layout, state, y, config.pose_rate)
+def _world_rotations(layout: FrameLayout, y: jax.Array, facing: jax.Array) -> jax.Array:
+    if layout.has_output("joint_rotation"):
+        half = read_block(layout, y, "joint_rotation", 3)
+        angle = jnp.linalg.norm(half, axis=-1, keepdims=True)
+        local = jnp.concatenate([jnp.cos(angle), half * jnp.sinc(angle / jnp.pi)], -1)
+        yaw = jnp.arctan2(facing[0], facing[1]) / 2.0
+        zero = jnp.zeros_like(yaw)
+        return _multiply(jnp.stack([jnp.cos(yaw), zero, jnp.sin(yaw), zero])[None], local)
+    forward, up = orthonormal(*(read_block(layout, y, name, 3) for name in ("joint_forward", "joint_up")))
+    forward, up = to_world(forward, facing), to_world(up, facing)
+    return _from_matrix(jnp.stack([jnp.cross(up, forward), up, forward], -1))
 
 
-def _wanted_gait(velocity: jax.Array, config: ControllerConfig) -> jax.Array:
-    """[6] gait weights for a velocity [2]: standing below `stand_speed`, else walking or jogging."""
-    squared = jnp.sum(velocity * velocity)
-    speed = jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
-    moving = jnp.clip(speed / config.stand_speed, 0.0, 1.0)
-    jogging = (speed >= config.jog_speed).astype(speed.dtype)
-    zero = jnp.zeros_like(speed)
-    return jnp.stack([1.0 - moving, moving * (1.0 - jogging), moving * jogging, zero, zero, zero])
+def _from_matrix(m: jax.Array) -> jax.Array:
+    diagonal = jnp.diagonal(m, axis1=-2, axis2=-1)
+    trace = diagonal.sum(-1)
+    four = jnp.sqrt(jnp.maximum(jnp.concatenate([trace[:, None], 2.0 * diagonal - trace[:, None]], -1) + 1.0, 1e-12))
+    w, x, y, z = four.T
+    rows = [
+        [w, (m[:, 2, 1] - m[:, 1, 2]) / w, (m[:, 0, 2] - m[:, 2, 0]) / w, (m[:, 1, 0] - m[:, 0, 1]) / w],
+        [(m[:, 2, 1] - m[:, 1, 2]) / x, x, (m[:, 0, 1] + m[:, 1, 0]) / x, (m[:, 0, 2] + m[:, 2, 0]) / x],
+        [(m[:, 0, 2] - m[:, 2, 0]) / y, (m[:, 0, 1] + m[:, 1, 0]) / y, y, (m[:, 1, 2] + m[:, 2, 1]) / y],
+        [(m[:, 1, 0] - m[:, 0, 1]) / z, (m[:, 0, 2] + m[:, 2, 0]) / z, (m[:, 1, 2] + m[:, 2, 1]) / z, z],
+    ]
+    found = jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+    return 0.5 * jnp.take_along_axis(found, jnp.argmax(four, -1)[:, None, None], axis=-2)[:, 0]
+
+
+def _multiply(a: jax.Array, b: jax.Array) -> jax.Array:
+    aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
+    return jnp.concatenate([aw * bw - (av * bv).sum(-1, keepdims=True), aw * bv + bw * av + jnp.cross(av, bv)], -1)
+
+
+def _rotate(q: jax.Array, v: jax.Array) -> jax.Array:
+    t = 2.0 * jnp.cross(q[1:], v)
+    return v + q[0] * t + jnp.cross(q[1:], t)

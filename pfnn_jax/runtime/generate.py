@@ -17,7 +17,7 @@ from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.trajectory import to_local
-from pfnn_jax.runtime.controller import CONTROLLERS, Command, ControllerConfig
+from pfnn_jax.runtime.frame import CONTROLLERS, Command, ControllerConfig
 from pfnn_jax.runtime.lookup import table_phase
 from pfnn_jax.runtime.mixture import StyleChoice
 from pfnn_jax.runtime.paths import Path

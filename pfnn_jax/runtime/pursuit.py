@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.runtime.controller import Command, ControllerConfig
+from pfnn_jax.runtime.frame import Command, ControllerConfig
 from pfnn_jax.runtime.ground import mix, turn_towards
 from pfnn_jax.runtime.paths import Path, resample_path
 from pfnn_jax.runtime.state import ROOT, CharacterState

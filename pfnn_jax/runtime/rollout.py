@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from pfnn_jax.motion.layout import FrameLayout
-from pfnn_jax.runtime.controller import CONTROLLERS, Command, ControllerConfig, step
+from pfnn_jax.runtime.frame import CONTROLLERS, Command, ControllerConfig, published_step
 from pfnn_jax.runtime.ground import lift, root_yaw, to_world, unit
 from pfnn_jax.runtime.pursuit import Track, advance_progress, point_at, pursue
 from pfnn_jax.runtime.state import ROOT, CharacterState
@@ -99,7 +99,7 @@ def rollout(
     """
 
     def frame(state: CharacterState, command: Command):
-        after, y = step(partial(evaluate_fn, params), layout, state, command, config)
+        after, y = published_step(partial(evaluate_fn, params), layout, state, command, config)
         return after, (y, state.phase, _seen(after))
 
     final, (outputs, phase, seen) = jax.lax.scan(frame, state, commands)
@@ -131,7 +131,7 @@ def follow_path(
         root = state.positions[ROOT]
         progress = advance_progress(track, root, progress)
         command = pursue(track, state, progress, constants)
-        after, y = step(partial(evaluate_fn, params), layout, state, command, constants)
+        after, y = published_step(partial(evaluate_fn, params), layout, state, command, constants)
         distance = jnp.linalg.norm(root - point_at(track, progress))
         return (after, progress), (y, state.phase, _seen(after), progress, distance)
 

@@ -13,7 +13,7 @@ from pfnn_jax.models.network import Network
 from pfnn_jax.motion.features import root_steps
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
-from pfnn_jax.runtime.controller import ControllerConfig
+from pfnn_jax.runtime.frame import ControllerConfig
 from pfnn_jax.runtime.paths import circle
 from pfnn_jax.runtime.predictor import Predictor, assemble_predictor, evaluate
 from pfnn_jax.runtime.pursuit import make_track

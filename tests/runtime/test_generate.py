@@ -20,7 +20,7 @@ from pfnn_jax.motion.layout import LAYOUTS
 from pfnn_jax.motion.normaliser import fit_normaliser
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.synthetic import synthesise
-from pfnn_jax.runtime.controller import CONTROLLERS, Command
+from pfnn_jax.runtime.frame import CONTROLLERS, Command
 from pfnn_jax.runtime.generate import clip_from_frames, default_speed, generate
 from pfnn_jax.runtime.paths import circle, read_path, straight
 from pfnn_jax.runtime.rollout import rollout

@@ -14,7 +14,7 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.film import Film, film_to_vector
 from pfnn_jax.models.network import num_parameters
-from pfnn_jax.runtime.controller import Command, step
+from pfnn_jax.runtime.frame import Command, published_step
 from pfnn_jax.runtime.generate import controller_of, default_speed, generate
 from pfnn_jax.runtime.ground import turn_towards
 from pfnn_jax.runtime.mixture import load_bank
@@ -133,7 +133,7 @@ def reference_rollout(run, style, num_frames):
         facing = state.directions[ROOT]
         course = turn_towards(state.target_direction, facing, config.direction_rate)
         command = Command(velocity=course, direction=facing)
-        after, y = step(partial(evaluate, predictor), run.layout, state, command, config)
+        after, y = published_step(partial(evaluate, predictor), run.layout, state, command, config)
         return after, (y, after.positions[ROOT], after.directions[ROOT], after.joint_positions, after.phase)
 
     return jax.lax.scan(frame, start, length=num_frames)[1]

@@ -14,7 +14,7 @@ from pfnn_jax.models.layers import BlendedLayer
 from pfnn_jax.models.network import Network
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.motion.layout import pfnn2017
-from pfnn_jax.runtime.controller import Command
+from pfnn_jax.runtime.frame import Command
 from pfnn_jax.runtime.predictor import Predictor, evaluate
 from pfnn_jax.runtime.rollout import Frames, rollout
 from pfnn_jax.runtime.state import standing_state

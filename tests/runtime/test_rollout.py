@@ -13,7 +13,7 @@ from jax.test_util import check_grads
 
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
 from pfnn_jax.models.network import NetworkConfig, init_network, predict
-from pfnn_jax.runtime.controller import CONTROLLERS, Command, ControllerConfig, network_input, steer, step
+from pfnn_jax.runtime.frame import CONTROLLERS, Command, ControllerConfig, network_input, published_step, steer
 from pfnn_jax.runtime.paths import circle, figure_eight, mirror_path, resample_path, straight
 from pfnn_jax.runtime.pursuit import make_track, point_at
 from pfnn_jax.runtime.rollout import Frames, follow_path, locked_rollout, rollout, stability
@@ -70,7 +70,7 @@ def test_inputs_follow_the_frame_rule(layout):
 
     @jax.jit
     def advance(state):
-        after, y = step(partial(ORACLES[layout.name], WALK), layout, state, command, config)
+        after, y = published_step(partial(ORACLES[layout.name], WALK), layout, state, command, config)
         return after, network_input(layout, steer(layout, state, command, config)), y
 
     state, y = start(layout), None
@@ -148,7 +148,7 @@ def test_loop_scan_and_vmap_agree():
     batch = jax.vmap(lambda d: rollout(walker, weights, layout, one, commands_towards(d)))(direction)
     alone = rollout(walker, weights, layout, one, commands_towards(direction[1]))
     state, commands = one, commands_towards(direction[1])
-    advance = jax.jit(partial(step, partial(walker, weights), layout))
+    advance = jax.jit(partial(published_step, partial(walker, weights), layout))
     for frame in range(60):
         state, y = advance(state, jax.tree.map(lambda a, i=frame: a[i], commands))
     scale = 1.0 / layout.length_unit
@@ -298,7 +298,7 @@ def test_step_is_differentiable():
         @jax.jit
         def follow(velocity, joints):
             command = Command(velocity=velocity, direction=jnp.asarray([0.6, 0.8]))
-            moved, _ = step(
+            moved, _ = published_step(
                 partial(OBEDIENT["pfnn2017"], weights), layout, state.replace(joint_positions=joints), command
             )
             return moved.positions, moved.directions, moved.joint_positions

@@ -14,7 +14,7 @@ from pfnn_jax.motion.features import clip_features
 from pfnn_jax.motion.layout import LAYOUTS, layout_for
 from pfnn_jax.motion.synthetic import synthesise
 from pfnn_jax.runtime.blocks import write_input
-from pfnn_jax.runtime.controller import CONTROLLERS, Command, network_input, steer, step
+from pfnn_jax.runtime.frame import CONTROLLERS, Command, network_input, published_step, steer
 from pfnn_jax.runtime.ground import lift, to_world
 from pfnn_jax.runtime.rollout import locked_rollout, rollout
 from pfnn_jax.runtime.state import ROOT, initial_state, place_state
@@ -55,7 +55,7 @@ def blocks_of(walk, angle, layout):
 
 
 placed = jax.jit(initial_state, static_argnums=0)
-one_step = jax.jit(step, static_argnums=(0, 1))
+one_step = jax.jit(published_step, static_argnums=(0, 1))
 
 
 def facing_of(yaw):
