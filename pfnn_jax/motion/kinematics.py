@@ -1,9 +1,17 @@
-"""Rotations as unit quaternions [..., 4] in wxyz order, and forward kinematics. NumPy, vectorised over leading axes.
+"""Rotations as unit quaternions [..., 4] in wxyz order, and forward kinematics, vectorised over leading axes.
 
 A quaternion turns vectors by `v' = q v q*`; a product `a b` applies b first. Right-handed axes, Y up.
+
+NumPy in and out, in float64. The functions that a character needs while it runs (`quat_multiply`, `quat_conjugate`,
+`quat_rotate`, `quat_normalise`, `quat_from_axis_angle`, `quat_between`) also take arrays of another library that names
+its functions as NumPy does (`__array_namespace__`): they answer in that library and in its precision, and their
+gradients are finite everywhere.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,51 +20,59 @@ from pfnn_jax.motion.skeleton import Skeleton
 
 AXES = {"X": 0, "Y": 1, "Z": 2}
 SMALL = 1e-12  # below this a length carries no direction
+_IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
-def quat_multiply(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+def quat_multiply(a: ArrayLike, b: ArrayLike) -> Any:
     """Hamilton product [..., 4]: the rotation b followed by the rotation a."""
-    aw, ax, ay, az = _parts(a)
-    bw, bx, by, bz = _parts(b)
-    q = np.empty(np.broadcast_shapes(aw.shape, bw.shape) + (4,))  # filled in place: half the time of stacking
-    q[..., 0] = aw * bw - ax * bx - ay * by - az * bz
-    q[..., 1] = aw * bx + ax * bw + ay * bz - az * by
-    q[..., 2] = aw * by - ax * bz + ay * bw + az * bx
-    q[..., 3] = aw * bz + ax * by - ay * bx + az * bw
-    return q
+    xp = _namespace(a, b)
+    aw, ax, ay, az = _parts(a, xp)
+    bw, bx, by, bz = _parts(b, xp)
+    return _join(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        xp,
+    )
 
 
-def quat_conjugate(q: ArrayLike) -> np.ndarray:
+def quat_conjugate(q: ArrayLike) -> Any:
     """Inverse rotation [..., 4] of a unit quaternion."""
-    return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
+    xp = _namespace(q)
+    q = xp.asarray(q)
+    return q * xp.asarray([1.0, -1.0, -1.0, -1.0], dtype=None if xp is np else q.dtype)
 
 
-def quat_rotate(q: ArrayLike, v: ArrayLike) -> np.ndarray:
+def quat_rotate(q: ArrayLike, v: ArrayLike) -> Any:
     """Vectors v [..., 3] turned by unit quaternions q [..., 4]."""
-    w, qx, qy, qz = _parts(q)
-    x, y, z = _parts(v)
+    xp = _namespace(q, v)
+    w, qx, qy, qz = _parts(q, xp)
+    x, y, z = _parts(v, xp)
     tx, ty, tz = 2.0 * (qy * z - qz * y), 2.0 * (qz * x - qx * z), 2.0 * (qx * y - qy * x)
-    turned = np.empty(np.broadcast_shapes(w.shape, x.shape) + (3,))
-    turned[..., 0] = x + w * tx + qy * tz - qz * ty
-    turned[..., 1] = y + w * ty + qz * tx - qx * tz
-    turned[..., 2] = z + w * tz + qx * ty - qy * tx
-    return turned
+    return _join((x + w * tx + qy * tz - qz * ty, y + w * ty + qz * tx - qx * tz, z + w * tz + qx * ty - qy * tx), xp)
 
 
-def quat_normalise(q: ArrayLike) -> np.ndarray:
+def quat_normalise(q: ArrayLike) -> Any:
     """q [..., 4] at unit length; a zero quaternion becomes the identity."""
-    q = np.asarray(q, dtype=float)
-    length = np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(length > SMALL, q / np.maximum(length, SMALL), [1.0, 0.0, 0.0, 0.0])
+    xp, q = _floats(q)
+    squared = xp.sum(q * q, axis=-1, keepdims=True)
+    found = squared > SMALL**2
+    # the length that is divided by is chosen before the root is taken, so that its gradient exists at zero too
+    return xp.where(found, q / xp.sqrt(xp.where(found, squared, 1.0)), xp.asarray(_IDENTITY, dtype=q.dtype))
 
 
-def quat_from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> np.ndarray:
+def quat_from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Any:
     """Rotation [..., 4] by `angle` [...] radians about `axis` [..., 3] (any length; zero gives the identity)."""
-    axis, half = np.asarray(axis, dtype=float), np.asarray(angle, dtype=float)[..., None] / 2
-    length = np.linalg.norm(axis, axis=-1, keepdims=True)
-    v = np.sin(half) * axis / np.maximum(length, SMALL)
-    w = np.where(length > SMALL, np.cos(half), 1.0)
-    return np.concatenate((np.broadcast_to(w, v.shape[:-1] + (1,)), v), axis=-1)
+    xp, axis, angle = _floats(axis, angle)
+    half = angle[..., None] / 2
+    squared = xp.sum(axis * axis, axis=-1, keepdims=True)
+    found = squared > SMALL**2
+    v = xp.where(found, xp.sin(half) * axis / xp.sqrt(xp.where(found, squared, 1.0)), 0.0)
+    w = xp.where(found, xp.cos(half), 1.0)
+    return xp.concatenate((xp.broadcast_to(w, v.shape[:-1] + (1,)), v), axis=-1)
 
 
 def quat_from_euler(angles: ArrayLike, order: str) -> np.ndarray:
@@ -166,19 +182,19 @@ def quat_slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> np.ndarray:
     return quat_normalise(wa * a + wb * sign * b)
 
 
-def quat_between(u: ArrayLike, v: ArrayLike) -> np.ndarray:
+def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
     """Shortest rotation [..., 4] taking the direction of u [..., 3] to that of v [..., 3].
 
-    Opposite directions turn half a circle about some axis across u.
+    Opposite directions turn half a circle about some axis across u; without a direction, nothing turns.
     """
-    u = np.asarray(u, dtype=float) / np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), SMALL)
-    v = np.asarray(v, dtype=float) / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), SMALL)
-    u, v = np.broadcast_arrays(u, v)
-    dot = np.sum(u * v, axis=-1, keepdims=True)
-    q = np.concatenate((1.0 + dot, np.cross(u, v)), axis=-1)
-    across = np.cross(u, np.where(np.abs(u[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
-    half_turn = np.concatenate((np.zeros_like(dot), across), axis=-1)
-    return quat_normalise(np.where(dot < -1.0 + 1e-9, half_turn, q))
+    xp, u, v = _floats(u, v)
+    u, v = xp.broadcast_arrays(_direction(u, xp), _direction(v, xp))
+    dot = xp.sum(u * v, axis=-1, keepdims=True)
+    opposite = dot < -1.0 + (1e-9 if u.dtype == np.float64 else 1e-6)
+    q = xp.concatenate((1.0 + dot, xp.cross(u, v)), axis=-1)
+    away = xp.where(xp.abs(u[..., :1]) < 0.9, *(xp.asarray(axis, dtype=u.dtype) for axis in np.eye(3)[:2]))
+    half_turn = xp.concatenate((xp.zeros_like(dot), xp.cross(u, away)), axis=-1)
+    return quat_normalise(xp.where(opposite, half_turn, q))
 
 
 def quat_from_yaw(yaw: ArrayLike) -> np.ndarray:
@@ -234,10 +250,40 @@ def _parity(i: int, j: int) -> float:
     return 1.0 if j == (i + 1) % 3 else -1.0
 
 
-def _parts(v: ArrayLike) -> list[np.ndarray]:
+def _namespace(*values: ArrayLike) -> Any:
+    """The library that computes with these values: NumPy, unless one of them belongs to another."""
+    for value in values:
+        if not isinstance(value, np.ndarray) and hasattr(value, "__array_namespace__"):
+            return value.__array_namespace__()  # pyright: ignore[reportAttributeAccessIssue]
+    return np
+
+
+def _floats(*values: ArrayLike) -> tuple[Any, ...]:
+    """The library, and the values as its arrays: float64 in NumPy, elsewhere of the type they have."""
+    xp = _namespace(*values)
+    return (xp, *(np.asarray(v, dtype=float) if xp is np else xp.asarray(v) for v in values))
+
+
+def _parts(v: ArrayLike, xp: Any = np) -> list[Any]:
     """The components of v [..., N] as N arrays [...]; indexing costs less than moving the axis."""
-    v = np.asarray(v)
+    v = xp.asarray(v)
     return [v[..., i] for i in range(v.shape[-1])]
+
+
+def _join(parts: Sequence[Any], xp: Any) -> Any:
+    """N arrays [...] as one [..., N]."""
+    if xp is not np:
+        return xp.stack(xp.broadcast_arrays(*parts), axis=-1)
+    joined = np.empty(np.broadcast_shapes(*(part.shape for part in parts)) + (len(parts),))
+    for i, part in enumerate(parts):  # filled in place: half the time of stacking
+        joined[..., i] = part
+    return joined
+
+
+def _direction(v: Any, xp: Any) -> Any:
+    """v [..., 3] at length 1; what is shorter than `SMALL` stays as good as zero."""
+    squared = xp.sum(v * v, axis=-1, keepdims=True)
+    return v / xp.sqrt(xp.maximum(squared, SMALL**2))
 
 
 def _axes(order: str) -> tuple[int, int, int]:
