@@ -54,6 +54,7 @@ _ROOMS = {
     "runtime.released": ("import_released_pfnn",),
     "runtime.released_lpn": ("import_released_lpn",),
     "runtime.rollout": ("follow_path", "rollout"),
+    "viewer.notebook": ("show",),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

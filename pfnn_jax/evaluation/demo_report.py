@@ -16,7 +16,7 @@ from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.runtime.generate import Generated
-from pfnn_jax.viewer.player import Track
+from pfnn_jax.viewer.tracks import Track
 
 COLUMNS = (
     "method",

@@ -1,31 +1,26 @@
 // Plays motion clips side by side, in step: capsule bodies on a ground grid, drawn on plain 2D canvases.
-// Drag to orbit, Ctrl + wheel to zoom, space to pause. No outside resources.
+// Drag to orbit, Ctrl + wheel to zoom, space to pause, press on a time line to go there. No outside resources.
 (() => {
   "use strict";
   const TAU = 2 * Math.PI;
   const DEFAULT_VIEW = { yaw: 0.75, pitch: 0.28, distance: 4.6 };
 
-  function decode(track) {
-    const bytes = Uint8Array.from(atob(track.points), (c) => c.charCodeAt(0));
+  const WINDOW = 10; // seconds of a time line; of longer clips it shows the part around now
+  const GUTTER = 62; // pixels for the names of its rows
+  const FOOT_ROW = 11, PHASE_ROW = 30, BONE_ROW = 17, ROW_GAP = 3;
+  const TRAIL = 20; // seconds of the path drawn before and after now
+
+  function numbers(text, unit) {
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
     const view = new DataView(bytes.buffer);
     const values = new Float32Array(bytes.length / 2);
-    for (let i = 0; i < values.length; i++) values[i] = view.getInt16(2 * i, true) * track.unit;
-    const frames = values.length / (3 * track.count);
-    return { ...track, values, frames, focus: smoothRoot(values, track.count, frames) };
+    for (let i = 0; i < values.length; i++) values[i] = view.getInt16(2 * i, true) * unit;
+    return values;
   }
 
-  // The camera follows a running average of the root, so that it does not sway with every step.
-  function smoothRoot(values, count, frames) {
-    const focus = new Float32Array(2 * frames);
-    for (let t = 0; t < frames; t++) {
-      const half = Math.min(15, t, frames - 1 - t); // even on both sides, or it would lag at the ends
-      const first = t - half, last = t + half;
-      for (let k = first; k <= last; k++) {
-        focus[2 * t] += values[3 * count * k] / (last - first + 1);
-        focus[2 * t + 1] += values[3 * count * k + 2] / (last - first + 1);
-      }
-    }
-    return focus;
+  function decode(track) {
+    const values = numbers(track.points, track.unit), focus = numbers(track.focus, track.unit);
+    return { ...track, values, focus, frames: focus.length / 3 };
   }
 
   function mix(hex, other, share) {
@@ -37,12 +32,15 @@
   function palette(element) {
     const style = getComputedStyle(element);
     const read = (name) => style.getPropertyValue(name).trim();
-    const tones = {};
+    const tones = {}, pale = {}, panel = read("--player-panel");
     for (const side of ["left", "right", "middle"]) {
       const base = read(`--player-${side}`);
       tones[side] = [mix(base, "#ffffff", 0.35), base, mix(base, "#000000", 0.38)];
+      pale[side] = [0.85, 0.65, 0.5].map((share) => mix(base, panel, share));
     }
-    return { tones, grid: read("--player-grid"), ink: read("--player-ink"), shadow: read("--player-shadow") };
+    const named = {};
+    for (const name of ["grid", "ink", "shadow", "muted", "panel", "phase"]) named[name] = read(`--player-${name}`);
+    return { tones, pale, ...named };
   }
 
   class Scene {
@@ -68,7 +66,7 @@
       const before = Math.floor(frame), after = Math.min(before + 1, track.frames - 1), share = frame - before;
       const blend = (array, stride, offset) =>
         (1 - share) * array[stride * before + offset] + share * array[stride * after + offset];
-      this.aim(camera, blend(track.focus, 2, 0), blend(track.focus, 2, 1));
+      this.aim(camera, [0, 1, 2].map((axis) => blend(track.focus, 3, axis)));
       const points = [];
       for (let p = 0; p < track.count; p++) {
         points.push([0, 1, 2].map((axis) => blend(track.values, 3 * track.count, 3 * p + axis)));
@@ -77,14 +75,17 @@
       this.grid(colours);
       this.trail(before, colours);
       this.shadow(points, colours);
-      this.body(points, colours);
-      if (track.phase) this.dial(track.phase[before], colours);
+      const over = time * track.fps > track.frames; // a clip that has ended waits for the others
+      this.body(points, over ? colours.pale : colours.tones);
+      if (track.phases.length === 1 && track.phases[0].angle[before] !== null) {
+        this.dial(track.phases[0].angle[before], colours);
+      }
     }
 
-    aim(camera, x, z) {
-      const { width, height } = this.canvas;
-      this.target = [x, 0.88 * this.track.tall, z];
-      this.sines = [Math.cos(camera.yaw), Math.sin(camera.yaw), Math.cos(camera.pitch), Math.sin(camera.pitch)];
+    aim(camera, target) {
+      const { width, height } = this.canvas, yaw = camera.yaw - this.track.heading;
+      this.target = target;
+      this.sines = [Math.cos(yaw), Math.sin(yaw), Math.cos(camera.pitch), Math.sin(camera.pitch)];
       this.distance = camera.distance * this.track.tall;
       this.zoom = 1.75 * Math.min(height, 1.25 * width);
     }
@@ -103,15 +104,16 @@
 
     grid(colours) {
       const { context } = this, reach = 7;
-      const cx = Math.round(this.target[0]), cz = Math.round(this.target[2]);
+      const step = this.track.tall > 3 || this.track.tall < 0.3 ? 10 ** Math.round(Math.log10(this.track.tall)) : 1;
+      const cx = Math.round(this.target[0] / step), cz = Math.round(this.target[2] / step);
       context.strokeStyle = colours.grid;
       context.lineWidth = window.devicePixelRatio || 1;
       for (let i = -reach; i <= reach; i++) {
         for (let j = -reach; j < reach; j++) {
-          const fade = 1 - Math.hypot(cx + i - this.target[0], cz + j + 0.5 - this.target[2]) / reach;
-          if (fade > 0) this.segment([cx + i, cz + j], [cx + i, cz + j + 1], fade);
-          const other = 1 - Math.hypot(cx + j + 0.5 - this.target[0], cz + i - this.target[2]) / reach;
-          if (other > 0) this.segment([cx + j, cz + i], [cx + j + 1, cz + i], other);
+          for (const [x, z, dx, dz] of [[cx + i, cz + j, 0, 1], [cx + j, cz + i, 1, 0]]) {
+            const away = Math.hypot(x + dx / 2 - this.target[0] / step, z + dz / 2 - this.target[2] / step);
+            if (away < reach) this.segment([x * step, z * step], [(x + dx) * step, (z + dz) * step], 1 - away / reach);
+          }
         }
       }
       context.globalAlpha = 1;
@@ -132,12 +134,15 @@
       const { context, track } = this;
       context.strokeStyle = colours.ink;
       context.lineWidth = 2 * (window.devicePixelRatio || 1);
-      for (const [first, last, alpha] of [[0, now, 0.55], [now, track.frames - 1, 0.18]]) {
+      const reach = Math.round(TRAIL * track.fps), every = Math.max(1, Math.round(track.fps / 10));
+      const past = Math.max(0, now - reach), future = Math.min(track.frames - 1, now + reach);
+      for (const [first, last, alpha] of [[past, now, 0.55], [now, future, 0.18]]) {
         context.globalAlpha = alpha;
         context.beginPath();
         let open = false;
-        for (let t = first; t <= last; t += 3) {
-          const p = this.project(track.focus[2 * t], 0, track.focus[2 * t + 1]);
+        for (let step = first; step < last + every; step += every) {
+          const t = Math.min(step, last);
+          const p = this.project(track.focus[3 * t], 0, track.focus[3 * t + 2]);
           if (p) open ? context.lineTo(p[0], p[1]) : context.moveTo(p[0], p[1]);
           open = Boolean(p);
         }
@@ -163,7 +168,7 @@
       context.fill();
     }
 
-    body(points, colours) {
+    body(points, tones) {
       const drawn = [];
       for (const capsule of this.track.capsules) {
         const [a, b] = this.ends(points, capsule).map((p) => this.project(...p));
@@ -175,7 +180,7 @@
         const ra = capsule[2] * a[2], rb = capsule[3] * b[2];
         context.beginPath();
         this.hull(a, b, ra, rb, 1);
-        context.fillStyle = this.shade(a, b, Math.max(ra, rb), colours.tones[capsule[4]]);
+        context.fillStyle = this.shade(a, b, Math.max(ra, rb), tones[capsule[4]]);
         context.fill();
       }
     }
@@ -230,18 +235,96 @@
     }
   }
 
-  // Contacts over time: one row a foot, filled while it stands, and a line for now.
-  function drawTrack(canvas, track, time, duration, colours) {
-    const ratio = window.devicePixelRatio || 1, context = canvas.getContext("2d");
-    canvas.width = Math.round(canvas.clientWidth * ratio);
-    canvas.height = Math.round(canvas.clientHeight * ratio);
-    const row = canvas.height / 2, step = canvas.width / (duration * track.fps);
-    track.contacts.forEach((runs, foot) => {
-      context.fillStyle = colours.tones[foot ? "right" : "left"][1];
-      for (const [first, last] of runs) context.fillRect(first * step, foot * row + 1, (last - first) * step, row - 2);
-    });
-    context.fillStyle = colours.ink;
-    context.fillRect(Math.min(canvas.width - 2, (time / duration) * canvas.width), 0, 2 * ratio, canvas.height);
+  // Contacts and phases over time: a bar while a foot stands, a line rising from 0 to 2π with every cycle.
+  class Strip {
+    constructor(canvas, track, duration) {
+      Object.assign(this, { canvas, track, duration, context: canvas.getContext("2d") });
+      const line = track.phases.length > 1 ? BONE_ROW : PHASE_ROW;
+      this.heights = [...track.contacts.map(() => FOOT_ROW), ...track.phases.map(() => line)];
+      canvas.style.height = `${this.heights.reduce((sum, height) => sum + height + ROW_GAP, 0) + 14}px`;
+    }
+
+    // First second shown, so that now is in the middle unless an end of the clip is near.
+    from(time) {
+      return Math.max(0, Math.min(time - WINDOW / 2, this.duration - WINDOW));
+    }
+
+    span() {
+      return Math.min(this.duration, WINDOW);
+    }
+
+    timeAt(x, time) {
+      const share = (x - GUTTER) / (this.canvas.clientWidth - GUTTER);
+      return Math.max(0, Math.min(this.duration, this.from(time) + share * this.span()));
+    }
+
+    draw(time, colours) {
+      const ratio = window.devicePixelRatio || 1, { canvas, context, track } = this;
+      canvas.width = Math.round(canvas.clientWidth * ratio);
+      canvas.height = Math.round(canvas.clientHeight * ratio);
+      context.setTransform(ratio, 0, 0, ratio, 0, 0);
+      const width = canvas.clientWidth - GUTTER, from = this.from(time), span = this.span();
+      this.x = (second) => GUTTER + ((second - from) / span) * width;
+      context.font = "11px system-ui, sans-serif";
+      context.textBaseline = "middle";
+      const names = [...track.contacts.map((_, i) => (i ? "right foot" : "left foot")), ...track.phases.map((p) => p.name)];
+      let top = 0;
+      this.heights.forEach((height, row) => {
+        context.globalAlpha = 1;
+        context.fillStyle = colours.muted;
+        context.fillText(names[row], 0, top + height / 2);
+        const foot = row < track.contacts.length;
+        context.fillStyle = colours.panel;
+        context.fillRect(GUTTER, top, width, height);
+        context.save();
+        context.beginPath();
+        context.rect(GUTTER, top, width, height);
+        context.clip();
+        if (foot) this.bars(track.contacts[row], top, height, colours.tones[row ? "right" : "left"][1]);
+        else this.line(track.phases[row - track.contacts.length], top, height, from, span, colours);
+        context.restore();
+        top += height + ROW_GAP;
+      });
+      this.seconds(top, from, span, colours);
+      context.fillStyle = colours.ink;
+      context.fillRect(this.x(Math.min(time, this.duration)) - 0.75, 0, 1.5, top - ROW_GAP);
+    }
+
+    bars(runs, top, height, colour) {
+      const { context, track } = this;
+      context.fillStyle = colour;
+      for (const [first, past] of runs) {
+        const left = this.x(first / track.fps);
+        context.fillRect(left, top, this.x(past / track.fps) - left, height);
+      }
+    }
+
+    line(phase, top, height, from, span, colours) {
+      const { context, track } = this, { angle, weight } = phase;
+      const first = Math.max(0, Math.floor(from * track.fps)), last = Math.min(angle.length - 2, Math.ceil((from + span) * track.fps));
+      const y = (value) => top + height - 1.5 - (value / TAU) * (height - 3);
+      context.strokeStyle = colours.phase;
+      context.lineWidth = 1.6;
+      for (let t = first; t <= last; t++) {
+        if (angle[t] === null || angle[t + 1] === null || Math.abs(angle[t + 1] - angle[t]) > TAU / 2) continue;
+        context.globalAlpha = weight ? weight[t] : 1;
+        context.beginPath();
+        context.moveTo(this.x(t / track.fps), y(angle[t]));
+        context.lineTo(this.x((t + 1) / track.fps), y(angle[t + 1]));
+        context.stroke();
+      }
+    }
+
+    seconds(top, from, span, colours) {
+      const { context } = this, every = span > 5 ? 2 : span > 2 ? 1 : span > 1 ? 0.5 : 0.2;
+      context.globalAlpha = 1;
+      context.fillStyle = colours.muted;
+      for (let k = Math.ceil(from / every - 1e-9); k * every <= from + span + 1e-9; k++) {
+        const text = `${Number((k * every).toFixed(1))} s`, half = context.measureText(text).width / 2;
+        const x = Math.max(GUTTER + half, this.x(k * every));
+        if (x + half <= this.canvas.clientWidth) context.fillText(text, x - half, top + 6);
+      }
+    }
   }
 
   class Player {
@@ -252,7 +335,8 @@
       this.duration = Math.max(...this.tracks.map((track) => (track.frames - 1) / track.fps), 1e-3);
       this.camera = { ...DEFAULT_VIEW };
       this.scenes = [...root.querySelectorAll("canvas.scene")].map((canvas, i) => new Scene(canvas, this.tracks[i]));
-      this.strips = [...root.querySelectorAll("canvas.contacts")].map((c) => [c, this.tracks[Number(c.dataset.track)]]);
+      const strip = (canvas) => new Strip(canvas, this.tracks[Number(canvas.dataset.track)], this.duration);
+      this.strips = [...root.querySelectorAll("canvas.strip")].map(strip);
       this.button = root.querySelector("button.play");
       this.slider = root.querySelector("input[type=range]");
       this.clock = root.querySelector("output");
@@ -279,6 +363,7 @@
         this.play(!this.playing);
       });
       for (const scene of this.scenes) this.orbit(scene.canvas);
+      for (const strip of this.strips) this.seek(strip);
       matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
       new ResizeObserver(() => this.draw()).observe(this.root);
       const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -309,6 +394,22 @@
       }, { passive: false });
     }
 
+    // Press on a time line to go there.
+    seek(strip) {
+      const go = (event) => {
+        this.time = strip.timeAt(event.offsetX, this.time);
+        this.draw();
+      };
+      strip.canvas.addEventListener("pointerdown", (event) => {
+        this.play(false);
+        strip.canvas.setPointerCapture(event.pointerId);
+        go(event);
+      });
+      strip.canvas.addEventListener("pointermove", (event) => {
+        if (strip.canvas.hasPointerCapture(event.pointerId) && this.duration <= WINDOW) go(event);
+      });
+    }
+
     recolour() {
       this.colours = palette(this.root);
       this.draw();
@@ -319,10 +420,10 @@
       this.playing = on;
       this.button.textContent = on ? "Pause" : "Play";
       if (!on) return;
-      let last = performance.now();
+      let last; // the first frame's own time, which may lie before this call
       const tick = (now) => {
         if (!this.playing) return;
-        this.time = (this.time + ((now - last) / 1000) * Number(this.rate.value)) % this.duration;
+        this.time = (this.time + ((now - (last ?? now)) / 1000) * Number(this.rate.value)) % this.duration;
         last = now;
         this.draw();
         requestAnimationFrame(tick);
@@ -332,7 +433,7 @@
 
     draw() {
       for (const scene of this.scenes) scene.draw(this.time, this.camera, this.colours);
-      for (const [canvas, track] of this.strips) drawTrack(canvas, track, this.time, this.duration, this.colours);
+      for (const strip of this.strips) strip.draw(this.time, this.colours);
       this.slider.value = (1000 * this.time) / this.duration;
       this.clock.textContent = `${this.time.toFixed(1)} / ${this.duration.toFixed(1)} s`;
     }

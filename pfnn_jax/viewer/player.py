@@ -1,7 +1,7 @@
 """Motion that plays inside a web page: one file, no server, nothing loaded from elsewhere.
 
 The page gets quantised joint positions and a small script (`player.js`) that draws bodies of capsules on a ground grid,
-several clips side by side and in step.
+several clips side by side and in step, with their foot contacts and phases on a time line below.
 """
 
 from __future__ import annotations
@@ -10,41 +10,27 @@ import base64
 import html
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
-from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.viewer.body import Capsule, body_capsules, body_points
+from pfnn_jax.errors import InputError
+from pfnn_jax.viewer.body import Capsule
+from pfnn_jax.viewer.scene import make_scene
+from pfnn_jax.viewer.tracks import Track, foot_bars, phase_lines
 
 MILLIMETRE = 0.001  # finest step of a position; wider scenes than ±32 m get a coarser one
 INT16 = 32767
 RATES = ("0.25", "0.5", "1", "2")
+FPS = 30.0
+MOST = 32_000_000  # characters of a page; browsers and notebooks become slow beyond
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
-    """One clip to show.
-
-    Attributes:
-        name: caption.
-        clip: the motion, T frames.
-        phase: [T] radians, drawn as a clock hand (up: right contact), or None.
-        contacts: [T, 4] bool: left heel, left toe, right heel, right toe, drawn as bars below, or None.
-    """
-
-    name: str
-    clip: MotionClip
-    phase: np.ndarray | None = None
-    contacts: np.ndarray | None = None
-
-
-def player_html(tracks: Sequence[Track], *, fps: float = 30.0, start: float = 0.0, assets: bool = True) -> str:
+def player_html(tracks: Sequence[Track], *, fps: float = FPS, start: float = 0.0, assets: bool = True) -> str:
     """A piece of HTML that plays clips side by side, in step.
 
-    20 s of one clip of 21 joints at 30 fps take about 130 kB.
+    A second of one clip of 21 joints takes about 7 kB at 30 frames per second.
 
     Args:
         tracks: clips to show; shorter ones hold their last frame.
@@ -56,12 +42,16 @@ def player_html(tracks: Sequence[Track], *, fps: float = 30.0, start: float = 0.
         HTML to be put inside a page's body.
 
     Raises:
-        ValueError: no tracks, or a phase or contacts of another length than their clip.
+        ValueError: no tracks.
+        InputError: clips too long for a page.
     """
     if not tracks:
         raise ValueError("A player needs at least one track.")
+    if not fps > 0:
+        raise ValueError(f"fps must be positive, got {fps}.")
     data = {"start": start, "tracks": [_track_data(track, fps) for track in tracks]}
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # a name may not end the script
+    _require_small(tracks, len(text))
     panes = "".join(_pane(number, track) for number, track in enumerate(tracks))
     options = "".join(f'<option value="{r}"{" selected" if r == "1" else ""}>{r}×</option>' for r in RATES)
     return (
@@ -75,6 +65,25 @@ def player_html(tracks: Sequence[Track], *, fps: float = 30.0, start: float = 0.
     )
 
 
+def player_page(tracks: Sequence[Track], *, title: str, fps: float = FPS) -> str:
+    """A whole page with a player that fills its window.
+
+    Args:
+        tracks: clips to show.
+        title: the page's title.
+        fps: as in `player_html`.
+
+    Raises:
+        ValueError, InputError: as `player_html`.
+    """
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<title>{html.escape(title)}</title>{player_assets()}</head><body class="motion-page">'
+        f"{player_html(tracks, fps=fps, assets=False)}</body></html>\n"
+    )
+
+
 def player_assets() -> str:
     """Style and script of the player, once for a page."""
     folder = files("pfnn_jax.viewer")
@@ -84,44 +93,59 @@ def player_assets() -> str:
 
 
 def _pane(number: int, track: Track) -> str:
-    strip = "" if track.contacts is None else f'<canvas class="contacts" data-track="{number}"></canvas>'
-    return f'<figure><canvas class="scene"></canvas>{strip}<figcaption>{html.escape(track.name)}</figcaption></figure>'
+    feet, lines = len(foot_bars(track)), len(phase_lines(track))
+    strip = f'<canvas class="strip" data-track="{number}"></canvas>' if feet or lines else ""
+    note = f"<small>{html.escape(track.note)}</small>" if track.note else ""
+    caption = f"<figcaption>{html.escape(track.name)}{note}</figcaption>"
+    return f'<figure>{caption}<canvas class="scene"></canvas>{strip}</figure>'
+
+
+def _require_small(tracks: Sequence[Track], size: int) -> None:
+    if size > MOST:
+        seconds = sum(track.seconds for track in tracks)
+        shown = f"{size / 1e6:.0f} MB for {seconds:.0f} s of motion"
+        rule = f"a page holds {MOST / 1e6:.0f} MB: show fewer seconds or fewer frames per second"
+        raise InputError(tracks[0].clip.source or tracks[0].name, "player", shown, rule)
 
 
 def _track_data(track: Track, fps: float) -> dict[str, Any]:
-    clip = track.clip
-    for name, values in (("phase", track.phase), ("contacts", track.contacts)):
-        if values is not None and len(values) != clip.num_frames:
-            raise ValueError(f"{name} of track {track.name!r} has {len(values)} frames, its clip {clip.num_frames}.")
-    step = max(1, round(clip.fps / fps))
-    frames = np.arange(0, clip.num_frames, step)
-    capsules = body_capsules(clip.skeleton)
-    used = sorted({0, *(c.start for c in capsules), *(c.end for c in capsules)})
-    points = body_points(clip)[frames][:, used]
-    unit = max(MILLIMETRE, float(np.abs(points).max()) / INT16)
-    data = {
+    scene = make_scene(track.clip)
+    step = max(1, round(scene.fps / fps))
+    frames = np.arange(0, len(scene.points), step)
+    used = sorted({0, *(c.start for c in scene.capsules), *(c.end for c in scene.capsules)})
+    points, focus = scene.points[frames][:, used], scene.focus[frames]
+    unit = max(MILLIMETRE, float(np.abs(points).max()) / INT16, float(np.abs(focus).max()) / INT16)
+    return {
         "name": track.name,
-        "fps": clip.fps / step,
+        "fps": scene.fps / step,
         "count": len(used),
         "unit": unit,
-        "tall": float(np.median(np.ptp(points[..., 1], axis=1))) / 1.7,  # 1 for a person: camera and aim scale with it
-        "points": base64.b64encode(np.round(points / unit).astype("<i2").tobytes()).decode("ascii"),
-        "capsules": [_capsule_data(capsule, used) for capsule in capsules],
+        "tall": scene.tall,
+        "heading": round(scene.heading, 3),
+        "points": _quantised(points, unit),
+        "focus": _quantised(focus, unit),
+        "capsules": [_capsule_data(capsule, used) for capsule in scene.capsules],
+        "contacts": [(foot_runs / step).tolist() for _, foot_runs in foot_bars(track)],
+        "phases": [
+            {"name": line.name, "angle": _listed(line.angle[frames]), "weight": _weights(line.weight[frames])}
+            for line in phase_lines(track)
+        ],
     }
-    if track.phase is not None:
-        data["phase"] = [round(float(value), 2) for value in track.phase[frames]]
-    if track.contacts is not None:
-        on = track.contacts[frames]
-        data["contacts"] = [_runs(on[:, 0] | on[:, 1]), _runs(on[:, 2] | on[:, 3])]
-    return data
+
+
+def _quantised(values: np.ndarray, unit: float) -> str:
+    return base64.b64encode(np.round(values / unit).astype("<i2").tobytes()).decode("ascii")
+
+
+def _listed(angle: np.ndarray) -> list[float | None]:
+    return [round(float(value), 2) if np.isfinite(value) else None for value in angle]
+
+
+def _weights(weight: np.ndarray) -> list[float] | None:
+    """None where every frame has all of it or no phase at all."""
+    return None if np.isin(weight, (0.0, 1.0)).all() else [round(float(value), 2) for value in weight]
 
 
 def _capsule_data(capsule: Capsule, used: list[int]) -> list[Any]:
     ends = [used.index(capsule.start), used.index(capsule.end)]
     return [*ends, round(capsule.start_radius, 4), round(capsule.end_radius, 4), capsule.side, *capsule.span]
-
-
-def _runs(on: np.ndarray) -> list[list[int]]:
-    """First and past-the-last index of every run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
-    return edges.reshape(-1, 2).tolist()

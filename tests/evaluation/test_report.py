@@ -1,12 +1,9 @@
-"""Reports are whole, self-contained and safe; pictures leave matplotlib alone; players carry the motion exactly."""
+"""Reports are whole, self-contained and safe, and pictures leave matplotlib alone."""
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 import json
-import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import matplotlib
@@ -16,126 +13,9 @@ from matplotlib import _pylab_helpers
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation import plots, report
-from pfnn_jax.motion.synthetic import STYLES, stance_contacts, synthesise, synthetic_skeleton
-from pfnn_jax.viewer.body import body_capsules, body_points, capsule_ends
-from pfnn_jax.viewer.player import Track, player_html
-
-QUANTUM = 0.00051  # metres: half a millimetre of rounding
-MEGABYTE = 1_000_000
-VOID = {"meta", "input", "img"}
-
-
-def make_track(name="zombie", frames=120, extras=True):
-    style = STYLES["zombie"]
-    clip, labels = synthesise(style, np.full(frames, 0.5), np.full(frames, 0.8))
-    return Track(name, clip, labels.phase, stance_contacts(style, labels.phase)) if extras else Track(name, clip)
-
-
-def payload(page: str) -> dict:
-    found = re.search(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    return json.loads(found[1])
-
-
-def decoded(track: dict) -> np.ndarray:
-    values = np.frombuffer(base64.b64decode(track["points"]), "<i2").astype(float) * track["unit"]
-    return values.reshape(-1, track["count"], 3)
-
-
-class Balanced(HTMLParser):
-    """Checks that every tag closes, and collects what the page would load."""
-
-    def __init__(self):
-        super().__init__()
-        self.open: list[str] = []
-        self.sources: list[str] = []
-
-    def handle_starttag(self, tag, attrs):
-        self.sources += [value for key, value in attrs if key in ("src", "href") and value is not None]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-
-def check_page(page: str) -> None:
-    parser = Balanced()
-    parser.feed(page)
-    assert parser.open == []
-    assert all(source.startswith("data:") for source in parser.sources)
-    assert "http://" not in page and "https://" not in page and "@import" not in page
-
-
-def test_player_carries_the_capsules_of_the_motion():
-    track = make_track()
-    data = payload(player_html([track], fps=30.0))["tracks"][0]
-    points, capsules = body_points(track.clip)[::2], body_capsules(track.clip.skeleton)
-    shown = decoded(data)
-    assert data["fps"] == 30.0 and len(shown) == len(points) == len(data["phase"])
-    assert len(data["capsules"]) == len(capsules)
-    for capsule, (start, end, first, second, side, *_) in zip(capsules, data["capsules"], strict=True):
-        np.testing.assert_allclose(shown[:, start], points[:, capsule.start], atol=QUANTUM)
-        np.testing.assert_allclose(shown[:, end], points[:, capsule.end], atol=QUANTUM)
-        assert (first, second) == pytest.approx((capsule.start_radius, capsule.end_radius), abs=1e-4)
-        assert side == capsule.side
-
-
-def test_player_shows_contacts_as_runs():
-    track = make_track()
-    data = payload(player_html([track], fps=60.0))["tracks"][0]
-    assert track.contacts is not None
-    for foot, runs in enumerate(data["contacts"]):
-        stands = np.zeros(track.clip.num_frames, bool)
-        for first, past in runs:
-            stands[first:past] = True
-        np.testing.assert_array_equal(stands, track.contacts[:, 2 * foot : 2 * foot + 2].any(axis=1))
-
-
-def test_twenty_seconds_stay_below_a_megabyte_and_scenes_of_a_kilometre_still_fit():
-    track = make_track(frames=1200)
-    assert len(player_html([track], fps=30.0)) < MEGABYTE / 4
-    far = synthesise("neutral", np.zeros(600), np.full(600, 100.0))[0]
-    shown = decoded(payload(player_html([Track("fast", far)]))["tracks"][0])
-    np.testing.assert_allclose(shown[:, 0], body_points(far)[::2, 0], atol=1000 / 32767)
-
-
-def test_players_are_balanced_and_names_cannot_break_out():
-    name = "</script><script>alert(1)</script>"
-    page = player_html([make_track(name), make_track("plain", extras=False)])
-    check_page(page)
-    assert name not in page
-    assert [track["name"] for track in payload(page)["tracks"]] == [name, "plain"]
-    assert page.count('class="scene"') == 2 and page.count('class="contacts"') == 1
-
-
-def test_players_refuse_nothing_and_mismatched_lengths():
-    with pytest.raises(ValueError, match="at least one"):
-        player_html([])
-    track = make_track()
-    with pytest.raises(ValueError, match="phase of track 'x' has 3 frames, its clip 120"):
-        player_html([Track("x", track.clip, phase=np.zeros(3))])
-
-
-def test_body_of_the_walker_is_symmetric_and_bodies_without_roles_are_thin():
-    skeleton = synthetic_skeleton()
-    capsules = {(c.start, c.end): c for c in body_capsules(skeleton)}
-    mirrored = [c for c in capsules.values() if c.end < skeleton.num_joints and c.side == "left"]
-    assert mirrored
-    for capsule in mirrored:
-        other = capsules[(int(skeleton.mirror[capsule.start]), int(skeleton.mirror[capsule.end]))]
-        assert (other.start_radius, other.side) == (capsule.start_radius, "right")
-    bare = dataclasses.replace(skeleton, roles=None)
-    assert {c.start_radius for c in body_capsules(bare)} == {0.03}
-
-
-def test_capsule_ends_lie_on_the_bone():
-    track = make_track()
-    head = next(c for c in body_capsules(track.clip.skeleton) if c.span != (0.0, 1.0))
-    points = body_points(track.clip)
-    a, b = capsule_ends(points, head)
-    bone = points[:, head.end] - points[:, head.start]
-    np.testing.assert_allclose(b - a, (head.span[1] - head.span[0]) * bone, atol=1e-12)
+from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.viewer.body import body_points
+from tests.viewer.pages import check_page, make_track
 
 
 def every_figure():
@@ -239,13 +119,3 @@ def test_numbers_show_three_digits(value, text):
 def test_tables_refuse_uneven_rows():
     with pytest.raises(ValueError, match="needs 2 cells"):
         report.Table(["a", "b"], [[1]])
-
-
-def test_a_head_without_a_crown_sits_in_line_with_the_neck():
-    skeleton = synthetic_skeleton()
-    assert skeleton.roles is not None
-    head = skeleton.roles.head
-    bald = dataclasses.replace(skeleton, end_sites=tuple(site for site in skeleton.end_sites if site[0] != head))
-    capsule = body_capsules(bald)[-1]
-    assert (capsule.end, capsule.side) == (head, "middle")
-    assert capsule.span[1] > capsule.span[0] > 1.0  # beyond the head joint

@@ -1,0 +1,175 @@
+"""One clip to be shown, with what is known about its feet and its phase over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.contacts import foot_contacts
+from pfnn_jax.motion.end_effectors import END_EFFECTORS
+from pfnn_jax.motion.footsteps import NoGaitError
+from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.phase import PhaseLabels, label_phase, read_phase
+from pfnn_jax.viewer.body import upright
+
+FEET = ("left", "right")
+SHORTEST = 3  # frames below which there is no speed to tell contacts by
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One clip to show.
+
+    Attributes:
+        name: caption.
+        clip: the motion, T frames, Y up.
+        phase: [T] radians, NaN where there is none; or local phases [T, B, 2] as vectors (sin, cos) of any length, the
+            longer the surer; or None.
+        contacts: [T, 4] bool: left heel, left toe, right heel, right toe; or [T, 2]: left and right foot; or None.
+        note: small print beside the name, as why there is no phase.
+
+    Raises:
+        ValueError: for a phase or contacts of another shape.
+    """
+
+    name: str
+    clip: MotionClip
+    phase: np.ndarray | None = None
+    contacts: np.ndarray | None = None
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        frames = self.clip.num_frames
+        for name, values in (("phase", self.phase), ("contacts", self.contacts)):
+            if values is not None and len(values) != frames:
+                raise ValueError(f"{name} of track {self.name!r} has {len(values)} frames, its clip {frames}.")
+        if self.phase is not None and self.phase.shape[1:] not in ((), (self.phase.size // (2 * frames), 2)):
+            raise ValueError(f"phase of track {self.name!r} is {list(self.phase.shape)}, must be [T] or [T, B, 2].")
+        if self.contacts is not None and self.contacts.shape[1:] not in ((2,), (4,)):
+            raise ValueError(f"contacts of track {self.name!r} are {list(self.contacts.shape)}, must be [T, 2 or 4].")
+
+    @property
+    def seconds(self) -> float:
+        """From the first frame to the last."""
+        return (self.clip.num_frames - 1) / self.clip.fps
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseLine:
+    """A phase to draw as a line.
+
+    Attributes:
+        name: what it is the phase of; "phase" for that of the whole gait.
+        angle: [T] radians in [0, 2π), NaN where there is none.
+        weight: [T] in [0, 1]: how much there is of it.
+    """
+
+    name: str
+    angle: np.ndarray
+    weight: np.ndarray
+
+
+def label_track(clip: MotionClip, name: str, phase_file: Path | None = None) -> Track:
+    """A clip with its contacts and its phase, as far as they can be told; its note says what cannot and why.
+
+    Args:
+        clip: the motion, Y up.
+        name: caption.
+        phase_file: labels that lie beside the clip's file; without it the steps are found from the motion.
+
+    Raises:
+        InputError: if the file of labels is bad.
+    """
+    roles = clip.skeleton.roles
+    contacts, notes = None, []
+    if roles is None:
+        notes.append("no feet known: no contacts")
+    elif clip.num_frames >= SHORTEST:
+        positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+        contacts = foot_contacts(positions, roles, clip.fps)
+    phase = None
+    try:
+        if phase_file is not None:
+            phase = phase_of(read_phase(phase_file, clip.num_frames))
+        elif roles is not None:
+            phase = phase_of(label_phase(clip))
+    except NoGaitError:
+        notes.append("no steps: no phase")
+    return Track(name, clip, phase, contacts, "; ".join(notes))
+
+
+def phase_of(labels: PhaseLabels) -> np.ndarray:
+    """[T] radians, NaN in frames without a label."""
+    return np.where(labels.labelled, labels.phase, np.nan)
+
+
+def cut_track(track: Track, start: float, seconds: float | None) -> Track:
+    """The part of a track from second `start` on; phase and contacts stay those of the whole clip.
+
+    Raises:
+        InputError: if nothing of the clip lies there.
+    """
+    clip = track.clip
+    first = round(start * clip.fps)
+    stop = clip.num_frames if seconds is None else min(clip.num_frames, first + round(seconds * clip.fps) + 1)
+    if not (start >= 0 and (seconds is None or seconds > 0) and first < stop):
+        shown = f"from {start:g}" if seconds is None else f"{seconds:g} from {start:g}"
+        rule = f"what is shown lies in the clip's {track.seconds:.1f} seconds"
+        raise InputError(clip.source or track.name, "start and seconds", shown, rule)
+    part = slice(first, stop)
+    clip = MotionClip(
+        clip.skeleton, clip.fps, clip.root_positions[part], clip.rotations[part], clip.style, clip.content,
+        clip.mirrored, clip.source,
+    )  # fmt: skip
+    phase, contacts = (None if values is None else values[part] for values in (track.phase, track.contacts))
+    return Track(track.name, clip, phase, contacts, track.note)
+
+
+def phase_lines(track: Track) -> list[PhaseLine]:
+    """The phases of a track, one line each; none without a phase."""
+    if track.phase is None:
+        return []
+    if track.phase.ndim == 1:
+        return [PhaseLine("phase", track.phase % (2 * np.pi), np.isfinite(track.phase).astype(float))]
+    names = END_EFFECTORS if track.phase.shape[1] == len(END_EFFECTORS) else [f"{b + 1}" for b in range(99)]
+    length = np.linalg.norm(track.phase, axis=-1)
+    longest = max(float(np.nanpercentile(length, 95)), 1e-9)
+    angle = np.arctan2(track.phase[..., 0], track.phase[..., 1]) % (2 * np.pi)
+    return [
+        PhaseLine(names[bone], angle[:, bone], np.clip(length[:, bone] / longest, 0.0, 1.0))
+        for bone in range(track.phase.shape[1])
+    ]
+
+
+def foot_bars(track: Track) -> list[tuple[str, np.ndarray]]:
+    """(left or right, runs [R, 2] of first and past-the-last frame) in which each foot stands."""
+    if track.contacts is None:
+        return []
+    half = track.contacts.shape[1] // 2
+    sides = (track.contacts[:, :half], track.contacts[:, half:])
+    return [(name, runs(side.any(axis=1))) for name, side in zip(FEET, sides, strict=True)]
+
+
+def runs(on: np.ndarray) -> np.ndarray:
+    """First and past-the-last index [R, 2] of every run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
+    return edges.reshape(-1, 2)
+
+
+def as_tracks(clips: Sequence[MotionClip], names: Sequence[str] | None = None) -> list[Track]:
+    """Upright clips with their labels, named by their style and content where no names are given."""
+    if names is not None and len(names) != len(clips):
+        raise ValueError(f"There are {len(clips)} clips and {len(names)} names.")
+    captions = list(names) if names is not None else [caption(clip, number) for number, clip in enumerate(clips)]
+    return [label_track(upright(clip), name) for clip, name in zip(clips, captions, strict=True)]
+
+
+def caption(clip: MotionClip, number: int = 0) -> str:
+    """A clip's style and content, else its file's name, else its number."""
+    known = " ".join(word for word in (clip.style, clip.content) if word and word != "unknown")
+    return known or Path(clip.source).stem or f"clip {number + 1}"

@@ -1,0 +1,58 @@
+"""A clip to show, and what every page must keep."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+
+from pfnn_jax.motion.synthetic import STYLES, stance_contacts, synthesise
+from pfnn_jax.viewer.tracks import Track
+
+VOID = {"meta", "input", "img"}
+
+
+def make_track(name: str = "zombie", frames: int = 120, extras: bool = True) -> Track:
+    style = STYLES["zombie"]
+    clip, labels = synthesise(style, np.full(frames, 0.5), np.full(frames, 0.8))
+    return Track(name, clip, labels.phase, stance_contacts(style, labels.phase)) if extras else Track(name, clip)
+
+
+class Balanced(HTMLParser):
+    """Checks that every tag closes, and collects what the page would load."""
+
+    def __init__(self):
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for key, value in attrs if key in ("src", "href") and value is not None]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def check_page(page: str) -> None:
+    parser = Balanced()
+    parser.feed(page)
+    assert parser.open == []
+    assert all(source.startswith("data:") for source in parser.sources)
+    assert "http://" not in page and "https://" not in page and "@import" not in page
+
+
+def payload(page: str) -> dict:
+    found = re.search(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    return json.loads(found[1])
+
+
+def decoded(track: dict, of: str = "points") -> np.ndarray:
+    """[T, P, 3] metres of a track's points, or of what the camera looks at."""
+    values = np.frombuffer(base64.b64decode(track[of]), "<i2").astype(float) * track["unit"]
+    return values.reshape(-1, track["count"] if of == "points" else 1, 3)
