@@ -281,9 +281,10 @@ def _join(parts: Sequence[Any], xp: Any) -> Any:
 
 
 def _direction(v: Any, xp: Any) -> Any:
-    """v [..., 3] at length 1; what is shorter than `SMALL` stays as good as zero."""
+    """v [..., 3] at length 1, or zero where it has no direction."""
     squared = xp.sum(v * v, axis=-1, keepdims=True)
-    return v / xp.sqrt(xp.maximum(squared, SMALL**2))
+    found = squared > SMALL**2
+    return xp.where(found, v / xp.sqrt(xp.where(found, squared, 1.0)), 0.0)
 
 
 def _axes(order: str) -> tuple[int, int, int]:

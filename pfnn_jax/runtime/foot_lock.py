@@ -1,0 +1,194 @@
+"""Feet that stay where they stand: contacts hold heels and toes in place, release lets them go without a jerk.
+
+A foot joint is held where the corrected body has it when its contact begins. While it is held, its offset from the
+unheld motion is whatever keeps it there; when it is let go, the offset dies away like a critically damped spring that
+starts with the offset's own speed, so that neither place nor speed jumps. Heel and toe of a foot are one rigid piece:
+the one that is not held is drawn to the offset of the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from pfnn_jax.motion.kinematics import quat_between, quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.runtime.limb_ik import bend, forward_of
+from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics, turn_joint
+
+PARTNER = (1, 0, 3, 2)
+"""The other joint of the same foot, in the order of contacts: left heel, left toe, right heel, right toe."""
+
+HEELS, TOES = (0, 2), (1, 3)
+
+
+@dataclass(frozen=True)
+class FootLockConfig:
+    """When feet are held and let go. Lengths are shares of the leg's, so that one setting fits all skeletons.
+
+    Attributes:
+        hold_from: contact from which a foot joint is held.
+        let_go_below: contact below which it is let go.
+        release: seconds after which about a twentieth of a released offset is left.
+        heel_limit, toe_limit: a joint further than this from where the unheld motion has it is let go.
+        hold_within: a joint is held anew only when its offset is below this.
+        floor: metres, the height below which no foot joint sinks.
+        max_drop: how far the hips may be lowered so that the feet reach their places.
+        fps: steps per second.
+    """
+
+    hold_from: float = 0.8
+    let_go_below: float = 0.5
+    release: float = 0.25
+    heel_limit: float = 0.06
+    toe_limit: float = 0.15
+    hold_within: float = 0.04
+    floor: float = 0.0
+    max_drop: float = 0.06
+    fps: float = 60.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.let_go_below <= self.hold_from <= 1.0:
+            found = f"{self.let_go_below} and {self.hold_from}"
+            raise ValueError(f"FootLockConfig needs 0 <= let_go_below <= hold_from <= 1, got {found}.")
+        for name in ("release", "heel_limit", "toe_limit", "hold_within", "fps"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"FootLockConfig.{name} must be above 0, got {getattr(self, name)}.")
+
+
+@struct.dataclass(kw_only=True)
+class FootLocks:
+    """What is held between steps: left heel, left toe, right heel, right toe.
+
+    Attributes:
+        positions: [4, 3] metres, where each joint is held, or was last.
+        strength: [4] 1 while held; afterwards the share of the offset that has not died away yet.
+        offsets: [4, 3] metres from the unheld to the corrected joint.
+        velocities: [4, 3] metres per second, of the offsets.
+        drop: [2] metres by which the hips are lowered, and its speed in metres per second.
+    """
+
+    positions: jax.Array
+    strength: jax.Array
+    offsets: jax.Array
+    velocities: jax.Array
+    drop: jax.Array
+
+
+def initial_locks(rig: Rig, dtype: jnp.dtype = jnp.float32) -> FootLocks:
+    """Nothing held."""
+    zero = jnp.zeros((4, 3), dtype)
+    return FootLocks(
+        positions=zero, strength=jnp.zeros(4, dtype), offsets=zero, velocities=zero, drop=jnp.zeros(2, dtype)
+    )
+
+
+def lock_feet(
+    rig: Rig, pose: Pose, contacts: jax.Array, locks: FootLocks, config: FootLockConfig | None = None
+) -> tuple[Pose, FootLocks]:
+    """One frame: the pose with its feet held where they are in contact.
+
+    Args:
+        rig: the body.
+        pose: as the network predicts it, before any correction of its feet.
+        contacts: [4] in [0, 1]: left heel, left toe, right heel, right toe.
+        locks: after the frame before; `initial_locks` at first.
+        config: thresholds and times.
+
+    Returns:
+        The corrected pose: of its joints only hips' place, hip, knee and heel joints differ; and the locks.
+
+    Source: Mason et al. 2022, section 4.4; thresholds after the demo of Holden et al. 2017.
+    """
+    config = config or FootLockConfig()
+    positions, world = forward_kinematics(rig, pose)
+    feet = positions[np.array(rig.feet)]
+    locks = _advance(rig, feet, contacts, locks, config)
+    targets = feet + locks.offsets
+    targets = targets.at[:, 1].max(config.floor)
+    needed = _needed_drop(rig, positions, targets, config)
+    locks = locks.replace(drop=_follow(locks.drop, needed, config))
+    lowered = jnp.stack([jnp.zeros_like(needed), -locks.drop[0], jnp.zeros_like(needed)])
+    pose = pose.replace(hips=pose.hips + lowered)
+    positions = positions + lowered[None]
+    pole = forward_of(rig, positions)
+    for side, leg in enumerate(rig.legs):
+        held = locks.strength[2 * side + 1]
+        pose = _place_foot(rig, pose, positions, world, leg, targets[2 * side : 2 * side + 2], held, pole)
+    return pose, locks
+
+
+def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, config: FootLockConfig) -> FootLocks:
+    """The offsets of this frame [4, 3]: held, or dying away."""
+    dt, rate = 1.0 / config.fps, 4.74 / config.release
+    partner = np.array(PARTNER)
+    was_held = locks.strength >= 1.0
+    goal = jnp.where(was_held[partner, None], locks.offsets[partner], 0.0)
+    away = locks.offsets - goal
+    push = locks.velocities + rate * away
+    fade = np.exp(-rate * dt)
+    free = goal + (away + push * dt) * fade
+    free_velocity = (locks.velocities - push * (rate * dt)) * fade
+    limits = np.array([config.heel_limit, config.toe_limit] * 2, np.float32) * rig.leg_length
+    gap = jnp.where(was_held[:, None], locks.positions - feet, free)
+    near = jnp.sum(gap * gap, axis=-1) < jnp.where(was_held, limits, config.hold_within * rig.leg_length) ** 2
+    wanted = jnp.where(was_held, contacts >= config.let_go_below, contacts >= config.hold_from)
+    held = wanted & near
+    starting = held & ~was_held
+    places = jnp.where(starting[:, None], feet + free, locks.positions)
+    offsets = jnp.where(held[:, None], places - feet, free)
+    velocities = jnp.where(held[:, None], (offsets - locks.offsets) * config.fps, free_velocity)
+    strength = jnp.where(held, 1.0, jnp.minimum(locks.strength, 0.999) * fade)
+    return locks.replace(positions=places, strength=strength, offsets=offsets, velocities=velocities)
+
+
+def _needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: FootLockConfig) -> jax.Array:
+    """[] metres by which the hips must sink for both heels to be within reach."""
+    drops = []
+    for side, (hip, knee, heel, _) in enumerate(rig.legs):
+        reach = 0.995 * (_norm(positions[knee] - positions[hip]) + _norm(positions[heel] - positions[knee]))
+        # No further than the unheld leg is stretched: the hips sink for a target, not for a straight leg.
+        reach = jnp.maximum(reach, _norm(positions[heel] - positions[hip]))
+        to = targets[2 * side] - positions[hip]
+        level = to[0] * to[0] + to[2] * to[2]
+        drops.append(-to[1] - jnp.sqrt(jnp.maximum(reach * reach - level, 1e-6)))
+    return jnp.clip(jnp.maximum(*drops), 0.0, config.max_drop * rig.leg_length)
+
+
+def _follow(drop: jax.Array, needed: jax.Array, config: FootLockConfig) -> jax.Array:
+    """The drop [2] (metres, metres per second) moved towards what is needed as a critically damped spring."""
+    dt, rate = 1.0 / config.fps, 4.74 / config.release
+    away = drop[0] - needed
+    push, fade = drop[1] + rate * away, np.exp(-rate * dt)
+    return jnp.stack([needed + (away + push * dt) * fade, (drop[1] - push * (rate * dt)) * fade])
+
+
+def _place_foot(
+    rig: Rig,
+    pose: Pose,
+    positions: jax.Array,
+    world: jax.Array,
+    leg: tuple[int, int, int, int],
+    targets: jax.Array,
+    toe_share: jax.Array,
+    pole: jax.Array,
+) -> Pose:
+    """The pose with one foot's heel and toe at targets [2, 3], made as far apart as they are: the held one decides."""
+    hip, knee, heel, toe = leg
+    foot = positions[toe] - positions[heel]
+    along = targets[1] - targets[0]
+    turn = quat_between(foot, along)
+    rigid = quat_rotate(turn, foot)
+    place = targets[0] + toe_share * (along - rigid)
+    over, under, _ = bend(positions[hip], positions[knee], positions[heel], place, pole)
+    carried = quat_multiply(over, under)
+    pose = turn_joint(rig, pose, world, heel, quat_multiply(quat_conjugate(carried), turn))
+    pose = turn_joint(rig, pose, world, knee, under)
+    return turn_joint(rig, pose, world, hip, over)
+
+
+def _norm(v: jax.Array) -> jax.Array:
+    return jnp.sqrt(jnp.sum(v * v))
