@@ -46,6 +46,7 @@ _ROOMS = {
     "training.generator_tuning": ("TuningConfig", "tune_generator"),
     "training.run": ("Run", "list_styles", "load_generator", "load_run", "load_style", "save_style"),
     "training.stored": ("dataset_rows",),
+    "export.run": ("export_run",),
     "runtime.generate": ("generate",),
     "runtime.learn": ("learn_style", "tune_style"),
     "runtime.lookup": ("evaluate_lookup", "make_lookup"),
@@ -54,6 +55,7 @@ _ROOMS = {
     "runtime.released": ("import_released_pfnn",),
     "runtime.released_lpn": ("import_released_lpn",),
     "runtime.rollout": ("follow_path", "rollout"),
+    "viewer.filmstrip": ("filmstrip",),
     "viewer.notebook": ("show",),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}

@@ -11,7 +11,9 @@ import tyro
 
 from pfnn_jax.cli.data import LabelPhase, PlotPhase, Prepare
 from pfnn_jax.cli.download import Download
+from pfnn_jax.cli.exporting import Export
 from pfnn_jax.cli.learning import Demo, FewShot, Pretrain
+from pfnn_jax.cli.rendering import Render
 from pfnn_jax.cli.running import Benchmark, Evaluate, Generate, ImportReleased, Predict
 from pfnn_jax.errors import InputError, TrainingError
 from pfnn_jax.motion.files import write_whole
@@ -27,8 +29,10 @@ COMMANDS = {
     "evaluate": Evaluate,
     "label-phase": LabelPhase,
     "plot-phase": PlotPhase,
+    "render": Render,
     "import-released": ImportReleased,
     "predict": Predict,
+    "export": Export,
     "benchmark": Benchmark,
 }
 

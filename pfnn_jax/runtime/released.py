@@ -97,7 +97,7 @@ def import_released_pfnn(directory: str | Path, out: str | Path, overwrite: bool
 
 def condition_number(indices: Sequence[int]) -> float:
     """By how much recovery from tables of these indices magnifies errors; infinite where it is impossible."""
-    return float(np.linalg.cond(_design(indices)))
+    return float(np.linalg.cond(spline_design(indices)))
 
 
 def recover_control_points(tables: np.ndarray, indices: Sequence[int]) -> tuple[np.ndarray, float]:
@@ -112,15 +112,15 @@ def recover_control_points(tables: np.ndarray, indices: Sequence[int]) -> tuple[
         leaves of the tables, relative to the tables' own.
     """
     flat = tables.reshape(len(tables), -1).astype(np.float64)
-    design = _design(indices)
+    design = spline_design(indices)
     points = np.linalg.pinv(design) @ flat
     scale = float(np.sqrt(np.mean(flat**2)))
     residual = float(np.sqrt(np.mean((design @ points - flat) ** 2)))
     return points.reshape(CONTROL_POINTS, *tables.shape[1:]), residual / scale if scale > 0 else 0.0
 
 
-def _design(indices: Sequence[int]) -> np.ndarray:
-    """[N, 4] spline coefficients at the tables' phases, in float64."""
+def spline_design(indices: Sequence[int]) -> np.ndarray:
+    """[N, 4] spline coefficients at the phases 2πi/50 of tables i, in float64."""
     return _all_coefficients()[list(indices)]
 
 

@@ -1,0 +1,177 @@
+"""The loop that an engine runs, in NumPy alone, on a folder that `pfnn-jax export RUN --format bins` has written.
+
+Read it from top to bottom; nothing else of pfnn_jax is needed. Metres, seconds, radians, 60 frames a second; Y up, +Z
+ahead, +X left. What lies on the ground is a complex number z + ix, so that a facing is e^(i yaw) and turning a product.
+In `mason2018` and `pfnn2017` y places this frame's joints and moves the root by a velocity; in `mason2022`
+(`next_frame`) it places the next frame's joints, and its first trajectory sample is the next root.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+
+def elu(v):
+    return np.where(v > 0, v, np.expm1(np.minimum(v, 0)))
+
+
+def mix(old, new, share):
+    return old + share * (new - old)
+
+
+def unit(v):
+    return v / (np.abs(v) if np.iscomplexobj(v) else np.linalg.norm(v, axis=-1, keepdims=True))
+
+
+def turn_towards(facing, target, share):
+    return facing * np.exp(1j * share * np.angle(target / facing))
+
+
+def lift(point):
+    return np.array([point.imag, 0, point.real])
+
+
+def turn(v, facing):
+    """Vectors [J, 3] of a root with a facing, turned into the world."""
+    ground = (v[:, 2] + 1j * v[:, 0]) * facing
+    return np.stack([ground.imag, v[:, 1], ground.real], -1)
+
+
+def fill(samples):
+    """Samples ten frames apart, filled in linearly."""
+    return np.interp(np.arange(10 * len(samples) - 9) / 10, np.arange(len(samples)), samples)
+
+
+def spline(phase):
+    """Coefficients [4] of the control points at phases 0, π/2, π, 3π/2: cyclic Catmull-Rom."""
+    k, d, c = int(phase * 2 // np.pi), phase * 2 / np.pi % 1, np.zeros(4)
+    c[(k + np.arange(-1, 3)) % 4] = 2 * d**2 - d - d**3, 2 - 5 * d**2 + 3 * d**3, d + 4 * d**2 - 3 * d**3, d**3 - d**2
+    return c / 2
+
+
+def load_network(folder, description, style=0):
+    """The function of x [Dx] and phase [] or [8] -> y [Dy], in the layout's units."""
+
+    def read(name, rows=1):
+        return np.fromfile(Path(folder) / f"{name}.bin", "<f4").astype(np.float64).reshape(rows, -1)
+
+    net, own = description["network"], description["styles"][style]["files"] if description["styles"] else {}
+    stats = {name: read(file)[0] for name, file in net["statistics"].items()}
+    layers, mixing = [], np.array(net["mixing"])  # tables -> control points (pfnn); the identity (lpn)
+    for files in net["layers"]:
+        biases = np.stack([read(b)[0] for b in files["biases"]])
+        weights = np.stack([read(w, biases.shape[1]) for w in files["weights"]])
+        layers.append((np.tensordot(mixing, weights, 1), mixing @ biases))
+    gates = [(read(w, read(b).size), read(b)[0]) for w, b in net["gating"]]
+    film = [(read(scale)[0], read(shift)[0]) for scale, shift in own.get("film", ())]
+    if "cp" in own:  # A diag(D) B h + bias beside the second layer; only D depends on the phase
+        a, b, bias = (read(name, rows) for name, rows in own["cp"])
+        d = mixing @ np.concatenate([read(name) for name in own["cp_diagonal"]])
+
+    def evaluate(x, phase):
+        if gates:
+            v = (phase - stats["phase_mean"]) / stats["phase_std"]
+            for n, (w, shift) in enumerate(gates):
+                v = elu(w @ v + shift) if n < 2 else np.exp(w @ v + shift)
+        c, h = v / v.sum() if gates else spline(phase), (x - stats["x_mean"]) / stats["x_std"]
+        for n, (weights, biases) in enumerate(layers):
+            f = np.tensordot(c, weights, 1) @ h + c @ biases
+            if n == 1 and "cp" in own:
+                f = f + a @ ((c @ d) * (b @ h)) + bias[0]
+            if n < 2 and film:  # layer norm, then the style's scale and shift
+                f = film[n][0] * (f - f.mean()) / np.sqrt(f.var() + 1e-8) + film[n][1]
+            h = elu(f) if n < 2 else f
+        return h * stats["y_std"] + stats["y_mean"]
+
+    return evaluate
+
+
+class Character:
+    """111 trajectory points, one a frame from -60 to +50, of which 60 is now; the joints in the world; the phase."""
+
+    def __init__(self, description, evaluate):
+        self.layout, self.k, self.evaluate = description["layout"], description["loop"], evaluate
+        self.late = self.layout["next_frame"]
+        self.seen_from = 60 if self.late else 59  # the point from which x sees the joints
+        x, self.phase = (
+            self.read(np.array(description["start"]["x"]), "inputs"),
+            np.array(description["start"]["phase"]),
+        )
+        self.positions, self.directions = fill(x["position"]), unit(fill(x["direction"]))
+        self.velocity, self.facing = (self.positions[110] - self.positions[60]) * 60 / 50, self.directions[60]
+        self.gait = np.tile(np.eye(6)[1], (111, 1))  # stand, walk, jog, crouch, jump, bump
+        self.pose = self.to_world(x, self.seen_from)
+
+    def read(self, values, side="outputs"):
+        """Blocks of x or y in metres, seconds and radians: of joints [J, 3], of the trajectory complex [samples]."""
+        blocks = {name: values[b["columns"]] * b["scale"] for name, b in self.layout[side].items()}
+        blocks |= {name: v.reshape(-1, 3) for name, v in blocks.items() if name.startswith("joint_")}
+        for name in ("position", "direction"):
+            blocks[name] = blocks[f"trajectory_{name}_z"] + 1j * blocks[f"trajectory_{name}_x"]
+        if "joint_up" in blocks:
+            forward, up = unit(blocks["joint_forward"]), blocks["joint_up"]
+            blocks |= {"joint_forward": forward, "joint_up": unit(up - (up * forward).sum(-1, keepdims=True) * forward)}
+        return blocks
+
+    def to_world(self, blocks, point):
+        """The joints' blocks as a trajectory point sees them, turned into the world."""
+        pose = {name: turn(v, self.directions[point]) for name, v in blocks.items() if name.startswith("joint_")}
+        return pose | {"joint_position": pose["joint_position"] + lift(self.positions[point])}
+
+    def step(self, velocity, direction):
+        """One frame under a command: a velocity in metres per second and a facing, both z + ix. Returns y."""
+        k, here, ahead = self.k, self.positions[60], np.arange(1, 51) / 60
+        # 1. The future trajectory is drawn towards the command, the more the further ahead.
+        self.velocity = mix(self.velocity, k["command_gain"] * velocity, k["velocity_rate"])
+        self.facing = turn_towards(self.facing, direction, k["direction_rate"])
+        steps = mix(np.diff(self.positions[60:]), self.velocity / 60, 1 - (1 - ahead) ** k["position_bias"])
+        self.positions[61:] = here + np.cumsum(steps)
+        share = 1 - (1 - ahead) ** k["direction_bias"]
+        self.directions[61:] = turn_towards(self.directions[61:], self.facing, share)
+        speed = abs(self.velocity)
+        moving, jog = min(speed / k["stand_speed"], 1), speed >= k["jog_speed"]
+        self.gait[60:] = mix(
+            self.gait[60], np.array([1 - moving, moving * (1 - jog), moving * jog, 0, 0, 0]), k["gait_rate"]
+        )
+        # 2. What the network reads; the ground is flat, so that terrain heights stay 0.
+        point, facing = self.seen_from, self.directions[60]
+        blocks = {name: turn(v, self.directions[point].conj()) for name, v in self.pose.items()}
+        blocks["joint_position"] = turn(
+            self.pose["joint_position"] - lift(self.positions[point]), self.directions[point].conj()
+        )
+        seen = {"position": (self.positions[::10] - here) / facing, "direction": self.directions[::10] / facing}
+        for name, v in seen.items():
+            blocks |= {f"trajectory_{name}_x": v.imag, f"trajectory_{name}_z": v.real}
+        x = np.zeros(self.layout["input_size"])
+        for name, v in (blocks | {"gait": self.gait[::10].T}).items():
+            if name in self.layout["inputs"]:
+                x[self.layout["inputs"][name]["columns"]] = v.ravel() / self.layout["inputs"][name]["scale"]
+        # 3. The network, and 4. what it says of the body, root, trajectory and phase.
+        y = self.evaluate(x, self.phase)
+        told = self.read(y)
+        pose = self.to_world(told, 60)
+        moved = self.pose["joint_position"] + (pose if self.late else self.pose)["joint_velocity"] / 60
+        pose["joint_position"] = mix(moved, pose["joint_position"], k["pose_rate"])
+        if self.late:
+            positions = fill(mix(self.positions[60::10], here + told["position"] * facing, k["trajectory_rate"]))
+            towards = turn_towards(self.directions[60::10], unit(told["direction"]) * facing, k["trajectory_rate"])
+            directions = unit(fill(towards))
+            self.phase = mix(self.phase + told["local_phase_change"], told["local_phase"], k["phase_rate"])
+        else:
+            rate = max(1 - self.gait[60, 0], 0) ** 0.25 / 60  # who stands does not drift
+            here = here + rate * facing * (told["root_velocity"] @ [1j, 1])
+            facing = facing * np.exp(1j * rate * told["root_yaw_rate"][0])
+            positions = here + facing * np.append(0, fill(told["position"])[1:])
+            directions = facing * np.append(1, unit(fill(told["direction"])[1:]))
+            self.phase = (self.phase + (0.9 * rate + 0.1 / 60) * told["phase_change"][0]) % (2 * np.pi)
+        self.pose, self.positions = pose, np.append(self.positions[1:61], positions)
+        self.directions = np.append(self.directions[1:61], directions)
+        self.gait = np.concatenate([self.gait[1:61], self.gait[60:]])
+        return y
+
+
+def load(folder, style=0):
+    """A character at the origin that walks along +Z, in one of the folder's styles."""
+    description = json.loads((Path(folder) / "description.json").read_text(encoding="utf-8"))
+    return Character(description, load_network(folder, description, style))
