@@ -52,6 +52,14 @@ def clip_progress() -> Iterator[Callable[[int, int, str], None]]:
 
 
 @contextmanager
+def frame_progress() -> Iterator[Callable[[int, int], None]]:
+    """A bar over a film's frames."""
+    with _bar(TextColumn("drawing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
+        task = bar.add_task("frames", total=None)
+        yield lambda done, total: bar.update(task, total=total, completed=done)
+
+
+@contextmanager
 def byte_progress() -> Iterator[Callable[[str, int, int], None]]:
     """A bar over bytes for each thing done with them: fetched, verified, unpacked."""
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())

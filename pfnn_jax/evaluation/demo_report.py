@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.evaluation.plots import error_bars, filmstrip, loss_curves
+from pfnn_jax.evaluation.plots import error_bars, loss_curves
 from pfnn_jax.evaluation.report import Section, Table, write_report
 from pfnn_jax.evaluation.style_methods import DEFAULT_ROW
 from pfnn_jax.motion.contacts import foot_contacts
@@ -16,6 +16,7 @@ from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.runtime.generate import Generated
+from pfnn_jax.viewer.filmstrip import filmstrip
 from pfnn_jax.viewer.tracks import Track
 
 COLUMNS = (

@@ -14,7 +14,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from pfnn_jax.evaluation.plots import GRID, INK, MUTED, SERIES, draw_body
+from pfnn_jax.evaluation.plots import SERIES
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.end_effectors import END_EFFECTORS, EndEffectors, end_effectors
 from pfnn_jax.motion.local_phase import (
@@ -29,6 +29,7 @@ from pfnn_jax.motion.local_phase import (
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.trajectory import to_local
 from pfnn_jax.viewer.body import body_capsules, body_points, capsule_ends
+from pfnn_jax.viewer.drawing import GRID, INK, MUTED, draw_body
 
 PHASE, CONTACT, AXIS = SERIES[0], SERIES[2], SERIES[3]
 LEFT, RIGHT, TOP, BODIES, PANEL, GAP, BOTTOM = 1.0, 0.55, 0.62, 2.0, 0.85, 0.12, 0.5  # inches

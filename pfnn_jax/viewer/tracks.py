@@ -151,8 +151,8 @@ def foot_bars(track: Track) -> list[tuple[str, np.ndarray]]:
     if track.contacts is None:
         return []
     half = track.contacts.shape[1] // 2
-    sides = (track.contacts[:, :half], track.contacts[:, half:])
-    return [(name, runs(side.any(axis=1))) for name, side in zip(FEET, sides, strict=True)]
+    feet = (track.contacts[:, :half], track.contacts[:, half:])
+    return [(name, runs(np.any(parts, axis=1))) for name, parts in zip(FEET, feet, strict=True)]
 
 
 def runs(on: np.ndarray) -> np.ndarray:

@@ -15,6 +15,8 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation import plots, report
 from pfnn_jax.motion.synthetic import synthesise
 from pfnn_jax.viewer.body import body_points
+from pfnn_jax.viewer.drawing import save_figure
+from pfnn_jax.viewer.filmstrip import filmstrip, to_view
 from tests.viewer.pages import check_page, make_track
 
 
@@ -23,15 +25,15 @@ def every_figure():
     yield plots.loss_curves({"train": [1.0, 0.5, 0.2], "held out": ([0, 2], [1.0, 0.4])})
     yield plots.loss_curves({"only": [0.0, 1.0]}, logarithmic=False)
     yield plots.error_bars({"a": {"straight": [0.1, 0.2], "turning": 0.3}, "b": {"straight": 0.2}})
-    yield plots.filmstrip(track.clip, moments=4, title="walk")
-    yield plots.filmstrip(track.clip, moments=3, span=(10, 40))
+    yield filmstrip(track.clip, moments=4, title="walk")
+    yield filmstrip(track.clip, moments=3, span=(10, 40))
 
 
 def test_pictures_are_png_and_leave_matplotlib_alone(tmp_path: Path):
     before, managers = dict(matplotlib.rcParams), len(_pylab_helpers.Gcf.figs)
     for number, figure in enumerate(every_figure()):
         path = tmp_path / f"{number}.png"
-        plots.save_figure(figure, path, dpi=40)
+        save_figure(figure, path, dpi=40)
         assert path.read_bytes().startswith(b"\x89PNG")
     assert dict(matplotlib.rcParams) == before
     assert len(_pylab_helpers.Gcf.figs) == managers
@@ -43,7 +45,7 @@ def test_filmstrip_turns_every_figure_to_its_own_heading():
     clip, _ = synthesise("neutral", np.zeros(60), np.ones(60))
     points = body_points(clip)[7]
     turned = points[:, [2, 1, 0]] * [1, 1, -1]  # a quarter to the left
-    np.testing.assert_allclose(plots._to_view(turned, np.pi / 2), plots._to_view(points, 0.0), atol=1e-12)
+    np.testing.assert_allclose(to_view(turned, np.pi / 2), to_view(points, 0.0), atol=1e-12)
 
 
 @dataclasses.dataclass(frozen=True)

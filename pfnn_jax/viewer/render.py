@@ -1,0 +1,141 @@
+"""Clips as files to look at: a page that plays, a GIF, an MP4, or a picture."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.files import write_whole
+from pfnn_jax.viewer.drawing import png_bytes
+from pfnn_jax.viewer.film import Film
+from pfnn_jax.viewer.filmstrip import filmstrip
+from pfnn_jax.viewer.player import FPS, player_page
+from pfnn_jax.viewer.tracks import Track
+
+GIF_FPS, GIF_DPI, GIF_COLOURS, GIF_SAMPLES = 20.0, 80, 64, 8
+MP4_FPS, MP4_DPI, MP4_QUALITY = 30.0, 150, 6
+MOMENTS, MOST_MOMENTS, MOST_FPS = 8, 40, 240
+MOST_GIF = 1200  # frames; they are kept in memory, and a minute takes 18 MB
+CENTISECOND = 0.01  # times in a GIF are whole ones
+
+Progress = Callable[[int, int], None]
+"""Told how many frames are done, and of how many."""
+
+
+def render(
+    tracks: Sequence[Track],
+    out: str | Path,
+    *,
+    fps: float | None = None,
+    moments: int = MOMENTS,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> int:
+    """Draw clips side by side and in step; the file's suffix decides how.
+
+    Args:
+        tracks: the clips, with their contacts and phases.
+        out: `.html` for a page that plays without a server, `.gif` or `.mp4` for a film, `.png` for poses along time.
+        fps: frames per second of a page (30) or film (20 in a GIF, 30 in an MP4); a GIF takes the nearest it can tell.
+        moments: poses in a picture.
+        overwrite: replace an existing file.
+        progress: called after every frame of a film.
+
+    Returns:
+        Bytes written.
+
+    Raises:
+        InputError: for another suffix, an existing file, a setting out of range, or a page or film that cannot be made.
+    """
+    out = Path(out)
+    check_output(out, fps, moments)
+    if out.exists() and not overwrite:
+        raise InputError(out, "output", "exists", "existing output is replaced only with --overwrite")
+    content = FORMATS[out.suffix.lower()](tracks, out, fps, moments, progress)
+    write_whole(out, content)
+    return len(content)
+
+
+def check_output(out: Path, fps: float | None, moments: int) -> None:
+    """Before clips are read.
+
+    Raises:
+        InputError: for a suffix that names no format, a folder that is absent, or a setting out of range.
+    """
+    if out.suffix.lower() not in FORMATS:
+        raise InputError(out, "suffix", out.suffix or "none", f"must be one of {', '.join(FORMATS)}")
+    if not out.parent.is_dir():
+        raise InputError(out, "output", "no such folder", "its folder must exist")
+    if fps is not None and not 0 < fps <= MOST_FPS:
+        raise InputError(out, "fps", fps, f"must be positive and at most {MOST_FPS}")
+    if not 1 <= moments <= MOST_MOMENTS:
+        raise InputError(out, "moments", moments, f"must be 1 to {MOST_MOMENTS}")
+
+
+def _html(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, progress: Progress | None) -> bytes:
+    return player_page(tracks, title=", ".join(track.name for track in tracks), fps=fps or FPS).encode()
+
+
+def _png(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, progress: Progress | None) -> bytes:
+    return png_bytes(filmstrip(*tracks, moments=moments))
+
+
+def _gif(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, progress: Progress | None) -> bytes:
+    hundredths = max(2, round(1 / ((fps or GIF_FPS) * CENTISECOND)))  # browsers take shorter ones for ten
+    film = Film(tracks, 1 / (hundredths * CENTISECOND), GIF_DPI)
+    if film.num_frames > MOST_GIF:
+        shown = f"{film.seconds:.0f} s at {film.fps:g} frames per second"
+        raise InputError(out, "film", shown, f"a GIF holds {MOST_GIF} frames: show fewer seconds, or make an MP4")
+    palette = _palette(film)
+    frames = []
+    for number, frame in enumerate(film.frames()):
+        frames.append(Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE))
+        if progress:
+            progress(number + 1, film.num_frames)
+    buffer = io.BytesIO()
+    frames[0].save(
+        buffer, "GIF", save_all=True, append_images=frames[1:], duration=10 * hundredths, loop=0, optimize=False
+    )
+    return buffer.getvalue()
+
+
+def _palette(film: Film) -> Image.Image:
+    """The colours of some frames: one palette for all, or flat colours would flicker."""
+    some = [film.frame_at(second) for second in np.linspace(0, film.seconds, GIF_SAMPLES)]
+    return Image.fromarray(np.concatenate(some)).quantize(GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+
+
+def _mp4(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, progress: Progress | None) -> bytes:
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        rule = "MP4 needs imageio-ffmpeg: pip install pfnn-jax[viewer]"
+        raise InputError(out, "suffix", ".mp4", rule) from None
+    film = Film(tracks, fps or MP4_FPS, MP4_DPI)
+    start: Any = imageio_ffmpeg.write_frames  # says that rates are whole numbers, and takes any
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mp4"
+        try:
+            writer = start(
+                str(path), (film.width, film.height), fps=film.fps, quality=MP4_QUALITY, macro_block_size=2,
+                ffmpeg_log_level="error", output_params=["-movflags", "+faststart"],
+            )  # fmt: skip
+            writer.send(None)
+            for number, frame in enumerate(film.frames()):
+                writer.send(np.ascontiguousarray(frame))
+                if progress:
+                    progress(number + 1, film.num_frames)
+            writer.close()
+        except (OSError, RuntimeError) as error:  # ffmpeg absent or stopped
+            raise InputError(out, "film", str(error).splitlines()[0], "ffmpeg must be able to write it") from None
+        return path.read_bytes()
+
+
+FORMATS = {".html": _html, ".gif": _gif, ".mp4": _mp4, ".png": _png}
