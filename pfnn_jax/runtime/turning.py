@@ -19,7 +19,7 @@ from pfnn_jax.runtime.predictor import Predictor, assemble_predictor, evaluate
 from pfnn_jax.runtime.pursuit import make_track
 from pfnn_jax.runtime.rollout import Frames, Stability, follow_path, stability
 from pfnn_jax.runtime.state import initial_state
-from pfnn_jax.training.few_shot import assemble
+from pfnn_jax.training.few_shot_steps import assemble
 
 TURN_RATE = np.deg2rad(45.0)
 """Radians per second of the circles: a brisk turn, a full circle in 8 seconds."""

@@ -9,20 +9,17 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
-from flax import struct
 
 from pfnn_jax.models.adapters import AdapterConfig, Style, init_adapter
-from pfnn_jax.models.network import Dropout, Network, config_of, init_network
+from pfnn_jax.models.network import Network, config_of, init_network
 from pfnn_jax.training.batches import Batch
-from pfnn_jax.training.losses import squared_error
-from pfnn_jax.training.steps import Bones, Objective, predict_batch
+from pfnn_jax.training.few_shot_steps import EpochTrainer, Setting, init_few_shot_state, row_errors
+from pfnn_jax.training.steps import Bones, Objective
 
 Method = Literal["cp", "full", "diagonal", "bias", "dense", "one_hot", "film", "fine_tune", "scratch"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -93,15 +90,6 @@ FILM = FewShotConfig("film", learning_rates=(1e-4, 1e-3, 3e-3), main_dropouts=(0
 """Beside a network trained with FiLM: the 4H numbers of a Film, at rates that move them in a few epochs."""
 
 
-@struct.dataclass
-class Setting:
-    """One point of the grid, or the whole grid on a leading axis G."""
-
-    learning_rate: jax.Array  # []
-    main_dropout: jax.Array  # []
-    adapter_dropout: jax.Array  # []
-
-
 class Choice(NamedTuple):
     """A setting and its stopping point, with the error that ranked it."""
 
@@ -144,80 +132,6 @@ def initial_parameters(config: FewShotConfig, shared: Network, key: jax.Array, s
     return init_adapter(AdapterConfig(config.method, config.rank), sizes.hidden, sizes.num_control_points, key)
 
 
-def assemble(trained: Any, shared: Network) -> tuple[Network, Style | None]:
-    """The network and adapter to run: (shared, adapter), or (network, None) where a whole network was trained."""
-    return (trained, None) if isinstance(trained, Network) else (shared, trained)
-
-
-@struct.dataclass
-class FewShotState:
-    """What few-shot training changes, for one setting or, on a leading axis, for a grid or a bank."""
-
-    trained: Any
-    optimiser: Any
-
-
-def init_few_shot_state(trained: Any) -> FewShotState:
-    """A state at epoch 0 from the parameters to be trained."""
-    return FewShotState(trained, optax.scale_by_adam().init(trained))
-
-
-def few_shot_step(
-    state: FewShotState, setting: Setting, shared: Network, batch: Batch, key: jax.Array, objective: Objective
-) -> FewShotState:
-    """One Adam step of one setting on one minibatch; only `state.trained` is differentiated."""
-    dropout = Dropout(main=setting.main_dropout, adapter=setting.adapter_dropout)
-
-    def loss(trained):
-        network, style = assemble(trained, shared)
-        return objective.loss(predict_batch(network, style, batch, dropout, key), batch.y, (trained,))[0]
-
-    update, optimiser = optax.scale_by_adam().update(jax.grad(loss)(state.trained), state.optimiser)
-    trained = jax.tree.map(lambda value, change: value - setting.learning_rate * change, state.trained, update)
-    return FewShotState(trained, optimiser)
-
-
-def _train_epochs(
-    state: FewShotState, setting: Setting, shared: Network, data: Batch, epochs, key, batch_size: int, objective
-) -> FewShotState:
-    """One setting trained on one style over the epochs [start, stop); a last incomplete batch is dropped."""
-    num_frames = data.phase.shape[0]
-    rounds = num_frames // batch_size
-
-    def one_epoch(epoch, state):
-        order_key, step_key = jax.random.split(jax.random.fold_in(key, epoch))
-        order = jax.random.permutation(order_key, num_frames)[: rounds * batch_size].reshape(rounds, batch_size)
-
-        def body(state, step):
-            frames, key = step
-            batch = jax.tree.map(lambda leaf: leaf[frames], data)
-            return few_shot_step(state, setting, shared, batch, key, objective), None
-
-        return jax.lax.scan(body, state, (order, jax.random.split(step_key, rounds)))[0]
-
-    return jax.lax.fori_loop(epochs[0], epochs[1], one_epoch, state)
-
-
-@partial(jax.jit, static_argnames=("batch_size", "objective", "per_style"), donate_argnums=0)
-def _train_many(states, settings, shared, data, epochs, key, *, batch_size, objective, per_style=False) -> FewShotState:
-    """A leading axis of states trained at once: settings over one style's data, or styles under one setting."""
-
-    def one(state, setting, data):
-        return _train_epochs(state, setting, shared, data, epochs, key, batch_size, objective)
-
-    return jax.vmap(one, in_axes=(0, None, 0) if per_style else (0, 0, None))(states, settings, data)
-
-
-@jax.jit
-def _errors(trained, shared: Network, data: Batch) -> jax.Array:
-    """Mean squared normalised error [G] of every setting on all frames of `data`."""
-
-    def one(trained):
-        return squared_error(predict_batch(*assemble(trained, shared), data, None, None), data.y)
-
-    return jax.vmap(one)(trained)
-
-
 def train_grid(
     shared: Network,
     data: Batch,
@@ -226,6 +140,7 @@ def train_grid(
     *,
     start: Style | None = None,
     bones: Bones | None = None,
+    on_epochs: Callable[[int], Any] = lambda number: None,
 ) -> list[Candidate]:
     """Train every setting of the grid; the candidates of all stops, best held-out error first.
 
@@ -236,6 +151,7 @@ def train_grid(
         config: the grid.
         start: style to begin with, see `initial_parameters`.
         bones: of the rows, for the bone-length loss; None leaves it out.
+        on_epochs: told, every few epochs, how many are done.
 
     Raises:
         ValueError: if there are fewer training frames than a minibatch.
@@ -247,11 +163,12 @@ def train_grid(
     init_key, train_key = jax.random.split(jax.random.key(config.seed))
     first = initial_parameters(config, shared, init_key, start)
     states = jax.vmap(lambda _: init_few_shot_state(first))(jnp.arange(count))
-    sizes = {"batch_size": config.batch_size, "objective": _objective(config, bones)}
+    trainer = EpochTrainer(shared, data, config.batch_size, _objective(config, bones), train_key)
     candidates, begin = [], 0
     for stop in config.stops:
-        states = _train_many(states, settings, shared, data, (begin, stop), train_key, **sizes)
-        candidates += _candidates(states.trained, settings, stop, np.asarray(_errors(states.trained, shared, held_out)))
+        states = trainer.train(states, settings, (begin, stop), on_epochs)
+        errors = row_errors(states.trained, shared, held_out).mean(axis=1)
+        candidates += _candidates(states.trained, settings, stop, errors)
         begin = stop
     return sorted(candidates, key=lambda candidate: candidate.choice.held_out_error)
 
@@ -302,9 +219,11 @@ def refit(
     *,
     start: Style | None = None,
     bones: Bones | None = None,
+    on_epochs: Callable[[int], Any] = lambda number: None,
 ) -> Any:
     """Train the chosen setting once more on all frames [N, ...], the held-out ones included."""
-    bank = train_bank(shared, jax.tree.map(lambda leaf: leaf[None], data), choice, config, start=start, bones=bones)
+    data, options = jax.tree.map(lambda leaf: leaf[None], data), {"start": start, "bones": bones}
+    bank = train_bank(shared, data, choice, config, on_epochs=on_epochs, **options)
     return jax.tree.map(lambda leaf: np.asarray(leaf[0]), bank)
 
 
@@ -316,15 +235,15 @@ def train_bank(
     *,
     start: Style | None = None,
     bones: Bones | None = None,
+    on_epochs: Callable[[int], Any] = lambda number: None,
 ) -> Any:
     """Many styles at once under one setting: data [S, N, ...] -> trained parameters [S, ...], by `vmap`."""
     init_key, train_key = jax.random.split(jax.random.key(config.seed))
     setting = Setting(*(jnp.asarray(rate, jnp.float32) for rate in choice[:3]))
     first = initial_parameters(config, shared, init_key, start)
     states = jax.vmap(lambda _: init_few_shot_state(first))(jnp.arange(data.phase.shape[0]))
-    sizes = {"batch_size": config.batch_size, "objective": _objective(config, bones)}
-    states = _train_many(states, setting, shared, data, (0, choice.epochs), train_key, per_style=True, **sizes)
-    return states.trained
+    trainer = EpochTrainer(shared, data, config.batch_size, _objective(config, bones), train_key, per_style=True)
+    return trainer.train(states, setting, (0, choice.epochs), on_epochs).trained
 
 
 def _objective(config: FewShotConfig, bones: Bones | None) -> Objective:

@@ -22,16 +22,20 @@ from pfnn_jax.training.few_shot import (
     Choice,
     FewShotConfig,
     Method,
-    Setting,
-    assemble,
     choose,
-    few_shot_step,
-    init_few_shot_state,
     initial_parameters,
     refit,
     settings_grid,
     train_bank,
     train_grid,
+)
+from pfnn_jax.training.few_shot_steps import (
+    Setting,
+    assemble,
+    few_shot_step,
+    init_few_shot_state,
+    padded_permutation,
+    sorts_of,
 )
 from pfnn_jax.training.losses import l1_penalty, squared_error
 from pfnn_jax.training.steps import Objective, bones_of, predict_batch
@@ -185,6 +189,21 @@ def test_a_bank_equals_its_styles_trained_one_by_one():
     for style in range(3):
         alone = refit(shared, jax.tree.map(lambda leaf, s=style: leaf[s], data), choice, SINGLE)
         assert_close(jax.tree.map(lambda leaf, s=style: leaf[s], bank), alone)
+
+
+@pytest.mark.parametrize("count", [1, 100, 2000])
+def test_a_padded_order_is_the_one_without_padding(count):
+    """What is compiled for more frames than there are shuffles them as if it knew their number."""
+    key, size = jax.random.key(count), 2048
+    order = padded_permutation(key, size, jnp.int32(count), sorts_of(count))
+    np.testing.assert_array_equal(order[:count], jax.random.permutation(key, count))
+    assert sorted(order.tolist()) == list(range(size))
+
+
+def test_progress_is_told_until_the_last_epoch():
+    told = []
+    train_grid(toy_network(), toy_style(), held_out(), dataclasses.replace(SINGLE, stops=(2, 9)), on_epochs=told.append)
+    assert told == [2, 7, 9]
 
 
 def test_a_refit_on_the_same_frames_repeats_the_grid():
