@@ -8,7 +8,9 @@ the one that is not held is drawn to the offset of the other.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,8 @@ from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics, turn_joint
 PARTNER = (1, 0, 3, 2)
 """The other joint of the same foot, in the order of contacts: left heel, left toe, right heel, right toe."""
 
-HEELS, TOES = (0, 2), (1, 3)
+SETTLED = 4.74
+"""Time constants after which a twentieth of a critically damped motion is left: (1 + t) exp(-t) = 0.05."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,8 @@ class FootLockConfig:
     Attributes:
         hold_from: contact from which a foot joint is held.
         let_go_below: contact below which it is let go.
-        release: seconds after which about a twentieth of a released offset is left.
+        hold: seconds in which a toe that is held takes the lead of its foot.
+        release: seconds after which a twentieth of a released offset is left.
         heel_limit, toe_limit: a joint further than this from where the unheld motion has it is let go.
         hold_within: a joint is held anew only when its offset is below this.
         floor: metres, the height below which no foot joint sinks.
@@ -40,10 +44,11 @@ class FootLockConfig:
         fps: steps per second.
     """
 
-    hold_from: float = 0.8
-    let_go_below: float = 0.5
-    release: float = 0.25
-    heel_limit: float = 0.06
+    hold_from: float = 0.6
+    let_go_below: float = 0.4
+    hold: float = 0.05
+    release: float = 0.4
+    heel_limit: float = 0.08
     toe_limit: float = 0.15
     hold_within: float = 0.04
     floor: float = 0.0
@@ -54,7 +59,7 @@ class FootLockConfig:
         if not 0.0 <= self.let_go_below <= self.hold_from <= 1.0:
             found = f"{self.let_go_below} and {self.hold_from}"
             raise ValueError(f"FootLockConfig needs 0 <= let_go_below <= hold_from <= 1, got {found}.")
-        for name in ("release", "heel_limit", "toe_limit", "hold_within", "fps"):
+        for name in ("hold", "release", "heel_limit", "toe_limit", "hold_within", "fps"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"FootLockConfig.{name} must be above 0, got {getattr(self, name)}.")
 
@@ -65,24 +70,26 @@ class FootLocks:
 
     Attributes:
         positions: [4, 3] metres, where each joint is held, or was last.
-        strength: [4] 1 while held; afterwards the share of the offset that has not died away yet.
+        held: [4] bool.
+        strength: [4] in [0, 1]: rises to 1 when a joint is held, and dies away when it is let go.
         offsets: [4, 3] metres from the unheld to the corrected joint.
         velocities: [4, 3] metres per second, of the offsets.
         drop: [2] metres by which the hips are lowered, and its speed in metres per second.
     """
 
     positions: jax.Array
+    held: jax.Array
     strength: jax.Array
     offsets: jax.Array
     velocities: jax.Array
     drop: jax.Array
 
 
-def initial_locks(rig: Rig, dtype: jnp.dtype = jnp.float32) -> FootLocks:
-    """Nothing held."""
-    zero = jnp.zeros((4, 3), dtype)
+def initial_locks(rig: Rig, dtype: Any = jnp.float32) -> FootLocks:
+    """Nothing held; the rig is that of the body whose feet it is for."""
+    zero, none = jnp.zeros((len(rig.feet), 3), dtype), jnp.zeros(len(rig.feet), dtype)
     return FootLocks(
-        positions=zero, strength=jnp.zeros(4, dtype), offsets=zero, velocities=zero, drop=jnp.zeros(2, dtype)
+        positions=zero, held=none > 0.0, strength=none, offsets=zero, velocities=zero, drop=jnp.zeros(2, dtype)
     )
 
 
@@ -110,39 +117,50 @@ def lock_feet(
     targets = feet + locks.offsets
     targets = targets.at[:, 1].max(config.floor)
     needed = _needed_drop(rig, positions, targets, config)
-    locks = locks.replace(drop=_follow(locks.drop, needed, config))
+    drop, speed = _die_away(locks.drop[0] - needed, locks.drop[1], config)
+    locks = locks.replace(drop=jnp.stack([needed + drop, speed]))
     lowered = jnp.stack([jnp.zeros_like(needed), -locks.drop[0], jnp.zeros_like(needed)])
     pose = pose.replace(hips=pose.hips + lowered)
     positions = positions + lowered[None]
     pole = forward_of(rig, positions)
     for side, leg in enumerate(rig.legs):
-        held = locks.strength[2 * side + 1]
-        pose = _place_foot(rig, pose, positions, world, leg, targets[2 * side : 2 * side + 2], held, pole)
+        toe_share = _smooth(locks.strength[2 * side + 1])
+        pose = _place_foot(rig, pose, positions, world, leg, targets[2 * side : 2 * side + 2], toe_share, pole)
     return pose, locks
 
 
 def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, config: FootLockConfig) -> FootLocks:
-    """The offsets of this frame [4, 3]: held, or dying away."""
-    dt, rate = 1.0 / config.fps, 4.74 / config.release
-    partner = np.array(PARTNER)
-    was_held = locks.strength >= 1.0
-    goal = jnp.where(was_held[partner, None], locks.offsets[partner], 0.0)
-    away = locks.offsets - goal
-    push = locks.velocities + rate * away
-    fade = np.exp(-rate * dt)
-    free = goal + (away + push * dt) * fade
-    free_velocity = (locks.velocities - push * (rate * dt)) * fade
-    limits = np.array([config.heel_limit, config.toe_limit] * 2, np.float32) * rig.leg_length
-    gap = jnp.where(was_held[:, None], locks.positions - feet, free)
-    near = jnp.sum(gap * gap, axis=-1) < jnp.where(was_held, limits, config.hold_within * rig.leg_length) ** 2
-    wanted = jnp.where(was_held, contacts >= config.let_go_below, contacts >= config.hold_from)
-    held = wanted & near
-    starting = held & ~was_held
-    places = jnp.where(starting[:, None], feet + free, locks.positions)
-    offsets = jnp.where(held[:, None], places - feet, free)
-    velocities = jnp.where(held[:, None], (offsets - locks.offsets) * config.fps, free_velocity)
-    strength = jnp.where(held, 1.0, jnp.minimum(locks.strength, 0.999) * fade)
-    return locks.replace(positions=places, strength=strength, offsets=offsets, velocities=velocities)
+    """The locks of this frame: offsets [4, 3] that hold, follow the held partner, or die away."""
+    limits = np.array([config.heel_limit, config.toe_limit] * 2) * rig.leg_length
+    gap = locks.positions - feet
+    kept = locks.held & (contacts >= config.let_go_below) & (_squared(gap) < limits**2)
+    # What is not held dies away towards the offset of its partner, which moves: towards, and beside, it.
+    leads = kept[np.array(PARTNER), None]
+    goal, before, speed = (
+        jnp.where(leads, values[np.array(PARTNER)], 0.0) for values in (gap, locks.offsets, locks.velocities)
+    )
+    away, away_velocity = _die_away(locks.offsets - before, locks.velocities - speed, config)
+    free, near = goal + away, _squared(away) < (config.hold_within * rig.leg_length) ** 2
+    starting = ~locks.held & (contacts >= config.hold_from) & near
+    held = kept | starting
+    offsets = jnp.where(kept[:, None], gap, free)
+    moving = away_velocity + jnp.where(leads, (goal - before) * config.fps, 0.0)
+    return locks.replace(
+        positions=jnp.where(starting[:, None], feet + free, locks.positions),
+        held=held,
+        strength=jnp.clip(
+            locks.strength + jnp.where(held, 1.0 / config.hold, -1.0 / config.release) / config.fps, 0.0, 1.0
+        ),
+        offsets=offsets,
+        velocities=jnp.where(kept[:, None], (offsets - locks.offsets) * config.fps, moving),
+    )
+
+
+def _die_away(offset: jax.Array, velocity: jax.Array, config: FootLockConfig) -> tuple[jax.Array, jax.Array]:
+    """A critically damped spring at rest at 0, one frame later: exact for any step."""
+    dt, rate = 1.0 / config.fps, SETTLED / config.release
+    push, fade = velocity + rate * offset, math.exp(-rate * dt)
+    return (offset + push * dt) * fade, (velocity - push * (rate * dt)) * fade
 
 
 def _needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: FootLockConfig) -> jax.Array:
@@ -156,14 +174,6 @@ def _needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: Foo
         level = to[0] * to[0] + to[2] * to[2]
         drops.append(-to[1] - jnp.sqrt(jnp.maximum(reach * reach - level, 1e-6)))
     return jnp.clip(jnp.maximum(*drops), 0.0, config.max_drop * rig.leg_length)
-
-
-def _follow(drop: jax.Array, needed: jax.Array, config: FootLockConfig) -> jax.Array:
-    """The drop [2] (metres, metres per second) moved towards what is needed as a critically damped spring."""
-    dt, rate = 1.0 / config.fps, 4.74 / config.release
-    away = drop[0] - needed
-    push, fade = drop[1] + rate * away, np.exp(-rate * dt)
-    return jnp.stack([needed + (away + push * dt) * fade, (drop[1] - push * (rate * dt)) * fade])
 
 
 def _place_foot(
@@ -192,3 +202,13 @@ def _place_foot(
 
 def _norm(v: jax.Array) -> jax.Array:
     return jnp.sqrt(jnp.sum(v * v))
+
+
+def _squared(v: jax.Array) -> jax.Array:
+    """[4] squared lengths of v [4, 3]."""
+    return jnp.sum(v * v, axis=-1)
+
+
+def _smooth(share: jax.Array) -> jax.Array:
+    """A share in [0, 1] that begins and ends level."""
+    return share * share * (3.0 - 2.0 * share)
