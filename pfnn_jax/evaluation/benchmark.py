@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from pfnn_jax.evaluation.benchmark_crowds import crowd_figures
 from pfnn_jax.evaluation.benchmark_lpn import (
     generator_config,
     generator_figures,
@@ -21,7 +22,7 @@ from pfnn_jax.evaluation.benchmark_lpn import (
     lpn_sizes,
     lpn_step_figures,
 )
-from pfnn_jax.evaluation.benchmark_runtime import character_figures, crowd_figures, preparation_figures
+from pfnn_jax.evaluation.benchmark_runtime import character_figures, preparation_figures
 from pfnn_jax.evaluation.benchmark_training import few_shot_figures, rate_figures, step_figures
 from pfnn_jax.evaluation.timing import Figure, machine, versions
 from pfnn_jax.models.network import NetworkConfig
@@ -61,7 +62,7 @@ class BenchmarkConfig:
     steps_per_dispatch: int = 10
     few_shot_frames: int = 300
     few_shot_epochs: int = 100
-    characters: tuple[int, ...] = (256, 1024)
+    characters: tuple[int, ...] = (1, 16, 256, 4096)
     frames: int = 300
     lpn_joints: int = 25
     generator_filters: int = 256
@@ -120,9 +121,8 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
     largest = max(config.batch_sizes)
     sections["share of the matrix-product rate"] = lambda: rate_figures(sizes, rank, largest, repetitions, steps)
     sections["one character"] = lambda: character_figures(sizes, rank, repetitions, config.frames)
-    for number in config.characters:
-        sections[f"{number} characters"] = lambda n=number: crowd_figures(sizes, rank, n, repetitions)
     few = max(1, repetitions // 3)
+    sections["crowds"] = lambda: crowd_figures(config.hidden, config.characters, few)
     sections |= _sections_2022(config)
     sections["preparation"] = lambda: preparation_figures(config.mocap, config.seconds_per_style, few)
     # Last, as it empties the caches of compiled functions.

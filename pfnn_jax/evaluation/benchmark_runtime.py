@@ -1,4 +1,4 @@
-"""Speed at run time: one character beside plain NumPy, crowds, and preparation of motion capture."""
+"""Speed at run time: one character beside plain NumPy, and preparation of motion capture."""
 
 from __future__ import annotations
 
@@ -25,10 +25,8 @@ from pfnn_jax.motion.layout import LAYOUTS
 from pfnn_jax.motion.phase import mirror_phase
 from pfnn_jax.motion.sources import ClipFile, list_clips
 from pfnn_jax.motion.synthetic import PRETRAINING_STYLES, synthetic_clips
-from pfnn_jax.runtime.frame import Command, published_step
 from pfnn_jax.runtime.lookup import NUM_SLICES, Lookup, evaluate_lookup, make_lookup
 from pfnn_jax.runtime.predictor import Predictor, evaluate
-from pfnn_jax.runtime.state import initial_state
 
 CYCLE = 60
 """Frames of one gait cycle: consecutive frames read neighbouring slices, as in a walk."""
@@ -116,28 +114,6 @@ def walk(evaluate_frame: Callable, input_size: int, num_frames: int, phase_size:
             np.asarray(evaluate_frame(x, phase))
 
     return work
-
-
-def crowd_figures(sizes: NetworkConfig, rank: int, num_characters: int, repetitions: int) -> list[Figure]:
-    """Characters per second: whole controller steps of a batch in one style, and the network alone."""
-    section = f"{num_characters} characters at once"
-    layout = LAYOUTS["mason2018"]((sizes.input_size - 48) // 6)
-    predictor = random_predictor(sizes, AdapterConfig("cp", rank))
-    rng = np.random.default_rng(0)
-    x = jnp.asarray(rng.normal(size=(num_characters, sizes.input_size)), jnp.float32)
-    phase = jnp.asarray(rng.uniform(0, 2 * np.pi, num_characters), jnp.float32)
-    start = jax.vmap(lambda x, phase: initial_state(layout, x, phase, jnp.zeros(2), jnp.zeros(())))
-    states = start(x, phase)
-    ahead = jnp.tile(jnp.array([[0.0, 1.0]]), (num_characters, 1))
-    one_step = partial(published_step, partial(evaluate, predictor), layout)
-    works = {
-        "controller and network": partial(
-            jax.jit(jax.vmap(one_step)), states, Command(velocity=ahead, direction=ahead)
-        ),
-        "network alone": partial(jax.jit(jax.vmap(partial(evaluate, predictor))), x, phase),
-    }
-    seconds = interleave(works, repetitions)
-    return [figure(section, name, num_characters / value, "1/s") for name, value in seconds.items()]
 
 
 def preparation_figures(mocap: Path | None, seconds_per_style: float, repetitions: int) -> list[Figure]:

@@ -1,0 +1,77 @@
+"""How many characters can be driven at once: whole steps of the controller, with and without foot IK."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+
+from pfnn_jax.evaluation.timing import Figure, figure, interleave
+from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.motion.dataset import prepare
+from pfnn_jax.motion.labelled import LabelledClip
+from pfnn_jax.motion.preparation import PrepareConfig
+from pfnn_jax.motion.synthetic import synthetic_clips
+from pfnn_jax.runtime.controller import Controller, ControllerState, make_controller, step
+from pfnn_jax.runtime.frame import Command
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.loop import pretrain
+from pfnn_jax.training.run import Run
+
+SYSTEMS = {"PFNN with CP": ("mason2018", "cp"), "LPN with FiLM": ("mason2022", "film")}
+"""The systems of Mason 2018 and 2022: layout and kind of style."""
+
+STYLES = ("neutral", "proud")
+
+
+def crowd_figures(hidden: int, num_characters: tuple[int, ...], repetitions: int) -> list[Figure]:
+    """Characters per second of controller steps, for crowds of several sizes, each in a mixture of two styles.
+
+    The networks have the papers' sizes and a step of training on procedural walkers of 21 joints: what they are worth
+    as walkers makes no difference to their time.
+
+    Args:
+        hidden: H of the networks.
+        num_characters: sizes of the crowds.
+        repetitions: of every figure.
+    """
+    figures = []
+    for system, (layout, kind) in SYSTEMS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            run = _run(Path(folder), layout, AdapterConfig(kind), hidden)
+            controllers = {
+                name: make_controller(run, foot_ik=foot_ik) for name, foot_ik in (("with IK", True), ("without", False))
+            }
+        for number in num_characters:
+            works = {name: partial(*_crowd(controller, number)) for name, controller in controllers.items()}
+            seconds = interleave(works, repetitions)
+            section = f"crowd, {system}"
+            figures += [figure(section, f"{number} {name}", number / value, "1/s") for name, value in seconds.items()]
+    return figures
+
+
+def _run(folder: Path, layout: str, adapter: AdapterConfig, hidden: int) -> Run:
+    takes = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 10.0, clip_seconds=5.0)]
+    dataset = prepare(takes, folder / "data", PrepareConfig(layout=layout))
+    sizes = {"hidden": hidden, "generator_filters": 8, "generator_hidden": 8}  # a generator makes Films, once
+    return pretrain(dataset, folder / "run", PretrainConfig(adapter=adapter, steps=1, **sizes))
+
+
+def _crowd(controller: Controller, number: int) -> tuple:
+    """The step of a crowd in the midst of a walk, and its arguments: all parameters are shared, nothing else is."""
+
+    def crowd_step(params, states: ControllerState, commands: Command) -> ControllerState:
+        return jax.vmap(partial(step, controller.setup, params))(states, commands)
+
+    positions = jnp.stack([jnp.arange(number, dtype=jnp.float32), jnp.zeros(number)], -1)
+    states = jax.vmap(controller.start)(positions, jnp.zeros(number))
+    ahead = jnp.tile(jnp.asarray([[0.0, 1.0]]), (number, 1))
+    style = jnp.asarray(controller.style_weights(dict.fromkeys(STYLES, 0.5)))
+    commands = Command(velocity=ahead, direction=ahead, style=jnp.tile(style[None], (number, 1)))
+    compiled = jax.jit(crowd_step)
+    for _ in range(3):  # into the walk, where the style is a mixture already
+        states = compiled(controller.params, states, commands)
+    return compiled, controller.params, states, commands
