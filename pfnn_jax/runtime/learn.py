@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict
+import weakref
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import AdapterConfig
@@ -24,6 +28,11 @@ from pfnn_jax.training.run import Run, check_adapter, list_styles, load_generato
 from pfnn_jax.training.steps import Bones
 from pfnn_jax.training.style_data import hold_out, style_data, to_batch
 
+Progress = Callable[[float, str], Any]
+"""Told the share that is done, 0 to 1, and what is being done."""
+
+_bones_of_runs: weakref.WeakKeyDictionary[Run, Bones] = weakref.WeakKeyDictionary()
+
 
 def learn_style(
     run: Run,
@@ -33,6 +42,7 @@ def learn_style(
     mirror: bool = True,
     roles_file: Path | None = None,
     overwrite: bool = False,
+    progress: Progress = lambda share, what: None,
 ) -> dict[str, Any]:
     """Learns a style from a clip beside the frozen shared network, and saves it in the run.
 
@@ -43,6 +53,7 @@ def learn_style(
         mirror: also learn from the mirrored clip; off for a style whose left and right differ.
         roles_file: JSON naming the joints' roles.
         overwrite: replace a style of this name.
+        progress: told how far it is.
 
     Returns:
         What is saved as `info` in style.json: source, frames, speed, the choice and the ranking behind it, seconds.
@@ -53,32 +64,80 @@ def learn_style(
     """
     started = time.perf_counter()
     _check_request(run, clip_file.style, config, overwrite)
+    progress(0.0, "labelling")
     parts = clip_parts(load_take(clip_file, run.layout, roles_file), run, mirror)
-    rows = parts[0]
-    learn, held = hold_out(parts, config.held_out, str(clip_file.path))
-    _check_length(learn, config.batch_size, clip_file.path)
+    _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
+    adapter, found = learn_rows(run, parts, config, progress)
+    info = {
+        "source": clip_file.path.name,
+        "frames": len(parts[0].x),
+        "mirrored": mirror,
+        "speed": mean_speed(parts[0].y, run.layout),
+        "config": asdict(config),
+        **found,
+        "seconds": time.perf_counter() - started,
+    }
+    progress(0.98, "saving")
+    save_style(run.path, clip_file.style, adapter, info, overwrite)
+    return info
+
+
+def learn_rows(
+    run: Run, parts: list[Features], config: FewShotConfig, progress: Progress = lambda share, what: None
+) -> tuple[Any, dict[str, Any]]:
+    """The parameters of a style from the rows of its clip, and what is to tell of them; nothing is saved.
+
+    Args:
+        run: a pretrained run.
+        parts: rows of the clip, then of its mirror image where that belongs to the style.
+        config: the grid of settings.
+        progress: told how far it is.
+    """
+    rows, (learn, held) = parts[0], hold_out(parts, config.held_out)
     # A Film that changes nothing is no motion of any style: the mean of the run's styles is the nearest that is known.
     options = {"start": load_choice(run, None) if config.method == "film" else None, "bones": _bones(run)}
     data, held_out = to_batch(learn, run.normaliser), to_batch(held, run.normaliser)
-    candidates = train_grid(run.shared, data, held_out, config, **options)
+
+    def told(begin: float, end: float, epochs: int, what: str) -> Callable[[int], Any]:
+        return lambda done: progress(begin + (end - begin) * done / epochs, what)
+
+    trying = told(0.03, 0.5, config.stops[-1], "trying settings")
+    candidates = train_grid(run.shared, data, held_out, config, on_epochs=trying, **options)
     is_stable = make_stability_check(
         run.shared, run.normaliser, run.layout, rows.x, rows.y, rows.phase, controller_of(run)
     )
+    progress(0.5, "walking in circles")
     chosen = choose(candidates, config.tolerance, is_stable)
-    adapter = refit(run.shared, to_batch(parts, run.normaliser), chosen.choice, config, **options)
-    info = {
-        "source": clip_file.path.name,
-        "frames": len(rows.x),
-        "mirrored": mirror,
-        "speed": mean_speed(rows.y, run.layout),
-        "config": asdict(config),
+    learning = told(0.6, 0.95, chosen.choice.epochs, "learning")
+    everything = to_batch(parts, run.normaliser)
+    adapter = refit(run.shared, everything, chosen.choice, config, on_epochs=learning, **options)
+    return adapter, {
         "choice": chosen.choice._asdict(),
         "stable_on_turns": is_stable(adapter),
         "ranking": [candidate.choice._asdict() for candidate in candidates],
-        "seconds": time.perf_counter() - started,
     }
-    save_style(run.path, clip_file.style, adapter, info, overwrite)
-    return info
+
+
+def rehearse(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
+    """Compiles all that `learn_rows` needs of a run and a grid, so that a style is learned without waiting for it.
+
+    Args:
+        run: a pretrained run.
+        config: the grid.
+        num_frames: of a clip of which a symmetric style is learned; other lengths need no more.
+    """
+    x, y = (np.asarray(part.mean, np.float32) for part in (run.normaliser.inputs, run.normaliser.outputs))
+    phases = run.normaliser.phases
+    phase = np.zeros(()) if phases is None else phases.mean
+    rows = Features(
+        np.tile(x, (num_frames, 1)),
+        np.tile(y, (num_frames, 1)),
+        np.zeros(num_frames, np.float32)
+        if phases is None
+        else np.tile(phases.mean, (num_frames, 1)).astype(np.float32),
+        np.arange(num_frames),
+    )
+    learn_rows(run, [rows, rows], replace(config, stops=(1,)))
 
 
 def tune_style(
@@ -142,8 +201,10 @@ def _bones(run: Run) -> Bones | None:
     """Of the rows, where the layout's paper trains with bone lengths."""
     if not run.layout.next_frame:
         return None
-    outputs = run.normaliser.outputs
-    return Bones(run.layout, run.skeleton.parents, outputs.std, outputs.mean)
+    if run not in _bones_of_runs:  # the same object every time: it is part of what training is compiled for
+        outputs = run.normaliser.outputs
+        _bones_of_runs[run] = Bones(run.layout, run.skeleton.parents, outputs.std, outputs.mean)
+    return _bones_of_runs[run]
 
 
 def _check_request(run: Run, style: str, config: FewShotConfig, overwrite: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -73,13 +74,8 @@ def walk_circles(
     tracks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(make_track(path, speed, 256) for path in paths))
     points = jnp.asarray(np.stack([path.points[0] for path in paths]), jnp.float32)
     yaws = jnp.asarray([path.start_yaw for path in paths], jnp.float32)
-    num_frames = round(seconds * layout.fps)
-
-    def one(track, point, yaw):
-        state = initial_state(layout, jnp.asarray(x), jnp.asarray(phase, jnp.float32), point, yaw)
-        return follow_path(evaluate, predictor, layout, state, track, num_frames, config=config)
-
-    return jax.vmap(one)(tracks, points, yaws)
+    start = (jnp.asarray(x), jnp.asarray(phase, jnp.float32), round(seconds * layout.fps), config)
+    return _walk(predictor, layout, tracks, points, yaws, *start)
 
 
 def is_sound(found: Stability, allowed_peak: float) -> np.ndarray:
@@ -115,9 +111,23 @@ def make_stability_check(
     mean, std = (jnp.asarray(value, jnp.float32) for value in (normaliser.outputs.mean, normaliser.outputs.std))
 
     def is_stable(trained: Any) -> bool:
-        predictor = predictor_of(trained, shared, normaliser)
-        frames = walk_circles(predictor, layout, x[0], phase[0], speed, SECONDS, config)
-        found = jax.vmap(lambda one: stability(layout, one, mean, std))(frames)
+        predictor = jax.device_put(predictor_of(trained, shared, normaliser), jax.devices()[0])
+        found = _stability(layout, walk_circles(predictor, layout, x[0], phase[0], speed, SECONDS, config), mean, std)
         return bool(is_sound(found, PEAK_RATIO * own).all())
 
     return is_stable
+
+
+@partial(jax.jit, static_argnames=("layout", "num_frames", "config"))
+def _walk(predictor: Predictor, layout: FrameLayout, tracks, points, yaws, x, phase, num_frames: int, config) -> Frames:
+    def one(track, point, yaw):
+        return follow_path(
+            evaluate, predictor, layout, initial_state(layout, x, phase, point, yaw), track, num_frames, config=config
+        )
+
+    return jax.vmap(one)(tracks, points, yaws)
+
+
+@partial(jax.jit, static_argnums=0)
+def _stability(layout: FrameLayout, frames: Frames, mean: jax.Array, std: jax.Array) -> Stability:
+    return jax.vmap(lambda one: stability(layout, one, mean, std))(frames)
