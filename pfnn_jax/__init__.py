@@ -53,6 +53,7 @@ _ROOMS = {
     "runtime.paths": ("circle", "figure_eight", "read_path", "straight"),
     "runtime.predictor": ("evaluate", "make_predictor"),
     "runtime.released": ("import_released_pfnn",),
+    "runtime.released_cp": ("import_released_cp",),
     "runtime.released_lpn": ("import_released_lpn",),
     "runtime.rollout": ("follow_path", "rollout"),
     "viewer.filmstrip": ("filmstrip",),

@@ -18,6 +18,7 @@ from pfnn_jax.runtime.generate import Mode, generate
 from pfnn_jax.runtime.mixture import parse_style
 from pfnn_jax.runtime.paths import make_path
 from pfnn_jax.runtime.released import import_released_pfnn
+from pfnn_jax.runtime.released_cp import import_released_cp
 from pfnn_jax.runtime.released_lpn import import_released_lpn
 from pfnn_jax.runtime.rows import LayerNorm, RowMode, predict_file
 from pfnn_jax.training.run import list_styles, load_run
@@ -87,22 +88,23 @@ class Evaluate(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class ImportReleased(Command):
-    """Make a run from the authors' released weights.
+    """Make a run from the authors' released weights, or from files that `export --format bins` has written.
 
     Attributes:
-        kind: pfnn (Holden 2017), or lpn (Mason 2022, with its 100 styles).
-        directory: folder of `.bin` files; of pfnn any four or more of the fifty tables, of lpn all.
+        kind: pfnn (Holden 2017), cp (the files of Mason 2018's demo, with their description), or lpn (Mason 2022, with
+            its 100 styles).
+        directory: folder of `.bin` files; of pfnn and cp any four or more of the fifty tables, of lpn all.
         out: the run's folder.
         overwrite: replace an existing run.
     """
 
-    kind: Argument[Literal["pfnn", "lpn"]]
+    kind: Argument[Literal["pfnn", "cp", "lpn"]]
     directory: Annotated[Argument[Path], tyro.conf.arg(metavar="DIR")]
     out: Path
     overwrite: bool = False
 
     def run(self) -> Any:
-        make = {"pfnn": import_released_pfnn, "lpn": import_released_lpn}[self.kind]
+        make = {"pfnn": import_released_pfnn, "cp": import_released_cp, "lpn": import_released_lpn}[self.kind]
         run = make(self.directory, self.out, self.overwrite)
         styles = len(list_styles(run.path))
         print(f"{run.path}: {run.config.layout}" + (f", {styles} styles" if styles else ""))

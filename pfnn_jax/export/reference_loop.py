@@ -28,19 +28,16 @@ def turn_towards(facing, target, share):
     return facing * np.exp(1j * share * np.angle(target / facing))
 
 
-def lift(point):
-    return np.array([point.imag, 0, point.real])
-
-
-def turn(v, facing):
-    """Vectors [J, 3] of a root with a facing, turned into the world."""
-    ground = (v[:, 2] + 1j * v[:, 0]) * facing
+def turn(v, facing, point=0j):
+    """Vectors [J, 3] of a root with a facing turned into the world, then moved by its place on the ground."""
+    ground = (v[:, 2] + 1j * v[:, 0]) * facing + point
     return np.stack([ground.imag, v[:, 1], ground.real], -1)
 
 
 def fill(samples):
-    """Samples ten frames apart, filled in linearly."""
-    return np.interp(np.arange(10 * len(samples) - 9) / 10, np.arange(len(samples)), samples)
+    """Samples [M, ...] ten frames apart, filled in linearly: [10 (M - 1) + 1, ...]."""
+    last, at = samples[-1:], np.arange(10).reshape(1, -1, *[1] * (samples.ndim - 1)) / 10
+    return np.concatenate([mix(samples[:-1, None], samples[1:, None], at).reshape(-1, *last.shape[1:]), last])
 
 
 def spline(phase):
@@ -58,9 +55,9 @@ def load_network(folder, description, style=0):
 
     net, own = description["network"], description["styles"][style]["files"] if description["styles"] else {}
     stats = {name: read(file)[0] for name, file in net["statistics"].items()}
-    layers, mixing = [], np.array(net["mixing"])  # tables -> control points (pfnn); the identity (lpn)
+    layers, mixing = [], np.array(net["mixing"])  # from tables to control points (pfnn), or the identity (lpn)
     for files in net["layers"]:
-        biases = np.stack([read(b)[0] for b in files["biases"]])
+        biases = np.concatenate([read(b) for b in files["biases"]])
         weights = np.stack([read(w, biases.shape[1]) for w in files["weights"]])
         layers.append((np.tensordot(mixing, weights, 1), mixing @ biases))
     gates = [(read(w, read(b).size), read(b)[0]) for w, b in net["gating"]]
@@ -90,18 +87,14 @@ def load_network(folder, description, style=0):
 class Character:
     """111 trajectory points, one a frame from -60 to +50, of which 60 is now; the joints in the world; the phase."""
 
-    def __init__(self, description, evaluate):
-        self.layout, self.k, self.evaluate = description["layout"], description["loop"], evaluate
-        self.late = self.layout["next_frame"]
-        self.seen_from = 60 if self.late else 59  # the point from which x sees the joints
-        x, self.phase = (
-            self.read(np.array(description["start"]["x"]), "inputs"),
-            np.array(description["start"]["phase"]),
-        )
-        self.positions, self.directions = fill(x["position"]), unit(fill(x["direction"]))
+    def __init__(self, folder, style=0):
+        told = json.loads((Path(folder) / "description.json").read_text(encoding="utf-8"))
+        self.layout, self.k, self.evaluate = told["layout"], told["loop"], load_network(folder, told, style)
+        self.late, self.phase = self.layout["next_frame"], np.array(told["start"]["phase"])
+        x = self.read(np.array(told["start"]["x"]), "inputs")
+        self.positions, self.directions, self.gait = fill(x["position"]), unit(fill(x["direction"])), fill(x["gait"])
         self.velocity, self.facing = (self.positions[110] - self.positions[60]) * 60 / 50, self.directions[60]
-        self.gait = np.tile(np.eye(6)[1], (111, 1))  # stand, walk, jog, crouch, jump, bump
-        self.pose = self.to_world(x, self.seen_from)
+        self.pose = self.to_world(x, 60 if self.late else 59)
 
     def read(self, values, side="outputs"):
         """Blocks of x or y in metres, seconds and radians: of joints [J, 3], of the trajectory complex [samples]."""
@@ -112,16 +105,17 @@ class Character:
         if "joint_up" in blocks:
             forward, up = unit(blocks["joint_forward"]), blocks["joint_up"]
             blocks |= {"joint_forward": forward, "joint_up": unit(up - (up * forward).sum(-1, keepdims=True) * forward)}
-        return blocks
+        walking = np.repeat([0, 1, 0, 0, 0, 0], 12)  # stand, walk, jog, crouch, jump, bump
+        return blocks | {"gait": np.reshape(blocks.get("gait", walking), (6, 12)).T}
 
     def to_world(self, blocks, point):
         """The joints' blocks as a trajectory point sees them, turned into the world."""
         pose = {name: turn(v, self.directions[point]) for name, v in blocks.items() if name.startswith("joint_")}
-        return pose | {"joint_position": pose["joint_position"] + lift(self.positions[point])}
+        return pose | {"joint_position": turn(blocks["joint_position"], self.directions[point], self.positions[point])}
 
     def step(self, velocity, direction):
         """One frame under a command: a velocity in metres per second and a facing, both z + ix. Returns y."""
-        k, here, ahead = self.k, self.positions[60], np.arange(1, 51) / 60
+        k, here, facing, ahead = self.k, self.positions[60], self.directions[60], np.arange(1, 51) / 60
         # 1. The future trajectory is drawn towards the command, the more the further ahead.
         self.velocity = mix(self.velocity, k["command_gain"] * velocity, k["velocity_rate"])
         self.facing = turn_towards(self.facing, direction, k["direction_rate"])
@@ -129,30 +123,26 @@ class Character:
         self.positions[61:] = here + np.cumsum(steps)
         share = 1 - (1 - ahead) ** k["direction_bias"]
         self.directions[61:] = turn_towards(self.directions[61:], self.facing, share)
-        speed = abs(self.velocity)
-        moving, jog = min(speed / k["stand_speed"], 1), speed >= k["jog_speed"]
-        self.gait[60:] = mix(
-            self.gait[60], np.array([1 - moving, moving * (1 - jog), moving * jog, 0, 0, 0]), k["gait_rate"]
-        )
-        # 2. What the network reads; the ground is flat, so that terrain heights stay 0.
-        point, facing = self.seen_from, self.directions[60]
-        blocks = {name: turn(v, self.directions[point].conj()) for name, v in self.pose.items()}
-        blocks["joint_position"] = turn(
-            self.pose["joint_position"] - lift(self.positions[point]), self.directions[point].conj()
-        )
+        moving, jog = min(abs(self.velocity) / k["stand_speed"], 1), abs(self.velocity) >= k["jog_speed"]
+        wanted = np.array([1 - moving, moving * (1 - jog), moving * jog, 0, 0, 0])
+        self.gait[60:] = mix(self.gait[60], wanted, k["gait_rate"])
+        # 2. What the network reads: the trajectory as this root sees it, the joints as this or the previous one does.
+        before, faced = (v[60 if self.late else 59] for v in (self.positions, self.directions))
+        blocks = {name: turn(v, faced.conj()) for name, v in self.pose.items()} | {"gait": self.gait[::10].T}
+        blocks["joint_position"] = turn(self.pose["joint_position"], faced.conj(), -before * faced.conj())
         seen = {"position": (self.positions[::10] - here) / facing, "direction": self.directions[::10] / facing}
         for name, v in seen.items():
             blocks |= {f"trajectory_{name}_x": v.imag, f"trajectory_{name}_z": v.real}
-        x = np.zeros(self.layout["input_size"])
-        for name, v in (blocks | {"gait": self.gait[::10].T}).items():
-            if name in self.layout["inputs"]:
-                x[self.layout["inputs"][name]["columns"]] = v.ravel() / self.layout["inputs"][name]["scale"]
-        # 3. The network, and 4. what it says of the body, root, trajectory and phase.
+        x = np.zeros(self.layout["input_size"])  # the ground is flat: terrain heights stay 0
+        for name in blocks.keys() & self.layout["inputs"].keys():
+            block = self.layout["inputs"][name]
+            x[block["columns"]] = blocks[name].ravel() / block["scale"]
+        # 3. The network; 4. the body, the root, the trajectory and the phase move on.
         y = self.evaluate(x, self.phase)
         told = self.read(y)
         pose = self.to_world(told, 60)
         moved = self.pose["joint_position"] + (pose if self.late else self.pose)["joint_velocity"] / 60
-        pose["joint_position"] = mix(moved, pose["joint_position"], k["pose_rate"])
+        self.pose = pose | {"joint_position": mix(moved, pose["joint_position"], k["pose_rate"])}
         if self.late:
             positions = fill(mix(self.positions[60::10], here + told["position"] * facing, k["trajectory_rate"]))
             towards = turn_towards(self.directions[60::10], unit(told["direction"]) * facing, k["trajectory_rate"])
@@ -165,13 +155,7 @@ class Character:
             positions = here + facing * np.append(0, fill(told["position"])[1:])
             directions = facing * np.append(1, unit(fill(told["direction"])[1:]))
             self.phase = (self.phase + (0.9 * rate + 0.1 / 60) * told["phase_change"][0]) % (2 * np.pi)
-        self.pose, self.positions = pose, np.append(self.positions[1:61], positions)
+        self.positions = np.append(self.positions[1:61], positions)
         self.directions = np.append(self.directions[1:61], directions)
         self.gait = np.concatenate([self.gait[1:61], self.gait[60:]])
         return y
-
-
-def load(folder, style=0):
-    """A character at the origin that walks along +Z, in one of the folder's styles."""
-    description = json.loads((Path(folder) / "description.json").read_text(encoding="utf-8"))
-    return Character(description, load_network(folder, description, style))

@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.models.layers import BlendedLayer
-from pfnn_jax.models.network import Network, NetworkConfig
+from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_exp, quat_rotate
 from pfnn_jax.motion.layout import pfnn2017
@@ -28,7 +29,7 @@ from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
 from pfnn_jax.runtime.predictor import assemble_predictor, evaluate
-from pfnn_jax.runtime.released_files import read_array, read_statistics
+from pfnn_jax.runtime.released_files import read_array, read_description, read_statistics
 from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared
 
 NUM_TABLES = 50
@@ -58,7 +59,8 @@ def import_released_pfnn(directory: str | Path, out: str | Path, overwrite: bool
 
     Args:
         directory: holds `Xmean.bin`, `Xstd.bin`, `Ymean.bin`, `Ystd.bin` and, for at least four table indices
-            iii of 000-049, `W0_iii.bin`, `W1_iii.bin`, `W2_iii.bin`, `b0_iii.bin`, `b1_iii.bin`, `b2_iii.bin`.
+            iii of 000-049, `W0_iii.bin`, `W1_iii.bin`, `W2_iii.bin`, `b0_iii.bin`, `b1_iii.bin`, `b2_iii.bin`. With
+            a `description.json` beside them they are of its skeleton, else of the released character.
         out: the run directory to make.
         overwrite: replace an existing run.
 
@@ -70,29 +72,48 @@ def import_released_pfnn(directory: str | Path, out: str | Path, overwrite: bool
         InputError: for a file that is missing, of a wrong size or not finite; for fewer than four tables or tables
             from which four control points cannot be told apart; for tables of another spline; if `out` exists.
     """
-    directory, layout = Path(directory), pfnn2017(len(JOINTS))
+    directory = Path(directory)
+    told = read_description(directory, "pfnn2017")
+    layout = pfnn2017(len(JOINTS) if told is None else told["skeleton"].num_joints)
     sides = (("X", layout.input_size), ("Y", layout.output_size))
     normaliser = Normaliser(*(read_statistics(directory, side, size) for side, size in sides))
+    shared, facts = read_tables(directory, layout.input_size, layout.output_size)
+    skeleton = _skeleton(shared, normaliser, directory) if told is None else told["skeleton"]
+    config = RunConfig(
+        network=config_of(shared),
+        adapter=AdapterConfig(),
+        layout=layout.name,
+        num_joints=layout.num_joints,
+        styles=(),
+        skeleton=skeleton_to_json(skeleton),
+        pretrain={"source": f"PFNN tables in {directory}", **facts},
+    )
+    create_run(out, config, normaliser, overwrite)
+    save_shared(out, shared)
+    return load_run(out, layout.name)
+
+
+def read_tables(directory: Path, inputs: int, outputs: int) -> tuple[Network, dict[str, Any]]:
+    """The network of a directory of tables `W0_iii.bin`, `b0_iii.bin` (and 1, 2).
+
+    Args:
+        directory: holds them for at least four table indices iii.
+        inputs, outputs: sizes of x and y; the hidden size is that of the biases.
+
+    Returns:
+        The network, and which tables were used, the condition number of the least squares and what it left.
+
+    Raises:
+        InputError: as `import_released_pfnn`, for the tables.
+    """
     indices = _find_indices(directory)
     condition = condition_number(indices)
     if condition > MAX_CONDITION:
         rule = f"the tables must tell 4 control points apart (condition number {condition:.1e}): add others"
         raise InputError(directory, "tables", ", ".join(map(str, indices)), rule)
     hidden = len(read_array(directory / f"b0_{indices[0]:03d}.bin", None))
-    shared, residuals = _read_network(directory, indices, (layout.input_size, hidden, hidden, layout.output_size))
-    config = RunConfig(
-        network=NetworkConfig(layout.input_size, layout.output_size, hidden, CONTROL_POINTS),
-        adapter=AdapterConfig(),
-        layout=layout.name,
-        num_joints=layout.num_joints,
-        styles=(),
-        skeleton=skeleton_to_json(_skeleton(shared, normaliser, directory)),
-        pretrain={"source": f"released PFNN tables in {directory}", "tables": list(indices),
-                  "condition_number": condition, "residual": residuals},
-    )  # fmt: skip
-    create_run(out, config, normaliser, overwrite)
-    save_shared(out, shared)
-    return load_run(out, layout.name)
+    shared, residuals = _read_network(directory, indices, (inputs, hidden, hidden, outputs))
+    return shared, {"tables": list(indices), "condition_number": condition, "residual": residuals}
 
 
 def condition_number(indices: Sequence[int]) -> float:

@@ -2,13 +2,43 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.normaliser import Statistics
+from pfnn_jax.motion.skeleton import skeleton_from_json
+
+DESCRIPTION = "description.json"
+"""Stands beside files that `pfnn-jax export --format bins` has written."""
+
+
+def read_description(directory: Path, layout: str) -> dict[str, Any] | None:
+    """What an export tells of its files, with `skeleton` as a record; None where the files are the authors' own.
+
+    Raises:
+        InputError: for a description that cannot be read, or of another layout.
+    """
+    file = directory / DESCRIPTION
+    if not file.exists():
+        return None
+    rule = f"must describe an export of layout {layout} in bins"
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        found = data["layout"]["name"], data["format"]
+        if found != (layout, "bins"):
+            raise InputError(file, "layout, format", ", ".join(map(str, found)), rule)
+        return {key: data[key] for key in ("network", "styles", "loop")} | {
+            "skeleton": skeleton_from_json(data["skeleton"], file)
+        }
+    except (OSError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(file, "file", str(error).splitlines()[0], rule) from error
+    except (KeyError, TypeError) as error:
+        raise InputError(file, "entry", f"{error.args[0]}", rule) from error
 
 
 def read_array(file: Path, shape: tuple[int, ...] | None) -> np.ndarray:

@@ -20,12 +20,12 @@ from pfnn_jax.models.gating import Gating
 from pfnn_jax.models.layers import BlendedLayer, DenseLayer
 from pfnn_jax.models.network import Network, NetworkConfig
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_forward_up, quat_rotate
-from pfnn_jax.motion.layout import STYLE100_ENDS, mason2022
+from pfnn_jax.motion.layout import STYLE100_ENDS, layout_for, mason2022
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_to_json
 from pfnn_jax.runtime.predictor import assemble_predictor, evaluate
-from pfnn_jax.runtime.released_files import read_array, read_statistics
+from pfnn_jax.runtime.released_files import read_array, read_description, read_statistics
 from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared, save_style
 
 HIDDEN, EXPERTS, GATING_HIDDEN = 512, 8, 32
@@ -67,55 +67,63 @@ def import_released_lpn(directory: str | Path, out: str | Path, overwrite: bool 
     Args:
         directory: holds `Xmean.bin`, `Xstd.bin`, `Ymean.bin`, `Ystd.bin`, `GT_Xmean.bin`, `GT_Xstd.bin`,
             `cp{0-2}_a{0-7}.bin`, `cp{0-2}_b{0-7}.bin`, `wc{0-2}_w.bin`, `wc{0-2}_b.bin` and
-            `Style_{000-099}_{scale1,shift1,scale2,shift2}.bin`.
+            `Style_{000-099}_{scale1,shift1,scale2,shift2}.bin`. With a `description.json` beside them they are of its
+            skeleton, sizes and styles, else of the released character.
         out: the run directory to make.
         overwrite: replace an existing run.
 
     Returns:
-        The run, with the styles of `STYLES`.
+        The run, with the styles of `STYLES`, or of the description.
 
     Raises:
         InputError: for a file that is missing, of a wrong size or not finite; if `out` exists.
     """
-    directory, layout = Path(directory), mason2022(len(JOINTS))
+    directory = Path(directory)
+    told = read_description(directory, "mason2022")
+    layout = mason2022(len(JOINTS)) if told is None else layout_for("mason2022", told["skeleton"])
     sides = (("X", layout.input_size), ("Y", layout.output_size), ("GT_X", layout.phase_size))
     normaliser = Normaliser(*(read_statistics(directory, side, size) for side, size in sides))
+    sizes = {"hidden": HIDDEN, "experts": EXPERTS, "gating_hidden": GATING_HIDDEN} if told is None else told["network"]
     network = NetworkConfig(
         layout.input_size,
         layout.output_size,
-        HIDDEN,
-        EXPERTS,
+        sizes["hidden"],
+        sizes["experts"],
         phase_size=layout.phase_size,
-        gating_hidden=GATING_HIDDEN,
+        gating_hidden=sizes["gating_hidden"],
     )
+    speeds = dict.fromkeys(STYLES, SPEED) if told is None else {s["name"]: s["speed"] for s in told["styles"]}
     shared = _read_network(directory, network)
-    films = _read_films(directory)
+    films = _read_films(directory, len(speeds), network.hidden)
     config = RunConfig(
         network=network,
         adapter=AdapterConfig(kind="film"),
         layout=layout.name,
         num_joints=layout.num_joints,
-        styles=STYLES,
-        skeleton=skeleton_to_json(_skeleton(shared, films, normaliser, directory)),
-        pretrain={"source": f"released LPN weights in {directory}"},
-        command_gain=COMMAND_GAIN,
+        styles=tuple(speeds),
+        skeleton=skeleton_to_json(
+            _skeleton(shared, films, normaliser, directory) if told is None else told["skeleton"]
+        ),
+        pretrain={"source": f"LPN weights in {directory}"},
+        command_gain=COMMAND_GAIN if told is None else told["loop"]["command_gain"],
     )
     create_run(out, config, normaliser, overwrite)
     save_shared(out, shared)
-    info = {"source": f"released FiLM vectors in {directory}", "speed": SPEED}
-    for index, name in enumerate(STYLES):
+    for index, (name, speed) in enumerate(speeds.items()):
+        info = {"source": f"FiLM vectors in {directory}", "speed": speed}
         save_style(out, name, jax.tree.map(lambda leaf, i=index: leaf[i], films), info)
     return load_run(out, layout.name)
 
 
 def _read_network(directory: Path, config: NetworkConfig) -> Network:
-    sizes = (config.input_size, HIDDEN, HIDDEN, config.output_size)
+    experts, hidden, width = config.num_control_points, config.hidden, config.gating_hidden
+    sizes = (config.input_size, hidden, hidden, config.output_size)
     layers = []
     for layer, (i, o) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
-        weights = [read_array(directory / f"cp{layer}_a{expert}.bin", (o, i)).T for expert in range(EXPERTS)]
-        biases = [read_array(directory / f"cp{layer}_b{expert}.bin", (o,)) for expert in range(EXPERTS)]
+        weights = [read_array(directory / f"cp{layer}_a{expert}.bin", (o, i)).T for expert in range(experts)]
+        biases = [read_array(directory / f"cp{layer}_b{expert}.bin", (o,)) for expert in range(experts)]
         layers.append(BlendedLayer(weights=jnp.asarray(np.stack(weights)), biases=jnp.asarray(np.stack(biases))))
-    sizes = (config.phase_size, GATING_HIDDEN, GATING_HIDDEN, EXPERTS)
+    sizes = (config.phase_size, width, width, experts)
     gating = []
     for layer, (i, o) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
         weights = read_array(directory / f"wc{layer}_w.bin", (o, i)).T
@@ -127,16 +135,16 @@ def _read_network(directory: Path, config: NetworkConfig) -> Network:
     return Network(layers=(layers[0], layers[1], layers[2]), gating=Gating(layers=(gating[0], gating[1], gating[2])))
 
 
-def _read_films(directory: Path) -> Film:
-    """All styles, stacked: leaves [100, 2, 512]."""
+def _read_films(directory: Path, num_styles: int, hidden: int) -> Film:
+    """All styles, stacked: leaves [S, 2, H]."""
 
     def read(kind: str) -> np.ndarray:
         rows = [
-            read_array(directory / f"Style_{style:03d}_{kind}{layer}.bin", (HIDDEN,))
-            for style in range(len(STYLES))
+            read_array(directory / f"Style_{style:03d}_{kind}{layer}.bin", (hidden,))
+            for style in range(num_styles)
             for layer in (1, 2)
         ]
-        return np.stack(rows).reshape(len(STYLES), 2, HIDDEN)
+        return np.stack(rows).reshape(num_styles, 2, hidden)
 
     return Film(scale=jnp.asarray(read("scale")), shift=jnp.asarray(read("shift")))
 
