@@ -15,6 +15,7 @@ from pfnn_jax.cli.exporting import Export
 from pfnn_jax.cli.learning import Demo, FewShot, Pretrain
 from pfnn_jax.cli.rendering import Render
 from pfnn_jax.cli.running import Benchmark, Evaluate, Generate, ImportReleased, Predict
+from pfnn_jax.cli.viewing import Play
 from pfnn_jax.errors import InputError, TrainingError
 from pfnn_jax.motion.files import write_whole
 from pfnn_jax.motion.plain import json_text
@@ -32,6 +33,7 @@ COMMANDS = {
     "render": Render,
     "import-released": ImportReleased,
     "predict": Predict,
+    "play": Play,
     "export": Export,
     "benchmark": Benchmark,
 }

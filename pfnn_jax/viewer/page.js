@@ -1,0 +1,183 @@
+// What viser's page lacks: knowing when a key is let go, a stick, and a point that is dragged in a triangle.
+// Runs once per page. It reaches the server through two text fields of the panel, found by their labels, and only
+// ever writes numbers into them.
+(() => {
+  if (window.pfnnPage) return;
+  window.pfnnPage = true;
+
+  const DRIVE = "Stick and keys", SHARES = "Shares";
+  const KEYS = { KeyW: "w", KeyA: "a", KeyS: "s", KeyD: "d", KeyQ: "q", KeyE: "e" };
+  const BEAT = 200; // ms between repetitions while something is held
+  const held = new Set();
+  let shift = false, latched = false, stick = null, count = 0, timer = 0, rate = 0;
+
+  const field = (label) => {
+    const found = [...document.querySelectorAll("label")].find((element) => element.textContent === label);
+    if (!found) return null;
+    let box = found;
+    while (box && !box.querySelector("input")) box = box.parentElement;
+    return box;
+  };
+  const write = (label, text) => {
+    const input = field(label)?.querySelector("input");
+    if (!input) return false;
+    Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(input, text);
+    input.dispatchEvent(new Event("input", { bubbles: true }));
+    return true;
+  };
+  const hide = () => { // the field is a wire and nothing to look at
+    const box = field(DRIVE);
+    if (box) box.parentElement.style.display = "none";
+  };
+
+  const wish = () => {
+    const on = (key) => (held.has(key) ? 1 : 0);
+    const ahead = stick ? stick[0] : on("w") - on("s"), left = stick ? stick[1] : on("a") - on("d");
+    return [ahead.toFixed(3), left.toFixed(3), on("q") - on("e"), shift || latched ? 1 : 0].map(Number).join(" ");
+  };
+  const show = () => {
+    for (const element of document.querySelectorAll("[data-drive]")) {
+      const key = element.dataset.drive;
+      element.classList.toggle("on", key === "shift" ? shift || latched : held.has(key));
+    }
+    const knob = document.querySelector("[data-knob]");
+    if (knob) {
+      const [ahead, left] = wish().split(" ").map(Number), size = Math.max(1, Math.hypot(ahead, left));
+      knob.style.transform = `translate(${(-left / size) * 26}px, ${(-ahead / size) * 26}px)`;
+    }
+  };
+  const send = () => write(DRIVE, `${++count} ${wish()} ${rate.toFixed(1)}`);
+  const tell = (more = 1) => { // at once, then while anything is held; an end is told twice, for fields share a line
+    send();
+    show();
+    clearTimeout(timer);
+    const idle = /^0 0 0 /.test(wish());
+    if (!idle) timer = setTimeout(tell, BEAT);
+    else if (more > 0) timer = setTimeout(() => tell(more - 1), BEAT);
+  };
+
+  let frames = 0, since = performance.now(); // how many pictures a second this browser manages
+  const beat = (now) => {
+    frames += 1;
+    if (now - since >= 1000) {
+      rate = (1000 * frames) / (now - since);
+      frames = 0;
+      since = now;
+      send();
+    }
+    requestAnimationFrame(beat);
+  };
+  requestAnimationFrame(beat);
+
+  const typing = (element) =>
+    !!element && (element.isContentEditable || element.tagName === "TEXTAREA" ||
+      (element.tagName === "INPUT" && !element.readOnly && !/^(checkbox|radio|range|button|file)$/.test(element.type)));
+  const onKey = (event) => {
+    if (!event.isTrusted) return;
+    if (event.key === "Shift") {
+      shift = event.type === "keydown";
+      if (held.size) tell();
+      else show();
+      return;
+    }
+    const key = KEYS[event.code];
+    if (!key) return;
+    if (event.type === "keyup") {
+      if (held.delete(key)) tell();
+      return;
+    }
+    if (typing(event.target) || event.ctrlKey || event.metaKey || event.altKey || !field(DRIVE)) return;
+    event.stopImmediatePropagation(); // else the camera would take it
+    event.preventDefault();
+    shift = event.shiftKey;
+    if (!held.has(key)) {
+      held.add(key);
+      tell();
+    }
+  };
+  const letGo = () => {
+    const any = held.size || stick;
+    held.clear();
+    stick = null;
+    shift = false;
+    if (any) tell();
+    else show();
+  };
+  window.addEventListener("keydown", onKey, true);
+  window.addEventListener("keyup", onKey, true);
+  window.addEventListener("blur", letGo);
+  document.addEventListener("visibilitychange", () => document.hidden && letGo());
+
+  // Pointer: buttons, the stick, the triangle.
+  let drag = null;
+  const toStick = (event) => {
+    const box = document.querySelector("[data-stick]").getBoundingClientRect(), r = box.width / 2;
+    const x = (event.clientX - box.left - r) / (0.72 * r), y = (event.clientY - box.top - r) / (0.72 * r);
+    const length = Math.hypot(x, y), scale = length < 0.15 ? 0 : 1 / Math.max(1, length);
+    stick = [-y * scale, -x * scale];
+    tell();
+  };
+  const toTriangle = (event) => {
+    const svg = document.querySelector("[data-triangle]");
+    if (!svg) return;
+    const box = svg.getBoundingClientRect(), view = svg.viewBox.baseVal;
+    const x = ((event.clientX - box.left) / box.width) * view.width, y = ((event.clientY - box.top) / box.height) * view.height;
+    const [a, b, c] = svg.dataset.triangle.split(" ").map((corner) => corner.split(",").map(Number));
+    const area = (b[1] - c[1]) * (a[0] - c[0]) + (c[0] - b[0]) * (a[1] - c[1]);
+    let u = ((b[1] - c[1]) * (x - c[0]) + (c[0] - b[0]) * (y - c[1])) / area;
+    let v = ((c[1] - a[1]) * (x - c[0]) + (a[0] - c[0]) * (y - c[1])) / area;
+    let shares = [u, v, 1 - u - v].map((share) => Math.max(0, share));
+    const sum = shares[0] + shares[1] + shares[2];
+    shares = shares.map((share) => share / sum);
+    const percent = shares.map((share) => Math.round(100 * share));
+    percent[percent.indexOf(Math.max(...percent))] += 100 - percent[0] - percent[1] - percent[2];
+    const point = [0, 1].map((i) => shares[0] * a[i] + shares[1] * b[i] + shares[2] * c[i]);
+    const dot = svg.querySelector("[data-dot]");
+    dot.setAttribute("cx", point[0]);
+    dot.setAttribute("cy", point[1]);
+    write(SHARES, percent.join(" "));
+  };
+  const start = (event) => {
+    const target = event.target.closest?.("[data-drive], [data-stick], [data-triangle]");
+    if (!target) {
+      if (event.target.tagName === "CANVAS") document.activeElement?.blur();
+      return;
+    }
+    event.preventDefault();
+    document.activeElement?.blur();
+    if ("drive" in target.dataset) {
+      const key = target.dataset.drive;
+      if (key === "shift") latched = !latched;
+      else {
+        held.add(key);
+        drag = () => {};
+        drag.key = key;
+      }
+      tell();
+    } else {
+      drag = "stick" in target.dataset ? toStick : toTriangle;
+      drag.key = undefined;
+      drag(event);
+    }
+  };
+  const end = () => {
+    if (!drag) return;
+    if (drag.key) held.delete(drag.key);
+    if (drag === toStick) stick = null;
+    const wasTriangle = drag === toTriangle;
+    drag = null;
+    if (!wasTriangle) tell();
+  };
+  document.addEventListener("pointerdown", start, true);
+  document.addEventListener("pointermove", (event) => drag && drag(event), true);
+  document.addEventListener("pointerup", end, true);
+  document.addEventListener("pointercancel", end, true);
+  // A list, a checkbox or a slider that was used keeps the focus, and with it the keys, unless it is taken away.
+  document.addEventListener("click", (event) => {
+    if (event.target.closest?.("[role=option], input[type=checkbox], button, [role=slider]"))
+      setTimeout(() => typing(document.activeElement) && document.activeElement.blur(), 0);
+  });
+  hide();
+  setTimeout(hide, 300);
+  new MutationObserver(hide).observe(document.body, { childList: true, subtree: false });
+})();

@@ -1,0 +1,170 @@
+"""`pfnn-jax play`: a page in the browser with a character to drive, a character for every tab."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+import threading
+import time
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.viewer.learning import prepare_learning
+from pfnn_jax.viewer.page_scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
+from pfnn_jax.viewer.stage import Stage
+from pfnn_jax.viewer.tab import Tab
+
+if TYPE_CHECKING:
+    import viser
+
+LOCAL = "127.0.0.1"
+"""The address that only this machine can reach; any other must be asked for."""
+
+
+class Page:
+    """A server with a tab for every browser that connects. Use as a context manager, or `close` it.
+
+    Args:
+        stage: the runs.
+        host, port: where to listen; port 0 takes a free one.
+
+    Raises:
+        InputError: if viser is missing, or nobody can listen there.
+    """
+
+    def __init__(self, stage: Stage, host: str = LOCAL, port: int = 8080) -> None:
+        self._stage = stage
+        self._tabs: dict[int, Tab] = {}
+        self._lock = threading.Lock()
+        self._server = _serve(host, port)
+        self.host, self.port = host, self._server.get_port()
+        self._server.gui.configure_theme(
+            control_layout="floating",
+            control_width="medium",
+            show_logo=False,
+            show_share_button=False,
+            brand_color=(24, 160, 120),
+        )
+        self._server.gui.set_panel_label("pfnn_jax")
+        self._server.scene.set_up_direction("+y")
+        camera = self._server.initial_camera
+        camera.fov, camera.position, camera.look_at = CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
+        self._server.on_client_connect(self._open)
+        self._server.on_client_disconnect(self._close)
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds the page."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{'localhost' if self.host in ('', '0.0.0.0', '::') else host}:{self.port}"
+
+    @property
+    def tabs(self) -> tuple[Tab, ...]:
+        """The tabs that are open now."""
+        with self._lock:
+            return tuple(self._tabs.values())
+
+    def close(self) -> None:
+        """Ends all tabs and the server."""
+        with self._lock:
+            tabs, self._tabs = list(self._tabs.values()), {}
+        for tab in tabs:
+            tab.close()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _open(self, client: viser.ClientHandle) -> None:
+        tab = Tab(client, self._stage)
+        with self._lock:
+            self._tabs[client.client_id] = tab
+        tab.start()
+
+    def _close(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            tab = self._tabs.pop(client.client_id, None)
+        if tab is not None:
+            tab.close()
+
+
+def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080, open_browser: bool = False) -> None:
+    """Serves a page to drive characters of some runs, until Ctrl-C.
+
+    Args:
+        run_paths: folders of runs.
+        host: address to listen at; anything but the default lets other machines in.
+        port: of TCP; 0 takes a free one.
+        open_browser: whether to open the page here.
+
+    Raises:
+        InputError: for a folder that is no run, or if nobody can listen at the address.
+    """
+    check_address(host, port)  # before runs are loaded and compiled
+    stage = Stage(run_paths)
+    print(f"{', '.join(stage.runs)}: {len(stage.styles)} styles; compiling", flush=True)
+    stage.warm_up()
+    with Page(stage, host, port) as page:
+        print(f"{page.url}  (Ctrl-C ends)", flush=True)
+        threading.Thread(target=_rehearse, args=(stage,), name="rehearsal", daemon=True).start()
+        if open_browser:
+            webbrowser.open(page.url)
+        try:
+            while True:
+                time.sleep(3600.0)
+        except KeyboardInterrupt:
+            print("Ended.", flush=True)
+
+
+def _rehearse(stage: Stage) -> None:
+    """Compiles what the first upload would wait for, behind the characters."""
+    for run in stage.runs:
+        prepare_learning(stage, run)
+
+
+def check_address(host: str, port: int) -> None:
+    """Makes sure that one can listen at an address.
+
+    Raises:
+        InputError: if not: the port is taken, or the address is none of this machine's.
+    """
+    if not 0 <= port <= 65535:
+        raise InputError("page", "port", port, "must be between 0 and 65535")
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except socket.gaierror:
+        raise InputError("page", "host", ascii(host)[:80], "must be an address of this machine") from None
+    except OSError as error:
+        reason = error.strerror or "cannot be used"
+        raise InputError("page", f"port at {host}", port, f"{reason.lower()}; choose another with --port") from None
+
+
+def _serve(host: str, port: int) -> viser.ViserServer:
+    try:
+        import viser
+    except ImportError:
+        rule = "needed for the page: pip install pfnn-jax[viewer]"
+        raise InputError("environment", "viser", "not installed", rule) from None
+
+    class Server(viser.ViserServer):
+        def request_share_url(self, verbose: bool = True) -> None:
+            """Any page can ask for a public address; none is given."""
+
+    check_address(host, port)
+    with contextlib.redirect_stdout(io.StringIO()):  # its banner; the address is printed by `play`
+        server = Server(host=host, port=port, verbose=False)
+    if port not in (0, server.get_port()):  # taken since it was checked; viser goes on to the next
+        server.stop()
+        raise InputError("page", f"port at {host}", port, "is taken; choose another with --port")
+    return server
