@@ -1,19 +1,15 @@
 """The loop that an engine runs, in NumPy alone, on a folder that `pfnn-jax export RUN --format bins` has written.
 
-Read it from top to bottom; nothing else of pfnn_jax is needed. Metres, seconds, radians, 60 frames a second; Y up, +Z
-ahead, +X left. What lies on the ground is a complex number z + ix, so that a facing is e^(i yaw) and turning a product.
-In `mason2018` and `pfnn2017` y places this frame's joints and moves the root by a velocity; in `mason2022`
-(`next_frame`) it places the next frame's joints, and its first trajectory sample is the next root.
+Nothing else of pfnn_jax is needed. Metres, seconds, radians, 60 frames a second; Y up, +Z ahead, +X left. Ground
+points are complex numbers z + ix: a facing is e^(i yaw), and turning a product. In `mason2018` and `pfnn2017` y places
+this frame's joints and moves the root by a velocity; in `mason2022` (`next_frame`) it places the next frame's joints,
+and its first trajectory sample is the next root.
 """
 
 import json
 from pathlib import Path
 
 import numpy as np
-
-
-def elu(v):
-    return np.where(v > 0, v, np.expm1(np.minimum(v, 0)))
 
 
 def mix(old, new, share):
@@ -68,9 +64,10 @@ def load_network(folder, description, style=0):
 
     def evaluate(x, phase):
         if gates:
-            v = (phase - stats["phase_mean"]) / stats["phase_std"]
-            for n, (w, shift) in enumerate(gates):
-                v = elu(w @ v + shift) if n < 2 else np.exp(w @ v + shift)
+            v = gates[0][0] @ ((phase - stats["phase_mean"]) / stats["phase_std"]) + gates[0][1]
+            for w, shift in gates[1:]:
+                v = w @ np.where(v > 0, v, np.expm1(np.minimum(v, 0))) + shift
+            v = np.exp(v - v.max())
         c, h = v / v.sum() if gates else spline(phase), (x - stats["x_mean"]) / stats["x_std"]
         for n, (weights, biases) in enumerate(layers):
             f = np.tensordot(c, weights, 1) @ h + c @ biases
@@ -78,7 +75,7 @@ def load_network(folder, description, style=0):
                 f = f + a @ ((c @ d) * (b @ h)) + bias[0]
             if n < 2 and film:  # layer norm, then the style's scale and shift
                 f = film[n][0] * (f - f.mean()) / np.sqrt(f.var() + 1e-8) + film[n][1]
-            h = elu(f) if n < 2 else f
+            h = np.where(f > 0, f, np.expm1(np.minimum(f, 0))) if n < 2 else f
         return h * stats["y_std"] + stats["y_mean"]
 
     return evaluate
@@ -100,8 +97,7 @@ class Character:
         """Blocks of x or y in metres, seconds and radians: of joints [J, 3], of the trajectory complex [samples]."""
         blocks = {name: values[b["columns"]] * b["scale"] for name, b in self.layout[side].items()}
         blocks |= {name: v.reshape(-1, 3) for name, v in blocks.items() if name.startswith("joint_")}
-        for name in ("position", "direction"):
-            blocks[name] = blocks[f"trajectory_{name}_z"] + 1j * blocks[f"trajectory_{name}_x"]
+        blocks |= {k: blocks[f"trajectory_{k}_z"] + 1j * blocks[f"trajectory_{k}_x"] for k in ("position", "direction")}
         if "joint_up" in blocks:
             forward, up = unit(blocks["joint_forward"]), blocks["joint_up"]
             blocks |= {"joint_forward": forward, "joint_up": unit(up - (up * forward).sum(-1, keepdims=True) * forward)}
@@ -109,23 +105,20 @@ class Character:
         return blocks | {"gait": np.reshape(blocks.get("gait", walking), (6, 12)).T}
 
     def to_world(self, blocks, point):
-        """The joints' blocks as a trajectory point sees them, turned into the world."""
         pose = {name: turn(v, self.directions[point]) for name, v in blocks.items() if name.startswith("joint_")}
         return pose | {"joint_position": turn(blocks["joint_position"], self.directions[point], self.positions[point])}
 
     def step(self, velocity, direction):
-        """One frame under a command: a velocity in metres per second and a facing, both z + ix. Returns y."""
+        """One frame under a command: a velocity in metres per second and a facing, both z + ix. Returns `read` of y."""
         k, here, facing, ahead = self.k, self.positions[60], self.directions[60], np.arange(1, 51) / 60
         # 1. The future trajectory is drawn towards the command, the more the further ahead.
         self.velocity = mix(self.velocity, k["command_gain"] * velocity, k["velocity_rate"])
         self.facing = turn_towards(self.facing, direction, k["direction_rate"])
         steps = mix(np.diff(self.positions[60:]), self.velocity / 60, 1 - (1 - ahead) ** k["position_bias"])
         self.positions[61:] = here + np.cumsum(steps)
-        share = 1 - (1 - ahead) ** k["direction_bias"]
-        self.directions[61:] = turn_towards(self.directions[61:], self.facing, share)
+        self.directions[61:] = turn_towards(self.directions[61:], self.facing, 1 - (1 - ahead) ** k["direction_bias"])
         moving, jog = min(abs(self.velocity) / k["stand_speed"], 1), abs(self.velocity) >= k["jog_speed"]
-        wanted = np.array([1 - moving, moving * (1 - jog), moving * jog, 0, 0, 0])
-        self.gait[60:] = mix(self.gait[60], wanted, k["gait_rate"])
+        self.gait[60:] = mix(self.gait[60], [1 - moving, moving * (1 - jog), moving * jog, 0, 0, 0], k["gait_rate"])
         # 2. What the network reads: the trajectory as this root sees it, the joints as this or the previous one does.
         before, faced = (v[60 if self.late else 59] for v in (self.positions, self.directions))
         blocks = {name: turn(v, faced.conj()) for name, v in self.pose.items()} | {"gait": self.gait[::10].T}
@@ -135,11 +128,8 @@ class Character:
             blocks |= {f"trajectory_{name}_x": v.imag, f"trajectory_{name}_z": v.real}
         x = np.zeros(self.layout["input_size"])  # the ground is flat: terrain heights stay 0
         for name in blocks.keys() & self.layout["inputs"].keys():
-            block = self.layout["inputs"][name]
-            x[block["columns"]] = blocks[name].ravel() / block["scale"]
-        # 3. The network; 4. the body, the root, the trajectory and the phase move on.
-        y = self.evaluate(x, self.phase)
-        told = self.read(y)
+            x[self.layout["inputs"][name]["columns"]] = blocks[name].ravel() / self.layout["inputs"][name]["scale"]
+        told = self.read(self.evaluate(x, self.phase))  # 3. the network; 4. body, root, trajectory and phase move on
         pose = self.to_world(told, 60)
         moved = self.pose["joint_position"] + (pose if self.late else self.pose)["joint_velocity"] / 60
         self.pose = pose | {"joint_position": mix(moved, pose["joint_position"], k["pose_rate"])}
@@ -158,4 +148,4 @@ class Character:
         self.positions = np.append(self.positions[1:61], positions)
         self.directions = np.append(self.directions[1:61], directions)
         self.gait = np.concatenate([self.gait[1:61], self.gait[60:]])
-        return y
+        return told
