@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -17,6 +18,7 @@ from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.trajectory import to_local
+from pfnn_jax.runtime.fix_feet import fix_feet, output_contacts
 from pfnn_jax.runtime.frame import CONTROLLERS, Command, ControllerConfig
 from pfnn_jax.runtime.lookup import table_phase
 from pfnn_jax.runtime.mixture import StyleChoice
@@ -69,6 +71,7 @@ def generate(
     seconds: float | None = None,
     mode: Mode = "cubic",
     config: ControllerConfig | None = None,
+    foot_ik: bool = False,
 ) -> Generated:
     """Motion in a style along a path.
 
@@ -81,6 +84,9 @@ def generate(
         seconds: how long; by default as long as the path takes at that speed.
         mode: how the network is evaluated.
         config: constants of the controller, by default those of the run.
+        foot_ik: hold feet in place while they are in contact, as the network predicts it, or where the layout has no
+            contacts as the motion shows it; lay the arms of a mixture of styles along the predicted positions. The
+            loop itself is not changed by it.
 
     Raises:
         InputError: for an unknown style or mode, a table of phases where the run has no global one,
@@ -101,6 +107,10 @@ def generate(
     state = place_state(state, jnp.asarray(path.points[0], jnp.float32), jnp.float32(path.start_yaw))
     frames = follow_path(evaluate_fn, params, run.layout, state, make_track(path, speed), num_frames, config=config)
     clip = clip_from_frames(run.skeleton, run.layout, frames)
+    if foot_ik:
+        contacts = output_contacts(run.layout, np.asarray(frames.outputs))
+        joints = np.asarray(frames.joint_positions) if isinstance(style, Mapping) else None
+        clip = fix_feet(clip, contacts, joints=joints)
     return Generated(replace(clip, style=style_label(style), content="generated", source=str(run.path)), frames)
 
 
@@ -123,20 +133,21 @@ def default_speed(run: Run, style: StyleChoice) -> float:
     for None on a FiLM run, whose data goes every way, the mean of what its styles tell.
     """
     if style is None and run.config.adapter.kind == "film":
-        told = [_told_speed(run, name) for name in run.config.styles if name in list_styles(run.path)]
+        told = [told_speed(run, name) for name in run.config.styles if name in list_styles(run.path)]
         speeds = [speed for speed in told if speed is not None]
         if speeds:
             return float(np.mean(speeds))
     if isinstance(style, str):
         style = {style: 1.0}
-    told = [(weight, _told_speed(run, name)) for name, weight in (style or {}).items()]
+    told = [(weight, told_speed(run, name)) for name, weight in (style or {}).items()]
     if told and all(speed is not None for _, speed in told):
         return sum(weight * speed for weight, speed in told if speed is not None)
     velocity, _ = root_steps(run.layout, run.normaliser.outputs.mean[None])
     return float(np.hypot(*velocity[0]))
 
 
-def _told_speed(run: Run, name: str) -> float | None:
+def told_speed(run: Run, name: str) -> float | None:
+    """Metres per second of a style's clips as its `style.json` tells them, or None."""
     speed = style_note(run.path, name)["info"].get("speed")
     usable = isinstance(speed, int | float) and math.isfinite(speed) and speed > 0.0
     return float(speed) if usable else None
