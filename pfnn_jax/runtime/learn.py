@@ -128,13 +128,11 @@ def rehearse(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
     """
     x, y = (np.asarray(part.mean, np.float32) for part in (run.normaliser.inputs, run.normaliser.outputs))
     phases = run.normaliser.phases
-    phase = np.zeros(()) if phases is None else phases.mean
+    phase = np.float32(0.0) if phases is None else np.asarray(phases.mean, np.float32)
     rows = Features(
-        np.tile(x, (num_frames, 1)),
-        np.tile(y, (num_frames, 1)),
-        np.zeros(num_frames, np.float32)
-        if phases is None
-        else np.tile(phases.mean, (num_frames, 1)).astype(np.float32),
+        np.broadcast_to(x, (num_frames, *x.shape)),
+        np.broadcast_to(y, (num_frames, *y.shape)),
+        np.broadcast_to(phase, (num_frames, *phase.shape)),
         np.arange(num_frames),
     )
     learn_rows(run, [rows, rows], replace(config, stops=(1,)))

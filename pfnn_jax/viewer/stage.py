@@ -60,6 +60,7 @@ class Stage:
             raise InputError("stage", "runs", "none", "there must be at least one run to play")
         paths = [Path(path) for path in run_paths]
         self._lock = threading.RLock()
+        self._foot_ik = foot_ik
         self._casts = {name: load_cast(name, path, foot_ik) for name, path in zip(_names(paths), paths, strict=True)}
         self._version = 0
 
@@ -106,9 +107,8 @@ class Stage:
         parameters = load_style(self.cast(run).run, style)
         with self._lock:
             cast = self.cast(run)
-            controller = joined(cast.run, cast.controller, style, parameters)
-            speeds = {**cast.speeds, style: default_speed(cast.run, style)}
-            self._casts = {**self._casts, run: replace(cast, controller=controller, speeds=speeds)}
+            controller = joined(cast.run, cast.controller, style, parameters, foot_ik=self._foot_ik)
+            self._casts = {**self._casts, run: replace(cast, controller=controller, speeds=_speeds(controller))}
             self._version += 1
 
 
@@ -116,12 +116,11 @@ def load_cast(name: str, path: Path, foot_ik: bool = True) -> Cast:
     """A run with the controller of all of its styles."""
     run = load_run(path)
     styles = list_styles(run.path)
-    controller = make_controller(run, styles, capacity=len(styles) + SPARE, foot_ik=foot_ik)
-    speeds = {style: default_speed(run, style) for style in styles}
-    return Cast(name, run, controller, speeds, phase_scale(run.normaliser))
+    controller = _bound(make_controller(run, styles, capacity=len(styles) + SPARE, foot_ik=foot_ik))
+    return Cast(name, run, controller, _speeds(controller), phase_scale(run.normaliser))
 
 
-def joined(run: Run, controller: Controller, style: str, parameters: object) -> Controller:
+def joined(run: Run, controller: Controller, style: str, parameters: object, *, foot_ik: bool = True) -> Controller:
     """A controller with one more style, in a spare row where there is one, else in a larger bank.
 
     Raises:
@@ -138,9 +137,20 @@ def joined(run: Run, controller: Controller, style: str, parameters: object) -> 
     elif count < len(jax.tree.leaves(bank)[0]):
         index, styles = count, (*controller.styles, style)
     else:
-        return make_controller(run, (*controller.styles, style), capacity=count + 1 + SPARE)
+        more = len(styles := (*controller.styles, style)) + SPARE
+        return _bound(make_controller(run, styles, capacity=more, foot_ik=foot_ik))
     bank = jax.tree.map(lambda rows, row: rows.at[index].set(row), bank, parameters)
-    return replace(controller, params=controller.params.replace(bank=bank), styles=styles)
+    speeds = controller.params.speeds.at[index].set(default_speed(run, style))
+    return _bound(replace(controller, params=replace(controller.params, bank=bank, speeds=speeds), styles=styles))
+
+
+def _bound(controller: Controller) -> Controller:
+    """The controller with its arrays bound to the default device: what is bound is compiled anew where it was not."""
+    return replace(controller, params=jax.device_put(controller.params, jax.devices()[0]))
+
+
+def _speeds(controller: Controller) -> dict[str, float]:
+    return {name: float(speed) for name, speed in zip(controller.styles, controller.params.speeds, strict=False)}
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
