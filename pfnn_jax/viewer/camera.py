@@ -39,7 +39,7 @@ class Camera:
             (pixels [..., 2] right and up from the lower left corner, pixels per metre [...], nearness [...] metres in
             front of the target). Pixels are NaN for points behind the eye.
         """
-        yaw = self.yaw - self.heading
+        yaw = self.yaw + self.heading
         cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(self.pitch), np.sin(self.pitch)
         x, y, z = np.moveaxis(points - self.target, -1, 0)
         right, ahead = cy * x - sy * z, sy * x + cy * z

@@ -16,8 +16,9 @@ from pfnn_jax.viewer.tracks import Track
 
 TURN = np.deg2rad(62)  # from a body's front to its right, where the viewer stands
 BODY, MAP, NAMES = 1.75, 1.9, 0.85  # inches: height of the bodies, width of the map, names of a time line's rows
-STEP = 1.12  # inches from body to body
-SPACING, HEADROOM = 0.62, 1.1  # of the highest body: least way from one to the next, and height of the row
+STEP, LEAST = 1.12, 3  # inches from body to body, and for how many there is room at least
+HEADROOM = 1.1  # of the highest body: height of the row
+CLOSE, APART_BODIES = 0.78, 1.05  # of the widest body: least way to the next, where arms and legs may interlock or not
 EDGE, TITLE, CAPTION, LABELS, APART = 0.2, 0.4, 0.27, 0.28, 0.22  # inches
 TRAVELS = 0.5  # metres; a clip that stays in place needs no map
 
@@ -55,7 +56,7 @@ def filmstrip(
     times = np.linspace(0, longest, moments) if longest > 0 else np.zeros(1)
     rows = [_row(track, times) for track in tracks]
     left = NAMES if any(strip_height(track) for track in tracks) else EDGE
-    wide = STEP * len(times)
+    wide = STEP * max(len(times), LEAST)
     with_map = any(np.ptp(row.scene.points[:, 0][:, [0, 2]], axis=0).max() > TRAVELS for row in rows)
     width = left + wide + (MAP + APART if with_map else 0) + EDGE
     height = (TITLE if title else EDGE / 2) + sum(_height(row.track) for row in rows)
@@ -109,7 +110,7 @@ def _draw_row(
         figure.add_artist(note)
         top -= CAPTION
     side = place(left, top - BODY - LABELS, wide, BODY + LABELS)
-    _draw_bodies(side, row, (row.seconds - times[0] + pad) / (span + 2 * pad), len(times))
+    _draw_bodies(side, row, (row.seconds - times[0] + pad) / (span + 2 * pad), wide)
     if with_map:
         _draw_path(place(left + wide + APART, top - BODY - LABELS, MAP, BODY + LABELS), row)
     if strip := strip_height(row.track):
@@ -120,8 +121,8 @@ def _draw_row(
         line.set_xticks([])
 
 
-def _draw_bodies(axes: Axes, row: _Row, across: np.ndarray, columns: int) -> None:
-    """Bodies at their shares [N] of the way across axes that have room for so many columns."""
+def _draw_bodies(axes: Axes, row: _Row, across: np.ndarray, inches: float) -> None:
+    """Bodies at their shares [N] of the way across axes of so many inches."""
     scene = row.scene
     views = []
     for frame in row.frames:
@@ -130,12 +131,13 @@ def _draw_bodies(axes: Axes, row: _Row, across: np.ndarray, columns: int) -> Non
     radius = max(max(c.start_radius, c.end_radius) for c in scene.capsules)
     low, high = min(0.0, *(v[:, 1].min() for v in views)), max(v[:, 1].max() for v in views) + radius
     reach = max(np.ptp(v[:, 0]) for v in views) + 2 * radius
-    tall = max((high - low) * HEADROOM, 0.78 * reach * BODY / STEP, 1e-6)
+    known = row.track.clip.skeleton.roles is not None
+    tall = max((high - low) * HEADROOM, (CLOSE if known else APART_BODIES) * reach * BODY / STEP, 1e-6)
     per_inch = tall / BODY
-    wide = per_inch * STEP * columns
+    wide = per_inch * inches
     axes.axhline(0.0, color=GRID, linewidth=1.2, zorder=0)
     for number, (view, share, second) in enumerate(zip(views, across, row.seconds, strict=True)):
-        middle = 0.3 * (view[:, 0].min() + view[:, 0].max()) / 2  # a little towards the middle of arms held out
+        middle = (0.3 if known else 1.0) * (view[:, 0].min() + view[:, 0].max()) / 2  # partly that of arms held out
         draw_body(axes, view + [share * wide - middle, 0.0, 0.0], scene.capsules)
         text = axes.annotate(
             f"{number + 1}", (share * wide, low - 0.35 * LABELS * per_inch), ha="right", va="top", fontsize=8,

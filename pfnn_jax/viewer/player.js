@@ -83,7 +83,7 @@
     }
 
     aim(camera, target) {
-      const { width, height } = this.canvas, yaw = camera.yaw - this.track.heading;
+      const { width, height } = this.canvas, yaw = camera.yaw + this.track.heading;
       this.target = target;
       this.sines = [Math.cos(yaw), Math.sin(yaw), Math.cos(camera.pitch), Math.sin(camera.pitch)];
       this.distance = camera.distance * this.track.tall;
@@ -416,7 +416,7 @@
     }
 
     play(on) {
-      if (on === this.playing) return;
+      if (on === this.playing || this.tracks.every((track) => track.frames < 2)) return;
       this.playing = on;
       this.button.textContent = on ? "Pause" : "Play";
       if (!on) return;

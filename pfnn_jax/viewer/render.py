@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from PIL import Image
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.files import write_whole
-from pfnn_jax.viewer.drawing import png_bytes
+from pfnn_jax.viewer.drawing import PANEL, png_bytes
 from pfnn_jax.viewer.film import Film
 from pfnn_jax.viewer.filmstrip import filmstrip
 from pfnn_jax.viewer.player import FPS, player_page
@@ -109,7 +110,13 @@ def _gif(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, pr
 def _palette(film: Film) -> Image.Image:
     """The colours of some frames: one palette for all, or flat colours would flicker."""
     some = [film.frame_at(second) for second in np.linspace(0, film.seconds, GIF_SAMPLES)]
-    return Image.fromarray(np.concatenate(some)).quantize(GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+    colours, counts = np.unique(np.concatenate(some).reshape(-1, 3), axis=0, return_counts=True)
+    weighted = np.repeat(colours, np.ceil(np.sqrt(counts)).astype(int), axis=0)  # thin lines count, not only areas
+    chosen = Image.fromarray(weighted[None]).quantize(GIF_COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or []
+    exact = (np.array([to_rgb("white"), to_rgb(PANEL)]) * 255).round().astype(int).ravel().tolist()
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(exact + chosen[: 3 * GIF_COLOURS])
+    return palette
 
 
 def _mp4(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, progress: Progress | None) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -11,7 +11,9 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.viewer.body import Capsule, body_capsules, body_points, capsule_ends, headings
 
 PERSON = 1.7  # metres
-WIDE = 0.55  # share of its width that a body wider than tall counts as its height
+WIDE = 0.55  # share of its width that a person with arms held out counts as its height
+SWAY = 4.0  # how many times as tall as it strays from the camera's aim a scene counts at least, as a bouncing ball's
+DOT = 0.07  # of a person: radius of a joint without bones
 GROUND_PERCENTILE = 5.0  # of the lowest point over time: feet stand for longer than this
 NEAR_GROUND = 0.12  # of a person: files whose feet are this near to 0 mean 0
 FOLLOW = 1.0  # seconds over which the camera's target is averaged, so that it does not sway with every step
@@ -52,10 +54,15 @@ def make_scene(clip: MotionClip) -> Scene:
     radii = np.array([(c.start_radius, c.end_radius) for c in capsules])
     low, high = (ends[..., 1] - radii).min(axis=(1, 2)), (ends[..., 1] + radii).max(axis=(1, 2))
     width = np.ptp(ends[..., [0, 2]].reshape(len(points), -1, 2), axis=1).max(axis=-1)
-    tall = max(float(np.median(high - low)), WIDE * float(np.median(width))) / PERSON
+    known = clip.skeleton.roles is not None
+    tall = max(float(np.median(high - low)), (WIDE if known else 1.0) * float(np.median(width)))
     floor = float(np.percentile(low, GROUND_PERCENTILE))
-    floor = 0.0 if abs(floor) < NEAR_GROUND * tall else floor
-    middle = np.stack([points[:, 0, 0], (low + high) / 2 - floor, points[:, 0, 2]], axis=-1)
+    floor = 0.0 if abs(floor) < NEAR_GROUND * tall / PERSON else floor
+    across = points[:, 0] if known else (ends.min(axis=(1, 2)) + ends.max(axis=(1, 2))) / 2
+    middle = np.stack([across[:, 0], (low + high) / 2 - floor, across[:, 2]], axis=-1)
+    focus = _follow(middle, clip.fps)
+    tall = max(tall, SWAY * float(np.abs(middle - focus).max())) / PERSON
+    capsules = [replace(c, start_radius=DOT * tall, end_radius=DOT * tall) if c.start == c.end else c for c in capsules]
     facing = headings(clip, points)
     return Scene(
         points=points - [0.0, floor, 0.0],
@@ -64,7 +71,7 @@ def make_scene(clip: MotionClip) -> Scene:
         tall=tall,
         headings=facing,
         heading=_overall(facing, clip.fps),
-        focus=_follow(middle, clip.fps),
+        focus=focus,
     )
 
 

@@ -88,7 +88,7 @@ def label_track(clip: MotionClip, name: str, phase_file: Path | None = None) -> 
     roles = clip.skeleton.roles
     contacts, notes = None, []
     if roles is None:
-        notes.append("no feet known: no contacts")
+        notes.append("no feet known: no contacts, no phase")
     elif clip.num_frames >= SHORTEST:
         positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
         contacts = foot_contacts(positions, roles, clip.fps)

@@ -184,7 +184,7 @@ def one_joint(frames: int = 40) -> MotionClip:
 @pytest.mark.parametrize("frames", [1, 2, 40])
 def test_a_single_joint_plays_as_a_dot(frames):
     track = as_tracks([one_joint(frames)])[0]
-    assert track.note == "no feet known: no contacts" and track.name == "clip 1"
+    assert track.note == "no feet known: no contacts, no phase" and track.name == "clip 1"
     data = payload(player_html([track]))["tracks"][0]
     assert decoded(data).shape == (frames, 1, 3) and data["tall"] > 0 and len(data["capsules"]) == 1
 

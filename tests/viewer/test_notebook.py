@@ -1,0 +1,112 @@
+"""What `show` puts into a notebook plays by itself, apart from the notebook and from other shows."""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfnn_jax
+from pfnn_jax.motion.clip import MotionClip, resample
+from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.viewer.notebook import show
+from tests.viewer.pages import check_page, make_track, payload
+
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
+browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+SECOND = 1000  # milliseconds
+
+
+def walk(style: str = "zombie", frames: int = 180) -> MotionClip:
+    return synthesise(style, np.full(frames, 0.4), np.full(frames, 0.8))[0]
+
+
+def test_show_is_a_public_name():
+    assert pfnn_jax.show is show
+
+
+def test_a_show_is_a_sandboxed_frame_that_holds_its_page():
+    shown = show(walk(), walk("neutral", 90))
+    text = shown._repr_html_()
+    check_page(text)  # one element, nothing loaded
+    frame = re.fullmatch(r'<iframe srcdoc="([^"]*)" sandbox="allow-scripts" .*></iframe>', text, re.DOTALL)
+    assert frame is not None and html.unescape(frame[1]) == shown.html
+    assert [track["name"] for track in payload(shown.html)["tracks"]] == ["zombie walk", "neutral walk"]
+    assert repr(shown) == "Shown(zombie walk, neutral walk; 3.0 s)"
+
+
+def test_what_is_given_wins_over_what_is_found():
+    clip = walk()
+    given = np.full(clip.num_frames, 1.25)
+    shown = show(
+        clip, clip, names=["a", "b"], phase=[None, given], contacts=[np.zeros((clip.num_frames, 2), bool), None]
+    )
+    first, second = payload(shown.html)["tracks"]
+    assert (first["name"], second["name"]) == ("a", "b")
+    assert first["contacts"] == [[], []] and second["contacts"][0]
+    assert set(second["phases"][0]["angle"]) == {1.25} and len(set(first["phases"][0]["angle"])) > 9
+
+
+def test_show_refuses_what_does_not_fit():
+    with pytest.raises(ValueError, match="at least one clip"):
+        show()
+    with pytest.raises(ValueError, match="1 clips and 2 entries of phase"):
+        show(walk(), phase=[None, None])
+    with pytest.raises(ValueError, match="has 3 frames, its clip 180"):
+        show(walk(), contacts=[np.zeros((3, 4), bool)])
+
+
+def test_more_rows_need_more_height():
+    one, many = show(walk()), show(*[walk(frames=30)] * 5)
+    assert 400 < one.height < 600 < many.height
+
+
+@browser
+@pytest.mark.browser
+def test_two_shows_in_one_page_play_apart_and_in_step(tmp_path: Path):
+    """In a real browser, offline: as in a saved notebook or its HTML export."""
+    from playwright.sync_api import sync_playwright
+
+    shows = show(walk(), resample(walk("neutral", 120), 25.0)), show(walk("old", 240))
+    page_file = tmp_path / "notebook.html"
+    page_file.write_text(f"<body>{''.join(shown._repr_html_() for shown in shows)}</body>", encoding="utf-8")
+    with sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        context = chromium.new_context(viewport={"width": 900, "height": 1300}, offline=True)
+        page = context.new_page()
+        errors: list[str] = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(page_file.as_uri())
+        frames = [frame for frame in page.frames if frame != page.main_frame]
+        assert len(frames) == 2
+        for frame in frames:
+            frame.wait_for_function(
+                "!document.querySelector('output').textContent.startsWith('0.0')", timeout=20 * SECOND
+            )
+        first, second = frames
+        assert first.locator("canvas.scene").count() == 2 and second.locator("canvas.scene").count() == 1
+        first.locator("button.play").click()  # pauses the first alone
+        assert first.locator("button.play").inner_text() == "Play"
+        assert second.locator("button.play").inner_text() == "Pause"
+        strip = first.locator("canvas.strip").first
+        box = strip.bounding_box()
+        assert box is not None
+        strip.click(position={"x": 62 + (box["width"] - 62) / 2, "y": 10})
+        assert first.locator("output").inner_text() == "1.5 / 3.0 s"
+        drawn = "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some(v => v > 0)"
+        for frame in frames:
+            assert all(frame.locator("canvas").nth(i).evaluate(drawn) for i in range(frame.locator("canvas").count()))
+        assert errors == []
+        chromium.close()
+
+
+def test_a_track_of_local_phases_can_be_shown():
+    track = make_track()
+    vectors = np.tile([0.3, 0.4], (track.clip.num_frames, 4, 1))
+    lines = payload(show(track.clip, phase=[vectors]).html)["tracks"][0]["phases"]
+    assert [line["name"] for line in lines] == ["left hand", "right hand", "left toe", "right toe"]
