@@ -135,8 +135,9 @@ class Character:
         self.pose = pose | {"joint_position": mix(moved, pose["joint_position"], k["pose_rate"])}
         if self.late:
             positions = fill(mix(self.positions[60::10], here + told["position"] * facing, k["trajectory_rate"]))
-            towards = turn_towards(self.directions[60::10], unit(told["direction"]) * facing, k["trajectory_rate"])
-            directions = unit(fill(towards))
+            directions = unit(
+                fill(turn_towards(self.directions[60::10], told["direction"] * facing, k["trajectory_rate"]))
+            )
             self.phase = mix(self.phase + told["local_phase_change"], told["local_phase"], k["phase_rate"])
         else:
             rate = max(1 - self.gait[60, 0], 0) ** 0.25 / 60  # who stands does not drift
