@@ -101,8 +101,7 @@ class Character:
         if "joint_up" in blocks:
             forward, up = unit(blocks["joint_forward"]), blocks["joint_up"]
             blocks |= {"joint_forward": forward, "joint_up": unit(up - (up * forward).sum(-1, keepdims=True) * forward)}
-        walking = np.repeat([0, 1, 0, 0, 0, 0], 12)  # stand, walk, jog, crouch, jump, bump
-        return blocks | {"gait": np.reshape(blocks.get("gait", walking), (6, 12)).T}
+        return blocks | {"gait": np.reshape(blocks.get("gait", np.repeat([0, 1, 0, 0, 0, 0], 12)), (6, 12)).T}  # walk
 
     def to_world(self, blocks, point):
         pose = {name: turn(v, self.directions[point]) for name, v in blocks.items() if name.startswith("joint_")}
@@ -134,10 +133,9 @@ class Character:
         moved = self.pose["joint_position"] + (pose if self.late else self.pose)["joint_velocity"] / 60
         self.pose = pose | {"joint_position": mix(moved, pose["joint_position"], k["pose_rate"])}
         if self.late:
-            positions = fill(mix(self.positions[60::10], here + told["position"] * facing, k["trajectory_rate"]))
-            directions = unit(
-                fill(turn_towards(self.directions[60::10], told["direction"] * facing, k["trajectory_rate"]))
-            )
+            share = k["trajectory_rate"]
+            positions = fill(mix(self.positions[60::10], here + told["position"] * facing, share))
+            directions = unit(fill(turn_towards(self.directions[60::10], told["direction"] * facing, share)))
             self.phase = mix(self.phase + told["local_phase_change"], told["local_phase"], k["phase_rate"])
         else:
             rate = max(1 - self.gait[60, 0], 0) ** 0.25 / 60  # who stands does not drift
