@@ -37,6 +37,7 @@ class Generate(Command):
         speed: metres per second.
         seconds: how long; by default as long as the path takes.
         mode: the network as it is, or a table of 50 slices of a global phase.
+        foot_ik: hold feet in place while they are in contact.
         out: the BVH file, in centimetres.
         overwrite: replace an existing file.
     """
@@ -49,13 +50,14 @@ class Generate(Command):
     speed: float | None = None
     seconds: float | None = None
     mode: Mode = "cubic"
+    foot_ik: bool = False
     overwrite: bool = False
 
     def run(self) -> Any:
         refuse_existing(self.out, self.overwrite)
         path, run = make_path(self.path, self.size), load_run(self.run_path)
         style = None if self.style is None else parse_style(self.style, list_styles(run.path), run.path)
-        made = generate(run, style, path, speed=self.speed, seconds=self.seconds, mode=self.mode)
+        made = generate(run, style, path, speed=self.speed, seconds=self.seconds, mode=self.mode, foot_ik=self.foot_ik)
         write_bvh(self.out, made.clip, overwrite=self.overwrite)
         seconds = made.clip.num_frames / made.clip.fps
         print(f"{self.out}: {seconds:.1f} s")

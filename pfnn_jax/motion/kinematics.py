@@ -42,8 +42,8 @@ def quat_multiply(a: ArrayLike, b: ArrayLike) -> Any:
 def quat_conjugate(q: ArrayLike) -> Any:
     """Inverse rotation [..., 4] of a unit quaternion."""
     xp = _namespace(q)
-    q = xp.asarray(q)
-    return q * xp.asarray([1.0, -1.0, -1.0, -1.0], dtype=None if xp is np else q.dtype)
+    whole = xp.asarray(q)
+    return whole * xp.asarray([1.0, -1.0, -1.0, -1.0], dtype=None if xp is np else whole.dtype)
 
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> Any:
@@ -57,20 +57,20 @@ def quat_rotate(q: ArrayLike, v: ArrayLike) -> Any:
 
 def quat_normalise(q: ArrayLike) -> Any:
     """q [..., 4] at unit length; a zero quaternion becomes the identity."""
-    xp, q = _floats(q)
-    squared = xp.sum(q * q, axis=-1, keepdims=True)
+    xp, given = _floats(q)
+    squared = xp.sum(given * given, axis=-1, keepdims=True)
     found = squared > SMALL**2
     # the length that is divided by is chosen before the root is taken, so that its gradient exists at zero too
-    return xp.where(found, q / xp.sqrt(xp.where(found, squared, 1.0)), xp.asarray(_IDENTITY, dtype=q.dtype))
+    return xp.where(found, given / xp.sqrt(xp.where(found, squared, 1.0)), xp.asarray(_IDENTITY, dtype=given.dtype))
 
 
 def quat_from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Any:
     """Rotation [..., 4] by `angle` [...] radians about `axis` [..., 3] (any length; zero gives the identity)."""
-    xp, axis, angle = _floats(axis, angle)
-    half = angle[..., None] / 2
-    squared = xp.sum(axis * axis, axis=-1, keepdims=True)
+    xp, along, angles = _floats(axis, angle)
+    half = angles[..., None] / 2
+    squared = xp.sum(along * along, axis=-1, keepdims=True)
     found = squared > SMALL**2
-    v = xp.where(found, xp.sin(half) * axis / xp.sqrt(xp.where(found, squared, 1.0)), 0.0)
+    v = xp.where(found, xp.sin(half) * along / xp.sqrt(xp.where(found, squared, 1.0)), 0.0)
     w = xp.where(found, xp.cos(half), 1.0)
     return xp.concatenate((xp.broadcast_to(w, v.shape[:-1] + (1,)), v), axis=-1)
 
@@ -187,13 +187,13 @@ def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
 
     Opposite directions turn half a circle about some axis across u; without a direction, nothing turns.
     """
-    xp, u, v = _floats(u, v)
-    u, v = xp.broadcast_arrays(_direction(u, xp), _direction(v, xp))
-    dot = xp.sum(u * v, axis=-1, keepdims=True)
-    opposite = dot < -1.0 + (1e-9 if u.dtype == np.float64 else 1e-6)
-    q = xp.concatenate((1.0 + dot, xp.cross(u, v)), axis=-1)
-    away = xp.where(xp.abs(u[..., :1]) < 0.9, *(xp.asarray(axis, dtype=u.dtype) for axis in np.eye(3)[:2]))
-    half_turn = xp.concatenate((xp.zeros_like(dot), xp.cross(u, away)), axis=-1)
+    xp, *given = _floats(u, v)
+    start, end = xp.broadcast_arrays(*(_direction(each, xp) for each in given))
+    dot = xp.sum(start * end, axis=-1, keepdims=True)
+    opposite = dot < -1.0 + (1e-9 if start.dtype == np.float64 else 1e-6)
+    q = xp.concatenate((1.0 + dot, xp.cross(start, end)), axis=-1)
+    away = xp.where(xp.abs(start[..., :1]) < 0.9, *(xp.asarray(axis, dtype=start.dtype) for axis in np.eye(3)[:2]))
+    half_turn = xp.concatenate((xp.zeros_like(dot), xp.cross(start, away)), axis=-1)
     return quat_normalise(xp.where(opposite, half_turn, q))
 
 
@@ -250,11 +250,11 @@ def _parity(i: int, j: int) -> float:
     return 1.0 if j == (i + 1) % 3 else -1.0
 
 
-def _namespace(*values: ArrayLike) -> Any:
+def _namespace(*values: Any) -> Any:
     """The library that computes with these values: NumPy, unless one of them belongs to another."""
     for value in values:
         if not isinstance(value, np.ndarray) and hasattr(value, "__array_namespace__"):
-            return value.__array_namespace__()  # pyright: ignore[reportAttributeAccessIssue]
+            return value.__array_namespace__()
     return np
 
 
@@ -266,8 +266,8 @@ def _floats(*values: ArrayLike) -> tuple[Any, ...]:
 
 def _parts(v: ArrayLike, xp: Any = np) -> list[Any]:
     """The components of v [..., N] as N arrays [...]; indexing costs less than moving the axis."""
-    v = xp.asarray(v)
-    return [v[..., i] for i in range(v.shape[-1])]
+    whole = xp.asarray(v)
+    return [whole[..., i] for i in range(whole.shape[-1])]
 
 
 def _join(parts: Sequence[Any], xp: Any) -> Any:

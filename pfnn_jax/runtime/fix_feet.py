@@ -12,6 +12,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.contacts import foot_contacts
+from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.runtime.foot_lock import FootLockConfig, initial_locks, lock_feet
@@ -46,7 +47,9 @@ def fix_feet(
     if contacts is None:
         positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
         contacts = foot_contacts(positions, need_roles(clip.skeleton), clip.fps)
-    shapes = {"contacts": (np.shape(contacts), (clip.num_frames, 4))}
+    shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
+        "contacts": (np.shape(contacts), (clip.num_frames, 4))
+    }
     if joints is not None:
         shapes["joints"] = (np.shape(joints), (clip.num_frames, rig.num_joints, 3))
     for name, (found, needed) in shapes.items():
@@ -58,9 +61,20 @@ def fix_feet(
     given = [clip.root_positions - origin, clip.rotations, contacts, *([] if joints is None else [joints - origin])]
     pose = _fix(rig, config, *(jnp.asarray(values, jnp.float32) for values in given))
     moved = np.asarray(pose.hips, np.float64) - given[0].astype(np.float32)
-    return replace(
-        clip, root_positions=clip.root_positions + moved, rotations=np.asarray(pose.rotations, np.float64)
-    )
+    return replace(clip, root_positions=clip.root_positions + moved, rotations=np.asarray(pose.rotations, np.float64))
+
+
+def output_contacts(layout: FrameLayout, y: np.ndarray) -> np.ndarray | None:
+    """Contacts [T, 4] in [0, 1] that outputs y [T, Dy] predict, left heel, left toe, right heel, right toe.
+
+    A layout with one contact a foot has it for heel and toe. None where a layout has none.
+    """
+    if layout.has_output("contacts"):
+        return np.clip(y[:, layout.output_slice("contacts")], 0.0, 1.0)
+    if layout.has_output("foot_contacts"):
+        right, left = np.clip(y[:, layout.output_slice("foot_contacts")], 0.0, 1.0).T
+        return np.stack([left, left, right, right], axis=-1)
+    return None
 
 
 @partial(jax.jit, static_argnums=(0, 1))

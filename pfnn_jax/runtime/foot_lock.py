@@ -9,7 +9,7 @@ the one that is not held is drawn to the offset of the other.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -38,6 +38,7 @@ class FootLockConfig:
         hold: seconds in which a toe that is held takes the lead of its foot.
         release: seconds after which a twentieth of a released offset is left.
         heel_limit, toe_limit: a joint further than this from where the unheld motion has it is let go.
+        heel_rise: how much more a heel's height counts than its place: it rises early, and is not to be kept down.
         hold_within: a joint is held anew only when its offset is below this.
         floor: metres, the height below which no foot joint sinks.
         max_drop: how far the hips may be lowered so that the feet reach their places.
@@ -50,6 +51,7 @@ class FootLockConfig:
     release: float = 0.4
     heel_limit: float = 0.08
     toe_limit: float = 0.15
+    heel_rise: float = 4.0
     hold_within: float = 0.04
     floor: float = 0.0
     max_drop: float = 0.06
@@ -59,7 +61,7 @@ class FootLockConfig:
         if not 0.0 <= self.let_go_below <= self.hold_from <= 1.0:
             found = f"{self.let_go_below} and {self.hold_from}"
             raise ValueError(f"FootLockConfig needs 0 <= let_go_below <= hold_from <= 1, got {found}.")
-        for name in ("hold", "release", "heel_limit", "toe_limit", "hold_within", "fps"):
+        for name in ("hold", "release", "heel_rise", "heel_limit", "toe_limit", "hold_within", "fps"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"FootLockConfig.{name} must be above 0, got {getattr(self, name)}.")
 
@@ -118,9 +120,9 @@ def lock_feet(
     targets = targets.at[:, 1].max(config.floor)
     needed = _needed_drop(rig, positions, targets, config)
     drop, speed = _die_away(locks.drop[0] - needed, locks.drop[1], config)
-    locks = locks.replace(drop=jnp.stack([needed + drop, speed]))
+    locks = replace(locks, drop=jnp.stack([needed + drop, speed]))
     lowered = jnp.stack([jnp.zeros_like(needed), -locks.drop[0], jnp.zeros_like(needed)])
-    pose = pose.replace(hips=pose.hips + lowered)
+    pose = replace(pose, hips=pose.hips + lowered)
     positions = positions + lowered[None]
     pole = forward_of(rig, positions)
     for side, leg in enumerate(rig.legs):
@@ -133,7 +135,8 @@ def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, c
     """The locks of this frame: offsets [4, 3] that hold, follow the held partner, or die away."""
     limits = np.array([config.heel_limit, config.toe_limit] * 2) * rig.leg_length
     gap = locks.positions - feet
-    kept = locks.held & (contacts >= config.let_go_below) & (_squared(gap) < limits**2)
+    rise = np.array([[1.0, config.heel_rise, 1.0], [1.0, 1.0, 1.0]] * 2)  # as heels leave the ground before toes do
+    kept = locks.held & (contacts >= config.let_go_below) & (_squared(gap * rise) < limits**2)
     # What is not held dies away towards the offset of its partner, which moves: towards, and beside, it.
     leads = kept[np.array(PARTNER), None]
     goal, before, speed = (
@@ -145,7 +148,8 @@ def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, c
     held = kept | starting
     offsets = jnp.where(kept[:, None], gap, free)
     moving = away_velocity + jnp.where(leads, (goal - before) * config.fps, 0.0)
-    return locks.replace(
+    return replace(
+        locks,
         positions=jnp.where(starting[:, None], feet + free, locks.positions),
         held=held,
         strength=jnp.clip(

@@ -14,7 +14,7 @@ from pfnn_jax.motion.kinematics import quat_between, quat_from_axis_angle, quat_
 from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics, turn_joint
 
 SOFT = 0.97
-"""Share of a limb's full length up to which targets are reached exactly; from there on it approaches its full length."""
+"""Share of a limb's full length up to which targets are reached exactly; beyond, it approaches its full length."""
 
 STRAIGHT = 1e-5  # of the cosine: a limb bends by at least a quarter of a degree, so that slopes stay finite
 LEAN = 0.17  # sine of 10 degrees: a limb bent by less than that bends as its pole says
@@ -41,8 +41,8 @@ def two_bone(rig: Rig, pose: Pose, limb: Limb, target: jax.Array, pole: jax.Arra
     """
     positions, world = forward_kinematics(rig, pose)
     pole = forward_of(rig, positions) if pole is None else pole
-    upper, middle, _ = limb
-    over, under, _ = bend(*(positions[joint] for joint in limb), target, pole)
+    upper, middle, end = limb
+    over, under, _ = bend(positions[upper], positions[middle], positions[end], target, pole)
     return turn_joint(rig, turn_joint(rig, pose, world, middle, under), world, upper, over)
 
 
@@ -134,7 +134,7 @@ def _hinge(u: jax.Array, v: jax.Array, pole: jax.Array) -> jax.Array:
 
 
 def _soft(wanted: jax.Array, now: jax.Array, longest: jax.Array) -> jax.Array:
-    """A distance that grows towards the longest ever more slowly, once it is beyond both `SOFT` of it and the present."""
+    """A distance that grows towards the longest ever more slowly, once beyond both `SOFT` of it and the present."""
     start = jnp.maximum(SOFT * longest, jnp.minimum(now, longest))
     room = jnp.maximum(longest - start, 1e-6)
     beyond = jnp.clip((wanted - start) / room, 0.0, 50.0)

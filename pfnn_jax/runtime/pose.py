@@ -7,7 +7,7 @@ are to a step: a rig is static and hashable, a pose holds arrays, and everything
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -135,7 +135,7 @@ def turn_joint(rig: Rig, pose: Pose, world: jax.Array, joint: int, delta: jax.Ar
     local = delta
     if parent >= 0:
         local = quat_multiply(quat_conjugate(world[parent]), quat_multiply(delta, world[parent]))
-    return pose.replace(rotations=pose.rotations.at[joint].set(quat_multiply(local, pose.rotations[joint])))
+    return replace(pose, rotations=pose.rotations.at[joint].set(quat_multiply(local, pose.rotations[joint])))
 
 
 def _rounds(parents: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
