@@ -30,7 +30,7 @@ MOST = 32_000_000  # characters of a page; browsers and notebooks become slow be
 def player_html(tracks: Sequence[Track], *, fps: float = FPS, start: float = 0.0, assets: bool = True) -> str:
     """A piece of HTML that plays clips side by side, in step.
 
-    A second of one clip of 21 joints takes about 7 kB at 30 frames per second.
+    A second of one clip of 28 points takes about 7 kB at 30 frames per second.
 
     Args:
         tracks: clips to show; shorter ones hold their last frame.
