@@ -89,5 +89,5 @@ def style_arrays(parameters: Style) -> dict[str, np.ndarray]:
 def _style(run: Run, choice: str | Mapping[str, float]) -> ExportStyle:
     parameters, name = load_choice(run, choice), style_label(choice)
     assert parameters is not None
-    stem = re.sub(r"[^\w.+-]", "-", name)
+    stem = re.sub(r'[/\\<>:"|?*]', "-", name)
     return ExportStyle(name, stem, default_speed(run, choice), jax.tree.map(np.asarray, parameters))

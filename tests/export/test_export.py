@@ -1,0 +1,278 @@
+"""Exports: they say what JAX says, come back as runs, and the loop in NumPy walks where the package's loop walks."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.export import reference_loop
+from pfnn_jax.export.batch import batch_function, relative_error, sample_rows, spline_weights
+from pfnn_jax.export.bins import write_bins
+from pfnn_jax.export.onnx import TOLERANCE
+from pfnn_jax.export.run import export_run
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.film import film_to_vector
+from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.models.spline import catmull_rom_basis
+from pfnn_jax.motion.layout import layout_for
+from pfnn_jax.motion.normaliser import Normaliser, Statistics
+from pfnn_jax.motion.skeleton import skeleton_to_json
+from pfnn_jax.motion.synthetic_skeleton import synthetic_skeleton
+from pfnn_jax.runtime.frame import Command
+from pfnn_jax.runtime.generate import controller_of
+from pfnn_jax.runtime.predictor import evaluate, make_predictor
+from pfnn_jax.runtime.released import import_released_pfnn
+from pfnn_jax.runtime.released_cp import import_released_cp
+from pfnn_jax.runtime.released_lpn import import_released_lpn
+from pfnn_jax.runtime.rollout import rollout
+from pfnn_jax.runtime.rows import predict_rows
+from pfnn_jax.runtime.state import initial_state
+from pfnn_jax.runtime.units import authors2018, convert_columns
+from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+
+FLOAT32 = 2e-5  # of an output's largest value: tables are rounded once, read back by least squares, and summed anew
+LOOP = 1e-4  # metres after 300 frames; float32 against float64 on real networks gives 2e-6
+FRAMES = 300
+HIDDEN = 12
+IMPORTS = {"pfnn2017": import_released_pfnn, "mason2018": import_released_cp, "mason2022": import_released_lpn}
+
+
+def make_run(path: Path, name: str, kind: str, num_styles: int = 2) -> Run:
+    """A small random network of a layout on the procedural skeleton, with styles; its walk is some bounded motion."""
+    skeleton, generator = synthetic_skeleton(), np.random.default_rng(7)
+    layout = layout_for(name, skeleton)
+    gated = {"phase_size": layout.phase_size, "gating_hidden": 5} if layout.phase_size else {}
+    network = NetworkConfig(layout.input_size, layout.output_size, HIDDEN, 4, **gated)
+    names = tuple(f"style{index}" for index in range(num_styles))
+    adapter = AdapterConfig(kind, 3)
+    config = RunConfig(network, adapter, name, layout.num_joints, names, skeleton_to_json(skeleton))
+    sizes = [layout.input_size, layout.output_size] + [layout.phase_size] * bool(layout.phase_size)
+    sides = [Statistics(*(generator.uniform(0.2, 0.8, (2, size)).astype(np.float32))) for size in sizes]
+    create_run(path, config, Normaliser(*sides))
+    save_shared(path, init_network(network, jax.random.key(1)))
+    for index, style in enumerate(names):
+        parameters = init_adapter(adapter, HIDDEN, 4, jax.random.key(10 + index))
+        noise = [0.1 * generator.normal(size=leaf.shape) for leaf in jax.tree.leaves(parameters)]
+        noise = jax.tree.unflatten(jax.tree.structure(parameters), noise)
+        parameters = jax.tree.map(lambda leaf, more: (leaf + more).astype(np.float32), parameters, noise)
+        save_style(path, style, parameters, {"speed": 1.0 + 0.1 * index})
+    return load_run(path)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+
+    @cache
+    def make(name: str, kind: str) -> Run:
+        return make_run(folder / f"{name}_{kind}", name, kind)
+
+    return make
+
+
+def test_weights_of_the_spline_without_gathering():
+    phases = np.linspace(-7.0, 13.0, 401, dtype=np.float32)
+    expected = jax.vmap(lambda phase: catmull_rom_basis(phase, 5))(phases)
+    np.testing.assert_allclose(spline_weights(jnp.asarray(phases), 5), expected, atol=2e-6)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("mason2018", "cp"), ("mason2022", "film"), ("mason2022_pfnn", "one_hot")])
+def test_a_batch_function_is_the_predictor(runs, name, kind):
+    run = runs(name, kind)
+    x, phase = sample_rows(run.normaliser, run.layout, 64)
+    predictor = make_predictor(run, "style1")
+    expected = np.asarray(jax.vmap(evaluate, (None, 0, 0))(predictor, x, phase))
+    assert relative_error(np.asarray(batch_function(predictor)(x, phase)), expected) < TOLERANCE
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "style"),
+    [
+        ("pfnn2017", "cp", None),
+        ("pfnn2017", "diagonal", "style1"),
+        ("pfnn2017", "one_hot", {"style0": 0.25, "style1": 0.75}),
+        ("mason2018", "cp", None),
+        ("mason2018", "full", "style0"),
+        ("mason2022", "film", None),
+        ("mason2022", "film", {"style0": 0.5, "style1": 0.5}),
+    ],
+)
+def test_bins_come_back_with_equal_predictions(runs, tmp_path, name, kind, style):
+    run = runs(name, kind)
+    told = export_run(run.path, "bins", tmp_path / "bins", style=style)
+    back = IMPORTS[name](tmp_path / "bins", tmp_path / "run")
+    np.testing.assert_array_equal(back.skeleton.offsets, run.skeleton.offsets)
+    x, phase = sample_rows(run.normaliser, run.layout, 32)
+    beside = [entry["name"] for entry in told["styles"] if entry["files"]]
+    assert beside == list(back.config.styles)
+    pairs = [(style, beside[0] if beside else None)] if style else [(entry, entry) for entry in beside]
+    for own, theirs in pairs or [(None, None)]:
+        expected, found = predict_rows(run, x, phase, own), predict_rows(back, x, phase, theirs)
+        assert relative_error(found, expected) < FLOAT32
+
+
+def commands(speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities and facings [T] as complex numbers: straight on, round a corner, standing, and off again."""
+    facing = np.exp(1j * np.where(np.arange(FRAMES) < 120, 0.0, 1.2))
+    return np.where((np.arange(FRAMES) // 40) == 5, 0.0, speed * facing), facing
+
+
+def walk(run: Run, style: str | None, description: dict) -> np.ndarray:
+    """World joints [T, J, 3] under `commands` by the package's own loop, from the description's start."""
+    start, layout = description["start"], run.layout
+    x = np.array(start["x"])
+    if layout.name == "mason2018":  # the files are in the authors' units
+        columns, factors = convert_columns(authors2018(layout.num_joints), layout, "inputs")
+        x = x[columns] * factors
+    x, zero = jnp.asarray(x, jnp.float32), jnp.zeros((), jnp.float32)
+    state = initial_state(layout, x, jnp.asarray(start["phase"], jnp.float32), jnp.zeros(2, jnp.float32), zero)
+    pairs = [jnp.asarray(np.stack([v.imag, v.real], -1), jnp.float32) for v in commands(start["speed"])]
+    command = Command(velocity=pairs[0], direction=pairs[1])
+    with jax.default_matmul_precision("highest"):
+        made = rollout(evaluate, make_predictor(run, style), layout, state, command, config=controller_of(run))
+    return np.asarray(made.joint_positions)
+
+
+def reference_walk(folder: Path, speed: float) -> np.ndarray:
+    character, joints = reference_loop.Character(folder), []
+    for velocity, facing in zip(*commands(speed), strict=True):
+        character.step(velocity, facing)
+        joints.append(character.pose["joint_position"])
+    return np.stack(joints)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("pfnn2017", "cp"), ("mason2018", "cp"), ("mason2022", "film")])
+def test_the_loop_in_numpy_walks_where_the_package_walks(runs, tmp_path, name, kind):
+    run = runs(name, kind)
+    description = export_run(run.path, "bins", tmp_path / "bins", style="style1")
+    expected = walk(run, "style1", description)
+    found = reference_walk(tmp_path / "bins", description["start"]["speed"])
+    assert np.isfinite(expected).all() and np.ptp(expected, axis=0).max() > 10 * LOOP
+    np.testing.assert_allclose(found, expected, atol=LOOP)
+
+
+def test_the_loop_in_numpy_stands_alone_and_is_short():
+    text = Path(reference_loop.__file__).read_text(encoding="utf-8")
+    imports = [line for line in text.splitlines() if line.startswith(("import ", "from "))]
+    assert imports == ["import json", "from pathlib import Path", "import numpy as np"]
+    assert len(text.splitlines()) <= 150
+
+
+@pytest.mark.parametrize("directory", ["lpn", "pfnn"])
+def test_the_authors_files_come_back(reference, tmp_path, directory):
+    imported = {"lpn": import_released_lpn, "pfnn": import_released_pfnn}[directory](
+        reference / directory, tmp_path / "run"
+    )
+    folder = tmp_path / "bins"
+    folder.mkdir()
+    write_bins(folder, imported)
+    for file in sorted((reference / directory).glob("*.bin")):
+        if file.stem in ("Walk_Velocities", "Run_Velocities"):  # settings of their demo, not of the network
+            continue
+        if directory == "lpn" or file.stem[0] in "XY":
+            assert (folder / file.name).read_bytes() == file.read_bytes(), file.name
+        else:  # control points were rounded once, and tables again: a few ulp of the array's larger values
+            old, new = (np.fromfile(path / file.name, "<f4") for path in (file.parent, folder))
+            assert np.abs(old - new).max() <= 5e-6 * np.sqrt(np.mean(old**2)), file.name
+
+
+@pytest.mark.parametrize(("name", "kind", "film_input"), [("mason2018", "cp", False), ("mason2022", "film", True)])
+def test_onnx_says_what_jax_says(runs, tmp_path, name, kind, film_input):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("jax2onnx")
+    run, style = runs(name, kind), {"style0": 0.5, "style1": 0.5}
+    told = export_run(run.path, "onnx", tmp_path / "onnx", style=style, film_input=film_input)
+    assert told["network"]["relative_error"] < TOLERANCE
+    session = onnxruntime.InferenceSession(tmp_path / "onnx" / told["network"]["file"])
+    assert [i.name for i in session.get_inputs()] == [i["name"] for i in told["network"]["inputs"]]
+    x, phase = sample_rows(run.normaliser, run.layout, 1, seed=1)
+    rows = {"x": x, "phase": phase}
+    if film_input:
+        rows["style"] = np.asarray(film_to_vector(make_predictor(run, "style0").style))[None]
+        np.testing.assert_array_equal(
+            np.fromfile(tmp_path / "onnx" / told["styles"][0]["file"], "<f4"),
+            np.asarray(film_to_vector(make_predictor(run, style).style)),
+        )
+        style = "style0"
+    expected = predict_rows(run, x, phase, style)
+    assert np.abs(session.run(["y"], rows)[0] - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+def test_onnx_that_differs_is_not_put_in_place(runs, tmp_path, monkeypatch):
+    pytest.importorskip("jax2onnx")
+    monkeypatch.setattr("pfnn_jax.export.onnx.TOLERANCE", 0.0)
+    with pytest.raises(InputError, match="must agree with JAX"):
+        export_run(runs("mason2018", "cp").path, "onnx", tmp_path / "onnx")
+    assert not list(tmp_path.iterdir())
+
+
+def test_stablehlo_comes_back_bit_for_bit(runs, tmp_path):
+    run = runs("mason2022", "film")
+    told = export_run(run.path, "stablehlo", tmp_path / "out", style="style0")
+    program = jax.export.deserialize(bytearray((tmp_path / "out" / told["network"]["file"]).read_bytes()))
+    assert told["network"]["calling_convention_version"] == program.calling_convention_version
+    for count in (1, 7):
+        x, phase = sample_rows(run.normaliser, run.layout, count, seed=2)
+        with jax.default_matmul_precision("highest"):
+            expected = jax.jit(batch_function(make_predictor(run, "style0")))(x, phase)
+        np.testing.assert_array_equal(program.call(x, phase), expected)
+
+
+def test_description_tells_what_an_engine_needs(runs, tmp_path):
+    run = runs("mason2018", "cp")
+    export_run(run.path, "bins", tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "description.json").read_text())
+    assert (told["schema"], told["version"], told["format"]) == ("pfnn_jax.export", 1, "bins")
+    columns = [column for block in told["layout"]["outputs"].values() for column in block["columns"]]
+    assert sorted(columns) == list(range(run.layout.output_size))
+    # Authors' units: half metres, frames, degrees and cycles a frame.
+    scales = {name: block["scale"] for name, block in told["layout"]["outputs"].items()}
+    assert scales["joint_velocity"] == pytest.approx(30.0) and scales["joint_position"] == 0.5
+    assert scales["root_yaw_rate"] == pytest.approx(np.deg2rad(60.0))
+    assert scales["phase_change"] == pytest.approx(120 * np.pi)
+    assert [style["speed"] for style in told["styles"]] == [1.0, 1.1]
+    assert told["loop"]["pose_rate"] == 0.5 and told["skeleton"]["names"] == list(run.skeleton.names)
+    assert len(told["normaliser"]["y_std"]) == run.layout.output_size
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "settings", "said"),
+    [
+        ("mason2022_mann", "film", {"format": "bins"}, "mason2022_mann with film styles; only pfnn2017, mason2018"),
+        ("mason2022", "dense", {"format": "bins"}, "knows Films alone"),
+        ("mason2018", "cp", {"format": "bins", "style": "nobody"}, "nobody; must be one of style0, style1"),
+        ("mason2018", "cp", {"format": "onnx", "film_input": True}, "only a Film can be an input"),
+        ("mason2018", "cp", {"format": "fbx"}, "fbx; must be onnx, stablehlo or bins"),
+    ],
+)
+def test_what_cannot_be_is_said(runs, tmp_path, name, kind, settings, said):
+    with pytest.raises(InputError, match=said):
+        export_run(runs(name, kind).path, out=tmp_path / "out", **settings)
+    assert not list(tmp_path.iterdir())
+
+
+def test_only_an_export_is_replaced(runs, tmp_path):
+    path, out = runs("mason2018", "cp").path, tmp_path / "out"
+    out.mkdir()
+    export_run(path, "bins", out, style="style0")
+    with pytest.raises(InputError, match="--overwrite"):
+        export_run(path, "bins", out)
+    export_run(path, "bins", out, style="style1", overwrite=True)
+    assert (out / "style1_W0.bin").exists() and not (out / "style0_W0.bin").exists()
+    with pytest.raises(InputError, match="is no export"):
+        export_run(path, "bins", path, overwrite=True)
+    load_run(path)
+
+
+def test_files_of_the_2018_demo_need_their_description(runs, tmp_path):
+    export_run(runs("mason2018", "cp").path, "bins", tmp_path / "out")
+    (tmp_path / "out" / "description.json").unlink()
+    with pytest.raises(InputError, match="they do not name the joints"):
+        import_released_cp(tmp_path / "out", tmp_path / "run")
