@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 import weakref
 from collections.abc import Callable
@@ -106,8 +107,13 @@ def learn_rows(
     is_stable = make_stability_check(
         run.shared, run.normaliser, run.layout, rows.x, rows.y, rows.phase, controller_of(run)
     )
-    progress(0.5, "walking in circles")
-    chosen = choose(candidates, config.tolerance, is_stable)
+    walked = itertools.count()
+
+    def walks(trained: Any) -> bool:
+        progress(0.5 + 0.1 * min(next(walked) / len(candidates), 1.0), "walking in circles")
+        return is_stable(trained)
+
+    chosen = choose(candidates, config.tolerance, walks)
     learning = told(0.6, 0.95, chosen.choice.epochs, "learning")
     everything = to_batch(parts, run.normaliser)
     adapter = refit(run.shared, everything, chosen.choice, config, on_epochs=learning, **options)

@@ -17,7 +17,7 @@ from pfnn_jax.runtime.controller import Command, ControllerState
 from pfnn_jax.runtime.state import ROOT, joint_root
 from pfnn_jax.viewer.keys import Keys, Wish
 from pfnn_jax.viewer.recording import Recording
-from pfnn_jax.viewer.stage import Cast, Stage
+from pfnn_jax.viewer.stage import Cast, Stage, make_command
 from pfnn_jax.viewer.view import STRIDE, View, phase_dials
 
 CATCH_UP = 6
@@ -249,11 +249,7 @@ class Actor:
             self._facing_yaw = going
         elif length > 0.0 or wish.turn:
             self._facing_yaw = self._heading
-        return Command(
-            velocity=np.asarray([math.sin(going), math.cos(going)], np.float32) * np.float32(self._wanted),
-            direction=np.asarray([math.sin(self._facing_yaw), math.cos(self._facing_yaw)], np.float32),
-            style=np.asarray(cast.controller.style_weights(self._shares), np.float32),
-        )
+        return make_command(self._wanted, going, self._facing_yaw, cast.controller.style_weights(self._shares))
 
     def _walk(self, cast: Cast) -> float:
         """Metres per second of walking: as set, else the styles' own."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -93,10 +95,8 @@ class Stage:
         """Compiles one step of every run, so that the first character does not wait for it."""
         for name in self.runs:
             controller = self.cast(name).controller
-            state, forward = controller.start(), np.asarray([0.0, 1.0], np.float32)
-            weights = np.asarray(controller.style_weights(controller.styles[0]), np.float32)
-            command = Command(velocity=forward, direction=forward, style=weights)
-            jax.block_until_ready(controller.step(state, command))
+            command = make_command(1.0, 0.0, 0.0, controller.style_weights(controller.styles[0]))
+            jax.block_until_ready(controller.step(controller.start(), command))
 
     def add_style(self, run: str, style: str) -> None:
         """Takes a style that has been saved in a run's folder into its bank; characters can choose it at once.
@@ -110,6 +110,16 @@ class Stage:
             controller = joined(cast.run, cast.controller, style, parameters, foot_ik=self._foot_ik)
             self._casts = {**self._casts, run: replace(cast, controller=controller, speeds=_speeds(controller))}
             self._version += 1
+
+
+def make_command(speed: float, going: float, facing: float, weights: np.ndarray) -> Command:
+    """A controller's command, as NumPy: `speed` m/s along the yaw `going`, facing the yaw `facing`, styles [C]."""
+    arrays: dict[str, Any] = {
+        "velocity": np.asarray([speed * math.sin(going), speed * math.cos(going)], np.float32),
+        "direction": np.asarray([math.sin(facing), math.cos(facing)], np.float32),
+        "style": np.asarray(weights, np.float32),
+    }
+    return Command(**arrays)
 
 
 def load_cast(name: str, path: Path, foot_ik: bool = True) -> Cast:
@@ -139,9 +149,16 @@ def joined(run: Run, controller: Controller, style: str, parameters: object, *, 
     else:
         more = len(styles := (*controller.styles, style)) + SPARE
         return _bound(make_controller(run, styles, capacity=more, foot_ik=foot_ik))
-    bank = jax.tree.map(lambda rows, row: rows.at[index].set(row), bank, parameters)
-    speeds = controller.params.speeds.at[index].set(default_speed(run, style))
+    bank = jax.tree.map(lambda rows, row: _with_row(rows, index, row), bank, parameters)
+    speeds = _with_row(controller.params.speeds, index, default_speed(run, style))
     return _bound(replace(controller, params=replace(controller.params, bank=bank, speeds=speeds), styles=styles))
+
+
+def _with_row(rows: Any, index: int, row: Any) -> np.ndarray:
+    """A copy with one row replaced, by NumPy: JAX would compile it."""
+    rows = np.array(rows)
+    rows[index] = row
+    return rows
 
 
 def _bound(controller: Controller) -> Controller:

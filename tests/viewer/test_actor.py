@@ -1,0 +1,245 @@
+"""Characters driven by keys under an artificial clock: time, independence, styles, recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.viewer.actor import CATCH_UP, FASTEST, RUN, TURN_RATE, Actor
+from pfnn_jax.viewer.keys import FIRST_HOLD, HOLD, TOGETHER, Keys, Wish
+from pfnn_jax.viewer.recording import LONGEST, Recording, bvh_bytes
+from pfnn_jax.viewer.stage import Stage
+from pfnn_jax.viewer.view import View, phase_dials
+
+FRAME = 1.0 / 60.0
+SOON = 1e-6  # seconds either side of a moment
+WRITTEN = 1e-4  # metres: a file's six decimals of degrees along a body's bones, in single precision
+SMOOTH = 0.1  # of a style's weight in one frame: nothing jumps
+
+
+@pytest.fixture(scope="module")
+def stage(played_run) -> Stage:
+    return Stage([played_run])
+
+
+def play(actor: Actor, seconds: float, keys: str = "", start: float = 0.0, every: int = 1) -> list[View]:
+    """Views at every `every`th frame while keys repeat 30 times a second, in time of 1/60 s from `start`."""
+    views = [actor.advance(start)]
+    for frame in range(1, round(seconds * 60) + 1):
+        now = start + frame * FRAME
+        if frame % 2 == 1:
+            for key in keys:
+                actor.press(key, False, now - 0.5 * FRAME)
+        if frame % every == 0:
+            views.append(actor.advance(now))
+    return views
+
+
+# Keys of which only presses are known
+
+
+def held(keys: Keys, now: float) -> tuple[float, float, float]:
+    wish = keys.wish(now)
+    return wish.ahead, wish.left, wish.turn
+
+
+def test_a_key_counts_as_held_until_it_would_have_repeated():
+    keys = Keys()
+    keys.press("w", False, 10.0)
+    assert held(keys, 10.0) == held(keys, 10.0 + FIRST_HOLD - SOON) == (1.0, 0.0, 0.0)
+    assert held(keys, 10.0 + FIRST_HOLD + SOON) == (0.0, 0.0, 0.0)
+
+
+def test_a_repeating_key_is_let_go_soon_after_its_last_press():
+    keys, last = Keys(), 0.0
+    for last in (0.0, 0.5, *np.arange(0.53, 2.0, 0.033)):
+        keys.press("A", False, last)
+        assert held(keys, last + 0.03) == (0.0, 1.0, 0.0)
+    assert held(keys, last + HOLD - SOON) == (0.0, 1.0, 0.0)
+    assert held(keys, last + HOLD + SOON) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "apart", "wish"),
+    [
+        ("w", "s", 0.0, (-1.0, 0.0, 0.0)),  # opposites: the last one
+        ("q", "e", 0.0, (0.0, 0.0, -1.0)),
+        ("w", "q", 0.4, (1.0, 0.0, 1.0)),  # a chord, though W repeats no more
+        ("e", "d", 0.4, (0.0, -1.0, -1.0)),
+        ("w", "d", TOGETHER / 2, (np.sqrt(0.5), -np.sqrt(0.5), 0.0)),  # a diagonal
+        ("w", "d", 2 * TOGETHER, (0.0, -1.0, 0.0)),  # one after the other
+    ],
+)
+def test_two_keys(first, second, apart, wish):
+    keys = Keys()
+    keys.press(first, False, 0.0)
+    for now in (apart, *np.arange(apart + 0.5, 2.0, 0.033)):
+        keys.press(second, False, now)
+    np.testing.assert_allclose(held(keys, 2.0), wish, atol=1e-12)
+    keys.release(second)
+    assert keys.wish(2.0 + FIRST_HOLD) == Wish()
+
+
+def test_shift_is_that_of_the_last_press_and_other_keys_are_refused():
+    keys = Keys()
+    keys.press("w", True, 0.0)
+    assert keys.wish(0.1).run
+    keys.press("w", False, 0.5)
+    assert not keys.wish(0.6).run
+    with pytest.raises(ValueError, match="`key` must be one of"):
+        keys.press("x", False, 1.0)
+    keys.clear()
+    assert not keys.wish(0.6).moves
+
+
+# Time
+
+
+def test_motion_depends_on_the_clock_and_not_on_how_often_it_is_looked_at(stage):
+    often, seldom = Actor(stage), Actor(stage)
+    one, three = play(often, 1.5, "wq"), play(seldom, 1.5, "wq", start=1000.0, every=3)
+    assert one[-1].frame == three[-1].frame == 90
+    for view, other in zip(one[::3], three, strict=True):
+        np.testing.assert_array_equal(view.joints, other.joints)
+        assert view.heading == other.heading
+    assert one[-1].steps_per_second == three[-1].steps_per_second == 60.0
+
+
+def test_a_long_pause_is_forgotten(stage):
+    actor = Actor(stage)
+    assert actor.advance(0.0).frame == 0
+    assert actor.advance(100.0).frame == CATCH_UP
+    assert actor.advance(100.0 + FRAME).frame == CATCH_UP + 1
+    assert actor.advance(50.0).frame == CATCH_UP + 1  # a clock never turns a character back
+
+
+def test_two_characters_know_nothing_of_each_other(stage):
+    alone = play(Actor(stage), 0.5, "w")[-1]
+    one, other = Actor(stage), Actor(stage, style="proud")
+    for frame in range(1, 31):
+        other.press("s", True, frame * FRAME)
+        other.advance(frame * FRAME)
+    together = play(one, 0.5, "w")[-1]
+    np.testing.assert_array_equal(together.joints, alone.joints)
+    assert np.abs(other.advance(31 * FRAME).joints - alone.joints).max() > 1e-3
+
+
+# Where keys and stick lead
+
+
+def test_w_leads_along_the_heading_and_q_turns_it(stage):
+    actor = Actor(stage)
+    walked = play(actor, 2.0, "w")[-1]
+    assert walked.wanted_speed > 0.3 and np.linalg.norm(walked.joints[0] - Actor(stage).advance(0.0).joints[0]) > 0.2
+    np.testing.assert_allclose(walked.future_positions[0], walked.past_positions[-1])
+    before = actor.advance(2.0).heading
+    turned = play(Actor(stage), 0.5, "q")[-1]
+    assert before == 0.0 and turned.wanted_speed == 0.0
+    np.testing.assert_allclose(turned.heading, 29 * FRAME * TURN_RATE, atol=2 * FRAME * TURN_RATE)
+
+
+def test_speeds_are_the_styles_own_unless_they_are_set(stage):
+    actor = Actor(stage, style="proud")
+    own = stage.cast(actor.run).speeds["proud"]
+    actor.set_stick(0.5, 0.0)
+    actor.advance(0.0)
+    np.testing.assert_allclose(actor.advance(FRAME).wanted_speed, 0.5 * own)
+    actor.set_speed(0.8)
+    actor.set_stick(3.0 / 5.0, 4.0 / 5.0, run=True)
+    np.testing.assert_allclose(actor.advance(2 * FRAME).wanted_speed, 0.8 * RUN)
+    actor.press("w", False, 2.5 * FRAME)  # keys go before the stick
+    np.testing.assert_allclose(actor.advance(3 * FRAME).wanted_speed, 0.8)
+    for wrong in (0.0, -1.0, np.nan, 2 * FASTEST):
+        with pytest.raises(ValueError, match="`speed` must be"):
+            actor.set_speed(wrong)
+    with pytest.raises(ValueError, match="Wish must be"):
+        actor.set_stick(np.nan, 0.0)
+
+
+def test_reset_stands_in_the_middle(stage):
+    actor = Actor(stage)
+    begin = actor.advance(0.0)
+    play(actor, 1.0, "we")
+    actor.reset()
+    after = actor.advance(1.0)
+    np.testing.assert_array_equal(after.joints, begin.joints)
+    assert after.heading == 0.0 and actor.advance(1.0 + FRAME).wanted_speed == 0.0
+
+
+# Styles
+
+
+def test_styles_change_by_and_by(stage):
+    actor = Actor(stage, style="neutral")
+    views = play(actor, 0.2, "w")
+    actor.choose(actor.run, "proud")
+    views += play(actor, 1.0, "w", start=0.2)[1:]
+    actor.mix(["proud", "neutral", "depressed"], [0.2, 0.3, 0.5])
+    views += play(actor, 2.0, "w", start=1.2)[1:]
+    shares = np.array([[view.style_weights.get(name, 0.0) for name in stage.cast(actor.run).styles] for view in views])
+    assert np.abs(np.diff(shares, axis=0)).max() < SMOOTH
+    np.testing.assert_allclose(shares[-1], [0.5, 0.3, 0.2], atol=0.01)
+    assert views[0].style_weights == {"neutral": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("names", "weights"),
+    [
+        (["proud", "none"], [0.5, 0.5]),
+        (["proud", "neutral"], [0.5, 0.6]),
+        (["proud", "neutral"], [1.5, -0.5]),
+        (["proud"], [np.nan]),
+        (["proud"], [0.5, 0.5]),
+        ([], []),
+    ],
+)
+def test_mixtures_that_are_none_change_nothing(stage, names, weights):
+    actor = Actor(stage, style="proud")
+    with pytest.raises(InputError):
+        actor.mix(names, weights)
+    with pytest.raises(InputError, match="run"):
+        actor.choose("../elsewhere", "proud")
+    assert actor.shares == {"proud": 1.0}
+
+
+# Recordings
+
+
+def test_a_recording_is_what_was_shown(stage, tmp_path):
+    actor = Actor(stage)
+    play(actor, 0.2, "w")
+    assert actor.stop_recording() is None
+    actor.start_recording()
+    views = play(actor, 1.0, "wq", start=0.2)[1:]
+    np.testing.assert_allclose(views[-1].recorded_seconds, 1.0)
+    clip = actor.stop_recording()
+    assert clip is not None and clip.num_frames == 60 and actor.advance(1.3).recorded_seconds is None
+    path = Path(tmp_path) / "played.bvh"
+    path.write_bytes(bvh_bytes(clip))
+    read = read_bvh(path, unit=0.01)
+    joints, _ = forward_kinematics(read.skeleton, read.root_positions, read.rotations)
+    order = [clip.skeleton.names.index(name) for name in read.skeleton.names]
+    shown = np.stack([view.joints for view in views])[:, order]
+    assert read.fps == 60.0
+    np.testing.assert_allclose(joints, shown, atol=WRITTEN)
+
+
+def test_a_forgotten_recording_ends(stage):
+    skeleton = stage.cast(stage.runs[0]).run.skeleton
+    recording = Recording(skeleton, 60.0, "style", "run")
+    assert recording.clip() is None
+    pose = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (skeleton.num_joints, 1))
+    for _ in range(round(LONGEST * 60) + 5):
+        recording.add(np.zeros(3), pose)
+    assert recording.seconds == LONGEST
+
+
+def test_phases_are_shown_as_hands_of_a_clock(stage):
+    layout = stage.cast(stage.runs[0]).run.layout
+    (dial,) = phase_dials(layout, np.float32(7.0))
+    np.testing.assert_allclose((dial.angle, dial.amplitude), (7.0 - 2 * np.pi, 1.0))
