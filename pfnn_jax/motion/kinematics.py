@@ -42,8 +42,10 @@ def quat_multiply(a: ArrayLike, b: ArrayLike) -> Any:
 def quat_conjugate(q: ArrayLike) -> Any:
     """Inverse rotation [..., 4] of a unit quaternion."""
     xp = _namespace(q)
+    if xp is np:
+        return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
     whole = xp.asarray(q)
-    return whole * xp.asarray([1.0, -1.0, -1.0, -1.0], dtype=None if xp is np else whole.dtype)
+    return xp.concatenate((whole[..., :1], -whole[..., 1:]), axis=-1)
 
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> Any:
@@ -61,7 +63,8 @@ def quat_normalise(q: ArrayLike) -> Any:
     squared = xp.sum(given * given, axis=-1, keepdims=True)
     found = squared > SMALL**2
     # the length that is divided by is chosen before the root is taken, so that its gradient exists at zero too
-    return xp.where(found, given / xp.sqrt(xp.where(found, squared, 1.0)), xp.asarray(_IDENTITY, dtype=given.dtype))
+    identity = xp.broadcast_to(xp.asarray(_IDENTITY, dtype=given.dtype), given.shape)
+    return xp.where(found, given / xp.sqrt(xp.where(found, squared, 1.0)), identity)
 
 
 def quat_from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Any:
@@ -192,7 +195,8 @@ def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
     dot = xp.sum(start * end, axis=-1, keepdims=True)
     opposite = dot < -1.0 + (1e-9 if start.dtype == np.float64 else 1e-6)
     q = xp.concatenate((1.0 + dot, xp.cross(start, end)), axis=-1)
-    away = xp.where(xp.abs(start[..., :1]) < 0.9, *(xp.asarray(axis, dtype=start.dtype) for axis in np.eye(3)[:2]))
+    x, y = (xp.broadcast_to(xp.asarray(axis, dtype=start.dtype), start.shape) for axis in np.eye(3)[:2])
+    away = xp.where(xp.abs(start[..., :1]) < 0.9, x, y)
     half_turn = xp.concatenate((xp.zeros_like(dot), xp.cross(start, away)), axis=-1)
     return quat_normalise(xp.where(opposite, half_turn, q))
 
