@@ -72,6 +72,7 @@
   const typing = (element) =>
     !!element && (element.isContentEditable || element.tagName === "TEXTAREA" ||
       (element.tagName === "INPUT" && !element.readOnly && !/^(checkbox|radio|range|button|file)$/.test(element.type)));
+  const leave = () => typing(document.activeElement) && document.activeElement.blur();
   const onKey = (event) => {
     if (!event.isTrusted) return;
     if (event.key === "Shift") {
@@ -80,6 +81,7 @@
       else show();
       return;
     }
+    if (event.key === "Escape" || event.key === "Enter") setTimeout(leave, 0);
     const key = KEYS[event.code];
     if (!key) return;
     if (event.type === "keyup") {
@@ -175,7 +177,7 @@
   // A list, a checkbox or a slider that was used keeps the focus, and with it the keys, unless it is taken away.
   document.addEventListener("click", (event) => {
     if (event.target.closest?.("[role=option], input[type=checkbox], button, [role=slider]"))
-      setTimeout(() => typing(document.activeElement) && document.activeElement.blur(), 0);
+      setTimeout(leave, 0);
   });
   hide();
   setTimeout(hide, 300);

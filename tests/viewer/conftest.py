@@ -1,0 +1,148 @@
+"""A run made in seconds, a page that serves it, and a real browser to look at it."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.motion.bvh import write_bvh
+from pfnn_jax.motion.dataset import prepare
+from pfnn_jax.motion.labelled import LabelledClip
+from pfnn_jax.motion.preparation import PrepareConfig
+from pfnn_jax.motion.synthetic import synthesise, synthetic_clips
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.loop import pretrain
+
+STYLES = ("depressed", "neutral", "proud")
+PATIENCE = 60.0  # seconds: a browser that draws without a graphics card, on a busy machine of two cores
+WINDOW = {"width": 760, "height": 440}  # small: every point of it is computed
+FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage")
+
+
+@pytest.fixture(scope="session")
+def played_run(tmp_path_factory) -> Path:
+    """A small PFNN with three styles; made once, written to by no test but those of the page."""
+    folder = tmp_path_factory.mktemp("played")
+    clips = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 10)]
+    dataset = prepare(clips, folder / "data", PrepareConfig(layout="mason2018"))
+    settings = PretrainConfig(AdapterConfig("cp", 4), hidden=32, steps=200, batch_size=64, learning_rate=3e-3)
+    return pretrain(dataset, folder / "run", settings).path
+
+
+@pytest.fixture(scope="session")
+def zombie_bvh(tmp_path_factory) -> Path:
+    """A walk of 2.5 seconds in a style that the run has not seen."""
+    path = tmp_path_factory.mktemp("clips") / "zombie walk.bvh"
+    write_bvh(path, synthesise("zombie", np.zeros(150), np.full(150, 0.9))[0])
+    return path
+
+
+@pytest.fixture(scope="session")
+def served(played_run) -> Iterator[Any]:
+    """The page of the small run, on a free port."""
+    pytest.importorskip("viser", reason="viser is not installed")
+    from pfnn_jax.viewer.play import Page
+    from pfnn_jax.viewer.stage import Stage
+
+    stage = Stage([played_run])
+    stage.warm_up()
+    with Page(stage, port=0) as page:
+        yield page
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Chromium without a window; skips where there is none."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no chromium on PATH: the tests of the page need a browser")
+    with api.sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=chromium, args=list(FLAGS))
+        yield running
+        running.close()
+
+
+class Visitor:
+    """A person at a tab: sees the readouts, presses keys, clicks."""
+
+    def __init__(self, browser: Any, url: str) -> None:
+        self.errors: list[str] = []
+        self.page = browser.new_page(viewport=WINDOW, accept_downloads=True)
+        self.page.set_default_timeout(1e3 * PATIENCE)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.goto(url)
+        self.page.wait_for_selector("[data-readout=root]")
+
+    def read(self, name: str) -> str:
+        """One line of the readout."""
+        return self.page.inner_text(f"[data-readout={name}]")
+
+    def root(self) -> np.ndarray:
+        """[2] metres, as the page says."""
+        words = self.read("root").split()
+        return np.array([float(words[1]), float(words[4])])
+
+    def wait(self, what: Callable[[], Any], message: str) -> None:
+        """Until something is so."""
+        end = time.monotonic() + PATIENCE
+        while not what():
+            assert time.monotonic() < end, f"{message}: {self.page.locator('[data-readout]').all_inner_texts()}"
+            self.page.wait_for_timeout(100)
+
+    def walk(self, metres: float, keys: str = "w") -> None:
+        """Holds keys until the root has moved this far, then waits until it stands."""
+        start = self.root()
+        for key in keys:
+            self.page.keyboard.down(key)
+        self.wait(lambda: np.linalg.norm(self.root() - start) > metres, f"{keys} moves the root {metres} m")
+        for key in keys:
+            self.page.keyboard.up(key)
+
+    def press(self, label: str) -> None:
+        """Clicks a button by its label."""
+        self.page.get_by_role("button", name=label).first.click()
+
+    def field(self, label: str) -> Any:
+        """The input beside a label."""
+        xpath = f"xpath=//label[normalize-space()='{label}']/ancestor::div[.//input][1]//input"
+        return self.page.locator(xpath).first
+
+    def choose(self, label: str, option: str) -> None:
+        """Picks from a list."""
+        self.field(label).click()
+        self.page.get_by_role("option", name=option, exact=True).first.click()
+
+    def options(self, label: str) -> list[str]:
+        """What a list offers."""
+        self.field(label).click()
+        found = self.page.get_by_role("option")
+        found.first.wait_for()
+        names = found.all_inner_texts()
+        self.page.keyboard.press("Escape")
+        return names
+
+    def close(self) -> None:
+        """Closes the tab."""
+        self.page.close()
+
+
+@pytest.fixture(scope="session")
+def visitor(browser, served) -> Iterator[Visitor]:
+    """One tab that most tests share: loading it takes longest."""
+    person = Visitor(browser, served.url)
+    yield person
+    person.close()
+
+
+@pytest.fixture(scope="session")
+def another_visitor(browser, served) -> Callable[[], Visitor]:
+    """Opens one more tab."""
+    return lambda: Visitor(browser, served.url)

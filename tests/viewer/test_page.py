@@ -1,0 +1,178 @@
+"""The page in a real browser: what a person presses happens, to that person's character and to nothing else."""
+
+from __future__ import annotations
+
+import re
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pfnn_jax.motion.bvh import read_bvh
+
+AT_HOME = 0.05  # metres from the middle that still count as not having moved: the start shifts its weight
+CORNER = 0.9  # share of a style near whose corner the point was put
+
+
+def files_of(run: Path) -> dict[str, bytes]:
+    """Everything in a run's folder."""
+    return {str(path.relative_to(run)): path.read_bytes() for path in run.rglob("*") if path.is_file()}
+
+
+def home(visitor) -> None:
+    """Back to the middle."""
+    visitor.press("Reset")
+    visitor.wait(lambda: np.linalg.norm(visitor.root()) < AT_HOME, "reset returns to the middle")
+
+
+def test_keys_move_the_root_and_letting_go_stops_it(visitor):
+    assert np.linalg.norm(visitor.root()) < AT_HOME
+    visitor.walk(0.7)
+    assert visitor.root()[1] > 0.5, "W leads along +Z, where the character faces at first"
+    visitor.wait(lambda: "of 0.00 wanted" in visitor.read("speed"), "nothing is wanted after keys are let go")
+    assert not visitor.errors
+
+
+def test_shift_runs_and_keys_work_together(visitor):
+    visitor.page.keyboard.down("Shift")
+    visitor.page.keyboard.down("w")
+    visitor.wait(lambda: wanted(visitor) > 0.0, "W asks for a speed")
+    running = wanted(visitor)
+    visitor.page.keyboard.up("Shift")
+    visitor.wait(lambda: 0.0 < wanted(visitor) < 0.75 * running, "walking is slower than running")
+    yaw = heading(visitor)
+    visitor.page.keyboard.down("q")
+    visitor.wait(lambda: abs(np.angle(np.exp(1j * (heading(visitor) - yaw)))) > 0.3, "Q turns while W is held")
+    assert wanted(visitor) > 0.0
+    visitor.page.keyboard.up("q")
+    visitor.page.keyboard.up("w")
+    visitor.wait(lambda: wanted(visitor) == 0.0, "it stands again")
+
+
+def test_stick_on_the_screen(visitor):
+    home(visitor)
+    stick = visitor.page.locator("[data-stick]")
+    stick.scroll_into_view_if_needed()
+    box = stick.bounding_box()
+    middle = box["x"] + box["width"] / 2
+    visitor.page.mouse.move(middle, box["y"] + box["height"] / 2)
+    visitor.page.mouse.down()
+    visitor.page.mouse.move(middle, box["y"] + 10)
+    visitor.wait(lambda: visitor.root()[1] > 0.3, "the stick moves the root")
+    visitor.page.mouse.up()
+    visitor.wait(lambda: wanted(visitor) == 0.0, "the stick springs back")
+
+
+def test_reset(visitor):
+    visitor.walk(0.3)
+    home(visitor)
+
+
+def test_style_is_changed_by_the_list(visitor):
+    for style in ("proud", "neutral"):
+        visitor.choose("Style", style)
+        visitor.wait(lambda style=style: visitor.read("style") == style, f"the character is in {style}")
+
+
+def test_three_styles_are_mixed_by_a_point_in_a_triangle(visitor):
+    triangle = visitor.page.locator("[data-triangle]")
+    triangle.scroll_into_view_if_needed()
+    visitor.page.wait_for_timeout(300)  # a panel scrolls smoothly; no assertion rests on it
+    x, y, width, height = (triangle.bounding_box()[key] for key in ("x", "y", "width", "height"))
+    visitor.page.mouse.move(x + 0.5 * width, y + 0.6 * height)
+    visitor.page.mouse.down()
+    visitor.page.mouse.move(x + 0.5 * width, y + 0.55 * height, steps=3)
+    visitor.page.mouse.up()
+    visitor.wait(lambda: visitor.read("style").count("%") == 3, "all three styles have a share")
+    visitor.page.mouse.move(x + 0.3 * width, y + 0.7 * height)
+    visitor.page.mouse.down()
+    visitor.page.mouse.move(x + 0.02 * width, y + 0.98 * height, steps=3)
+    visitor.page.mouse.up()
+    corner = visitor.field("Left").input_value()
+    visitor.wait(lambda: share(visitor, corner) > CORNER, f"the point at the left corner is {corner}")
+    visitor.field("Shares").fill("0 0 100")
+    corner = visitor.field("Right").input_value()
+    visitor.wait(lambda: share(visitor, corner) > CORNER, f"numbers work as well: {corner}")
+
+
+def test_recording_is_downloaded_as_bvh(visitor, tmp_path):
+    visitor.press("Record")
+    visitor.wait(lambda: visitor.page.get_by_role("button", name="Stop and download").count(), "it records")
+    visitor.walk(0.4)
+    with visitor.page.expect_download() as waited:
+        visitor.press("Stop and download")
+    path = tmp_path / "motion.bvh"
+    waited.value.save_as(path)
+    clip = read_bvh(path)
+    assert waited.value.suggested_filename.endswith(".bvh")
+    assert clip.num_frames > 20 and np.isfinite(clip.root_positions).all()
+    moved = np.linalg.norm(clip.root_positions[-1, [0, 2]] - clip.root_positions[0, [0, 2]])
+    assert moved > 0.3
+
+
+def test_a_bad_clip_says_what_is_wrong_and_changes_nothing(visitor, served, played_run, tmp_path):
+    before, styles, style = files_of(played_run), visitor.options("Style"), visitor.read("style")
+    bad = tmp_path / "walk.bvh"
+    bad.write_text("HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 nought\n}\n")
+    visitor.page.locator("input[type=file]").set_input_files(bad)
+    message = visitor.page.locator("[data-message=bad]")
+    message.wait_for()
+    assert "walk.bvh" in message.inner_text()
+    assert files_of(played_run) == before
+    assert visitor.options("Style") == styles and visitor.read("style") == style
+    visitor.walk(0.2)
+
+
+def test_a_good_clip_becomes_a_style_that_moves(visitor, played_run, zombie_bvh):
+    visitor.page.locator("input[type=file]").set_input_files(zombie_bvh)
+    visitor.page.locator("[data-message=good]").wait_for()
+    assert "zombie walk" in visitor.options("Style")
+    visitor.wait(lambda: visitor.read("style") == "zombie walk", "the character is in the new style")
+    assert (played_run / "styles" / "zombie walk" / "style.json").is_file()
+    visitor.walk(0.3)
+
+
+def test_tabs_have_characters_of_their_own_and_leave_nothing_behind(visitor, another_visitor, served):
+    home(visitor)
+    second = another_visitor()
+    visitor.wait(lambda: len(served.tabs) == 2, "two tabs are served")
+    threads = {tab for tab in served.tabs}
+    second.walk(0.5)
+    assert np.linalg.norm(visitor.root()) < AT_HOME
+    second.choose("Style", "proud")
+    second.wait(lambda: second.read("style") == "proud", "the second is proud")
+    assert visitor.read("style") != "proud"
+    second.close()
+    visitor.wait(lambda: len(served.tabs) == 1, "a closed tab is forgotten")
+    visitor.wait(lambda: sum(tab.alive for tab in threads) == 1, "its thread has ended")
+    visitor.walk(0.3)
+    assert not visitor.errors and not second.errors
+
+
+def test_only_this_machine_can_connect(served):
+    """A server at all addresses would answer at 127.0.0.2 too."""
+    with socket.create_connection(("127.0.0.1", served.port), timeout=10.0):
+        pass
+    with pytest.raises(OSError), socket.create_connection(("127.0.0.2", served.port), timeout=2.0):
+        pass
+
+
+def wanted(visitor) -> float:
+    found = re.search(r"of ([0-9.]+) wanted", visitor.read("speed"))
+    assert found is not None
+    return float(found[1])
+
+
+def heading(visitor) -> float:
+    return np.deg2rad(float(visitor.read("heading").strip("°")))
+
+
+def share(visitor, style: str) -> float:
+    """Of a style, by the readout."""
+    for part in visitor.read("style").split(", "):
+        if part == style:
+            return 1.0
+        if part.startswith(style + " ") and part.endswith("%"):
+            return float(part.split()[-1].strip("%")) / 100.0
+    return 0.0

@@ -1,0 +1,123 @@
+"""The page's parts that need no browser: solids, pictures, what a browser may say, and where a server may listen."""
+
+from __future__ import annotations
+
+import socket
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
+from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.viewer import dials
+from pfnn_jax.viewer.body import capsule_ends
+from pfnn_jax.viewer.panel import word_of
+from pfnn_jax.viewer.play import check_address, play
+from pfnn_jax.viewer.solids import TAPER, Body, Mesh, frustum, sphere
+from pfnn_jax.viewer.timeline import SAMPLES, Timeline
+from pfnn_jax.viewer.view import Dial
+
+EXACT = 1e-9  # float64 over a few products
+ROUND = 0.05  # share of a sphere's volume that its flat faces cut off
+
+
+def volume(mesh: Mesh) -> float:
+    """Signed volume of a closed surface; positive where faces look outwards."""
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    return float(np.sum(np.cross(a, b) * c)) / 6.0
+
+
+def test_solids_are_round_and_look_outwards():
+    ball = sphere()
+    assert np.allclose(np.linalg.norm(ball.vertices, axis=1), 1.0, atol=EXACT)
+    assert (1.0 - ROUND) * 4.0 / 3.0 * np.pi < volume(ball) < 4.0 / 3.0 * np.pi
+    side = frustum(TAPER)
+    a, b, c = (side.vertices[side.faces[:, i]] for i in range(3))
+    outwards = (a + b + c) / 3.0 * [1.0, 0.0, 1.0]
+    assert (np.sum(np.cross(b - a, c - a) * outwards, axis=1) > 0.0).all()
+
+
+def test_a_body_of_instances_lies_on_the_bones():
+    clip, _ = synthesise("zombie", np.full(40, 0.5), np.ones(40))
+    positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    body = Body(clip.skeleton)
+    starts, turned, balls = body.place(positions[-1], rotations[-1])
+    tips = starts + quat_rotate(turned, np.array([0.0, 1.0, 0.0]) * body.limb_scales)
+    ends = [
+        joint + quat_rotate(rotations[-1][i], offset)
+        for i, offset in clip.skeleton.end_sites
+        for joint in [positions[-1][i]]
+    ]
+    points = np.concatenate([positions[-1], np.array(ends).reshape(-1, 3)])
+    expected = [capsule_ends(points, capsule) for capsule in body.capsules]
+    assert np.allclose(starts, [start for start, _ in expected], atol=EXACT)
+    assert np.allclose(tips, [end for _, end in expected], atol=1e-6)  # lengths are those of the rest pose
+    assert np.allclose(balls, np.concatenate([starts, tips]), atol=1e-6)
+    sides = {side: sum(capsule.side == side for capsule in body.capsules) for side in ("left", "right", "middle")}
+    assert sides["left"] == sides["right"] > 3 and sides["middle"] > 0
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "1", "1 0 0 0 0", "1 2 0 0 0 60", "1 nan 0 0 0 60", "1 0 0 0 0 inf", "1 0 0 0 0 -1", "1 0 0 0 0 6e9", "x" * 200,
+     "1 __import__('os') 0 0 0 0", "1 0 0 0 0 60 7"],
+)  # fmt: skip
+def test_what_a_browser_says_is_numbers_or_nothing(text):
+    assert word_of(text) is None
+
+
+def test_a_word_of_the_script():
+    word = word_of("17 0.5 -1 1 1 59.9")
+    assert word is not None and word.stick == (0.5, -1.0, 1.0, True) and word.rate == 59.9
+
+
+def test_shares_sum_to_one_whatever_is_typed():
+    assert dials.shares_of("50, 30 20 %") == pytest.approx((0.5, 0.3, 0.2))
+    assert dials.shares_of("2 0 2") == (0.5, 0.0, 0.5)
+    for text in ("", "1 2", "1 2 x", "0 0 0", "-1 1 1", "nan 1 1", "1e400 1 1", "1 2 3 4"):
+        assert dials.shares_of(text) is None, text
+
+
+def test_names_cannot_break_out_of_pictures():
+    evil = '</svg><img src=x onerror="alert(1)">'
+    shown = dials.triangle([evil, "b", "c"], (0.2, 0.3, 0.5), True) + dials.message("bad", evil)
+    assert "<img" not in shown and "&lt;" in shown
+
+
+def test_dials_of_every_kind_of_phase():
+    assert "velocities" in dials.phase_dial(())
+    assert "90&deg;" in dials.phase_dial((Dial("gait", np.pi / 2),))
+    local = dials.phase_dial(
+        tuple(Dial(name, 0.0, 0.5) for name in ("left hand", "right hand", "left toe", "right toe"))
+    )
+    assert local.count("<line") == 4 and "right toe" in local
+
+
+def test_the_timeline_keeps_the_last_seconds_in_lanes():
+    chart = SimpleNamespace(data=None)
+    gui = SimpleNamespace(add_uplot=lambda data, **_: setattr(chart, "data", data) or chart)
+    timeline = Timeline(gui)  # type: ignore[arg-type]
+    for step in range(1200):
+        timeline.add(step / 60.0, np.array([1.0, 0.0, 0.5, 0.0]))
+    timeline.show(1200 / 60.0)
+    assert chart.data is not None
+    times, *lanes = chart.data
+    heights = [float(np.mean(lanes[2 * i + 1] - lanes[2 * i])) for i in range(4)]
+    assert len(times) == SAMPLES and heights[3] > heights[1] > 0.0 and heights[0] == heights[2] == 0.0
+
+
+def test_an_address_that_cannot_be_used_is_named():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=rf"port at 127.0.0.1: {port}; .*--port"):
+            check_address("127.0.0.1", port)
+        with pytest.raises(InputError, match=str(port)):  # before anything is loaded
+            play(["no such run"], port=port)
+    for host, port, message in (("127.0.0.1", 70000, "between 0 and 65535"), ("no.such.host.invalid", 0, "address")):
+        with pytest.raises(InputError, match=message):
+            check_address(host, port)
+    check_address("127.0.0.1", 0)
