@@ -29,7 +29,7 @@ import tyro
 from experiments.markdown import markdown_table
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.demo import TURNS, DemoConfig, procedural_dataset, straight_walk
-from pfnn_jax.evaluation.plots import loss_curves, save_figure
+from pfnn_jax.evaluation.plots import loss_curves
 from pfnn_jax.evaluation.style_methods import without_adapter
 from pfnn_jax.evaluation.style_test import pose_and_velocity_error, predict_rows
 from pfnn_jax.models.network import Network
@@ -49,6 +49,7 @@ from pfnn_jax.training.few_shot import FewShotConfig, Method, train_grid
 from pfnn_jax.training.pretraining import init_state, train
 from pfnn_jax.training.stored import dataset_rows
 from pfnn_jax.training.style_data import hold_out, to_batch
+from pfnn_jax.viewer.drawing import save_figure
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.markdown import markdown_table
-from pfnn_jax.evaluation.plots import error_bars, save_figure
+from pfnn_jax.evaluation.plots import error_bars
+from pfnn_jax.viewer.drawing import save_figure
 
 REFERENCE = "CP"
 """The row that the others are compared with, take by take."""

@@ -47,11 +47,12 @@ from experiments.seven_models import Model, load_model
 from experiments.seven_takes import Take, Takes, load_takes, windows_of
 from experiments.test_error import network_folder
 from pfnn_jax.errors import InputError
-from pfnn_jax.evaluation.plots import error_bars, save_figure
+from pfnn_jax.evaluation.plots import error_bars
 from pfnn_jax.evaluation.style_classifier import ClassifierConfig, train_classifier
 from pfnn_jax.models.film import Film, film_to_vector
 from pfnn_jax.motion.files import write_whole
 from pfnn_jax.motion.plain import json_text
+from pfnn_jax.viewer.drawing import save_figure
 
 LEARN = "walk"
 """Content of the takes of which the first is learned from."""

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from experiments.markdown import markdown_table
-from pfnn_jax.evaluation.plots import error_bars, save_figure
+from pfnn_jax.evaluation.plots import error_bars
 from pfnn_jax.motion.files import write_whole
+from pfnn_jax.viewer.drawing import save_figure
 
 COLUMNS: dict[str, tuple[tuple[str, ...], float]] = {
     "MSE": (("test", "mse"), 1.0),

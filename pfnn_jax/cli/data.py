@@ -13,7 +13,6 @@ from pfnn_jax.cli.base import FLAT, Command, refuse_existing
 from pfnn_jax.cli.progress import clip_progress
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.phase_plot import phase_plot
-from pfnn_jax.evaluation.plots import save_figure
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import resample
 from pfnn_jax.motion.dataset import Dataset, prepare
@@ -23,6 +22,7 @@ from pfnn_jax.motion.preparation import PrepareConfig
 from pfnn_jax.motion.sources import list_clips
 from pfnn_jax.motion.splits import WINDOW
 from pfnn_jax.motion.trajectory import LAYOUT_FPS
+from pfnn_jax.viewer.drawing import save_figure
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,9 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pfnn_jax.viewer.drawing import GRID, INK, MUTED, blank_figure
-from pfnn_jax.viewer.drawing import png_bytes as png_bytes
-from pfnn_jax.viewer.drawing import save_figure as save_figure
-from pfnn_jax.viewer.filmstrip import filmstrip as filmstrip
 
 SERIES = ("#2f6fde", "#e0662f", "#2f9e77", "#9a5bd0", "#c2892b", "#d04a78", "#4aa3c4", "#7a8699", "#5b7f2b", "#a0522d")
 
