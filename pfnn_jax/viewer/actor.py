@@ -72,6 +72,7 @@ class Actor:
         self._frame = 0
         self._durations: deque[float] = deque(maxlen=60)
         self._made: deque[tuple[float, int]] = deque()
+        self._heading = 0.0
         self._begin(cast, np.zeros(2, np.float32), 0.0)
 
     # What is asked of it
@@ -153,6 +154,7 @@ class Actor:
             self._presses.clear()
             self._keys.clear()
             self._stick = Wish()
+            self._heading = 0.0
             self._begin(self._stage.cast(self._run), np.zeros(2, np.float32), 0.0)
 
     # What it does
@@ -212,14 +214,15 @@ class Actor:
             self._shares = shares
             if run != self._run:
                 self._run = run
-                self._begin(cast, self._root, self._heading)
+                faced = np.asarray(self._state.motion.directions)[ROOT]
+                self._begin(cast, self._root, math.atan2(faced[0], faced[1]))
 
     def _begin(self, cast: Cast, root: np.ndarray, yaw: float) -> None:
         """Standing at `root` [2] facing `yaw`."""
         controller = cast.controller
         first = max(self._shares, key=lambda name: self._shares[name])
         self._state: ControllerState = controller.start(position=root, yaw=yaw, style=controller.styles.index(first))
-        self._heading, self._facing_yaw, self._root = yaw, yaw, np.asarray(root, np.float32)
+        self._facing_yaw, self._root = yaw, np.asarray(root, np.float32)
         self._wanted = 0.0
         self._roots: deque[np.ndarray] = deque(maxlen=SPEED_SPAN + 1)
 

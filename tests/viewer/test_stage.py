@@ -1,0 +1,111 @@
+"""Runs on stage: their names, and how a new style joins one without disturbing the others."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.training.run import load_style, save_style
+from pfnn_jax.viewer import stage as stages
+from pfnn_jax.viewer.actor import Actor
+from pfnn_jax.viewer.stage import SPARE, Stage, joined
+
+FRAME = 1.0 / 60.0
+
+
+@pytest.fixture(scope="module")
+def two_runs(played_run, tmp_path_factory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("stage")
+    paths = folder / "one" / "run", folder / "two" / "run"
+    for path in paths:
+        shutil.copytree(played_run, path)
+    return paths
+
+
+@pytest.fixture(scope="module")
+def stage(two_runs) -> Stage:
+    return Stage(two_runs)
+
+
+def walked(stage: Stage, style: str, frames: int = 20) -> np.ndarray:
+    actor = Actor(stage, stage.runs[0], style)
+    actor.set_stick(1.0, 0.0)
+    actor.advance(0.0)
+    return np.stack([actor.advance(frame * FRAME).joints for frame in range(1, frames)])
+
+
+def test_runs_are_named_as_shortly_as_they_differ(stage, two_runs):
+    assert stage.runs == ("one/run", "two/run")
+    assert stage.cast("two/run").run.path == two_runs[1]
+    assert stage.styles[:3] == [("one/run", name) for name in ("depressed", "neutral", "proud")]
+
+
+def test_what_cannot_be_played_is_refused(two_runs, tmp_path):
+    for paths in ([], [tmp_path], [two_runs[0], two_runs[0]]):
+        with pytest.raises(InputError):
+            Stage(paths)
+
+
+def test_a_character_of_another_run_stands_where_the_last_one_was(stage):
+    actor = Actor(stage, "one/run")
+    actor.set_stick(1.0, 0.0, turn=0.3)
+    for frame in range(90):
+        before = actor.advance(frame * FRAME)
+    actor.start_recording()
+    actor.advance(90 * FRAME)
+    actor.choose("two/run", "proud")
+    after = actor.advance(90 * FRAME)
+    assert after.run == "two/run" and after.style_weights == {"proud": 1.0}
+    assert np.linalg.norm(before.root) > 0.05
+    assert np.linalg.norm(after.root - before.root) < 0.1
+    assert after.heading == before.heading
+    assert float(after.facing @ before.facing) > np.cos(np.radians(3.0))
+    actor.advance(91 * FRAME)
+    clip = actor.stop_recording()
+    assert clip is not None and clip.num_frames == 1  # a recording ends with its run
+
+
+def test_a_style_joins_and_disturbs_no_other(stage, two_runs):
+    version, before = stage.version, walked(stage, "neutral")
+    compiled = stages.Controller.step.__globals__["step"]._cache_size()
+    learned = load_style(stage.cast("one/run").run, "proud")
+    save_style(two_runs[0], "joined", learned, {"speed": 0.7})
+    stage.add_style("one/run", "joined")
+    assert stage.version == version + 1 and ("one/run", "joined") in stage.styles
+    assert ("two/run", "joined") not in stage.styles
+    assert stage.cast("one/run").speeds["joined"] == pytest.approx(0.7)
+    np.testing.assert_array_equal(walked(stage, "neutral"), before)
+    assert np.abs(walked(stage, "joined") - before).max() > 1e-4
+    assert stages.Controller.step.__globals__["step"]._cache_size() == compiled
+
+
+def test_a_full_bank_grows(stage):
+    cast = stage.cast("two/run")
+    styles = [load_style(cast.run, name) for name in cast.styles]
+    save_style(cast.run.path, "more", styles[0], {"speed": 1.0})
+    rows = len(cast.styles)
+    full = replace(
+        cast.controller,
+        params=replace(
+            cast.controller.params,
+            bank=jax.tree.map(lambda leaf: leaf[:rows], cast.controller.params.bank),
+            speeds=cast.controller.params.speeds[:rows],
+        ),
+    )
+    grown = joined(cast.run, full, "more", styles[0])
+    assert grown.styles == (*cast.styles, "more") and grown.capacity == rows + 1 + SPARE
+    for index, style in enumerate([*styles, styles[0]]):
+        rows_of = jax.tree.map(lambda leaf, i=index: leaf[i], grown.params.bank)
+        jax.tree.map(np.testing.assert_array_equal, rows_of, style)
+
+
+def test_a_style_of_another_kind_cannot_join(stage):
+    cast = stage.cast("one/run")
+    with pytest.raises(InputError, match="must be of the kind"):
+        joined(cast.run, cast.controller, "new", np.zeros(3))
