@@ -152,6 +152,7 @@ def layer_at(layer: Layer, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return np.zeros(()), blend(biases)
         case DenseLayer(weights=weights, biases=biases):
             return np.asarray(weights, np.float64).T, np.asarray(biases, np.float64)
+    raise TypeError(f"`layer` must be one of the five records, got {type(layer).__name__}.")
 
 
 def _write_cp(folder: Path, style: ExportStyle) -> dict[str, Any]:

@@ -54,7 +54,7 @@ def write_onnx(path: Path, function: BatchFunction, rows: dict[str, np.ndarray])
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     with jax.default_matmul_precision("highest"):
         expected = np.asarray(jax.jit(function)(*rows.values()))
-    error = relative_error(session.run(["y"], rows)[0], expected)
+    error = relative_error(np.asarray(session.run(["y"], rows)[0]), expected)
     if not error <= TOLERANCE:
         raise InputError(path, "relative error", f"{error:.1e}", f"onnxruntime must agree with JAX to {TOLERANCE:g}")
     path.write_bytes(content)

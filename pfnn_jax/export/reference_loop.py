@@ -24,7 +24,7 @@ def turn_towards(facing, target, share):
     return facing * np.exp(1j * share * np.angle(target / facing))
 
 
-def turn(v, facing, point=0j):
+def turn(v, facing, point: complex | np.ndarray = 0j):
     """Vectors [J, 3] of a root with a facing turned into the world, then moved by its place on the ground."""
     ground = (v[:, 2] + 1j * v[:, 0]) * facing + point
     return np.stack([ground.imag, v[:, 1], ground.real], -1)

@@ -82,7 +82,7 @@ def _write_function(
     if film_input and run.config.adapter.kind != "film":
         rule = "only a Film can be an input of the network: export one network for each style"
         raise InputError(run.path, "film input", run.config.adapter.kind, rule)
-    chosen = choose_styles(run, choice) if film_input or choice is not None else ()
+    chosen = list(choose_styles(run, choice)) if film_input or choice is not None else []
     x, phase = sample_rows(run.normaliser, run.layout, NUM_ROWS)
     rows = {"x": x, "phase": phase}
     if film_input:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.film import Film, film_to_vector
+from pfnn_jax.models.layers import BiasLayer
 from pfnn_jax.runtime.generate import default_speed, style_label
 from pfnn_jax.runtime.mixture import StyleChoice, load_choice
 from pfnn_jax.training.run import Run, adapter_form, list_styles, style_note
@@ -82,7 +83,7 @@ def style_arrays(parameters: Style) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     for field in fields(parameters):
         value = getattr(parameters, field.name)
-        found |= style_arrays(value) if is_dataclass(value) else {field.name: np.asarray(value)}
+        found |= style_arrays(value) if isinstance(value, BiasLayer) else {field.name: np.asarray(value)}
     return found
 
 
