@@ -357,7 +357,7 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
         before, regulated = inner.motion, inner.regulated
         asked = command
         if config is not None:
-            asked = command.replace(velocity=ask(command.velocity, own, before, regulated, setup.config, config))
+            asked = ask(command, own, before, regulated, setup.config, config)
         motion, y = published_step(partial(evaluate, predictor), setup.layout, before, asked, setup.config)
         angle = jnp.zeros((), y.dtype)
         if config is not None:

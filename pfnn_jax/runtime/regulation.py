@@ -40,6 +40,7 @@ class Regulation:
         most_turning: radians per second, the most that it is turned at full pace.
         gain_rate: at which the speed asked of the network grows while the pace cannot give the wanted one.
         most_gain: bound of that.
+        most_asked: radians, the most that a network is asked to turn at once.
         stretch: share by which the speed asked of a network may differ from its style's own.
     """
 
@@ -52,6 +53,7 @@ class Regulation:
     most_turning: float = 1.0
     gain_rate: float = 0.0
     most_gain: float = 1.5
+    most_asked: float = 0.8
     stretch: float = 0.25
 
 
@@ -76,22 +78,29 @@ class Regulated:
 
 
 def ask(
-    velocity: jax.Array,
+    command: Command,
     own: jax.Array,
     before: CharacterState,
     regulated: Regulated,
     constants: ControllerConfig,
     config: Regulation,
-) -> jax.Array:
-    """[2] m/s to ask of the network in the world for a wanted velocity [2], where its style's own speed is `own` [].
+) -> Command:
+    """What to ask of the network for a command, where the style's own speed is `own` [] m/s.
 
-    Networks that are asked for a speed that a style never had may lose its gait. So they are asked for speeds near its
-    own; what is missing is left to the pace. One that shall stand is asked to go on, and stopped by its pace.
+    Networks that are asked for what their style never did may lose its gait. So they are asked for speeds near its
+    own, and what is missing is left to the pace; and for turns by as much as the published demos ask for at once, so
+    that a character turns about in an arc. One that shall stand is asked to go on, and is stopped by its pace.
     """
-    speed = _length(velocity)
+    speed = _length(command.velocity)
     near = jnp.clip(speed, (1.0 - config.stretch) * own, (1.0 + config.stretch) * own) * regulated.gain
-    going_on = before.target_velocity / constants.command_gain
-    return jnp.where(speed > STILL, near / jnp.maximum(speed, STILL) * velocity, going_on)
+    left = angle_between(before.directions[ROOT], command.direction)
+    at_once = jnp.clip(left, -config.most_asked, config.most_asked)
+    velocity = turn(command.velocity * (near / jnp.maximum(speed, STILL)), at_once - left)
+    moving = speed > STILL
+    return command.replace(
+        velocity=jnp.where(moving, velocity, before.target_velocity / constants.command_gain),
+        direction=jnp.where(moving, turn(before.directions[ROOT], at_once), before.target_direction),
+    )
 
 
 def observe(

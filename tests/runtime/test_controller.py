@@ -1,0 +1,198 @@
+"""The controller on small networks: the published loop inside it, styles, standing, and how it is run."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.motion.features import clip_features
+from pfnn_jax.motion.layout import LAYOUTS
+from pfnn_jax.motion.normaliser import fit_normaliser
+from pfnn_jax.motion.skeleton import skeleton_to_json
+from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.runtime.controller import Command, Controller, drive, make_controller, mixed_style, step
+from pfnn_jax.runtime.frame import published_step
+from pfnn_jax.runtime.predictor import evaluate
+from pfnn_jax.runtime.regulation import STANDARD, Regulated, angle_between, ask, observe, turn_state, turning
+from pfnn_jax.runtime.state import ROOT
+from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+from tests.runtime.walkers import LAYOUT, WALK, input_row
+
+FLOAT32 = 2e-5  # metres: fused and unfused products of a walk of a few seconds
+SPEED = 1.1
+STYLES = ("calm", "wild")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Run:
+    """A run whose network barely moves about the mean of a straight walk, with two CP styles."""
+    clip, labels = synthesise("neutral", np.zeros(150), np.full(150, SPEED), seed=2)
+    layout = LAYOUTS["mason2018"](clip.skeleton.num_joints)
+    rows = clip_features(clip, layout, labels)
+    sizes, form = NetworkConfig(layout.input_size, layout.output_size, hidden=16), AdapterConfig(rank=2)
+    config = RunConfig(sizes, form, layout.name, layout.num_joints, STYLES, skeleton_to_json(clip.skeleton))
+    path = create_run(tmp_path_factory.mktemp("runs") / "run", config, fit_normaliser(rows.x, rows.y, layout))
+    save_shared(path, jax.tree.map(lambda a: 0.1 * a, init_network(sizes, jax.random.key(0))))
+    for index, name in enumerate(STYLES):
+        adapter = init_adapter(form, 16, sizes.num_control_points, jax.random.key(index))
+        save_style(path, name, jax.tree.map(lambda a: 0.3 * a, adapter), {"speed": SPEED} if index else {})
+    return load_run(path)
+
+
+@pytest.fixture(scope="module")
+def controller(run) -> Controller:
+    """Without feet held, which takes most of the compilation."""
+    return make_controller(run, capacity=3, foot_ik=False)
+
+
+def command(controller: Controller, speed: float, yaw: float = 0.0, style: str = "calm") -> Command:
+    direction = jnp.asarray([np.sin(yaw), np.cos(yaw)], jnp.float32)
+    return Command(velocity=speed * direction, direction=direction, style=jnp.asarray(controller.style_weights(style)))
+
+
+def repeated(one: Command, frames: int) -> Command:
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (frames, *leaf.shape)), one)
+
+
+def test_spare_rows_are_zero_and_styles_have_names(controller):
+    assert controller.styles == STYLES and controller.capacity == 3
+    assert all(not np.asarray(leaf[2]).any() for leaf in jax.tree.leaves(controller.params.bank))
+    np.testing.assert_allclose(controller.style_weights({"calm": 0.25, "wild": 0.75}), [0.25, 0.75, 0.0])
+    with pytest.raises(InputError, match="must be one of calm, wild"):
+        controller.style_weights("other")
+    with pytest.raises(InputError, match="must sum to one"):
+        controller.style_weights({"calm": 0.5, "wild": 0.6})
+
+
+def test_speeds_are_told_or_found(controller):
+    """The walk's own speed, which the network was made to repeat."""
+    assert controller.params.speeds[1] == pytest.approx(SPEED)
+    assert controller.params.speeds[0] == pytest.approx(SPEED, rel=0.2)
+
+
+def test_without_regulation_it_is_the_published_loop(run):
+    plain = make_controller(run, ["wild"], foot_ik=False, regulation=None)
+    state, asked = plain.start(), command(plain, SPEED, 0.3, "wild")
+    predictor = plain.params.predictor.replace(style=mixed_style(plain.params.bank, jnp.ones(1)))
+    one = jax.jit(lambda motion: published_step(partial(evaluate, predictor), run.layout, motion, asked)[0])
+    motion = state.motion
+    for _ in range(20):
+        state, motion = plain.step(state, asked), one(motion)
+    np.testing.assert_allclose(state.motion.positions, motion.positions, atol=FLOAT32)
+    np.testing.assert_allclose(state.motion.joint_positions, motion.joint_positions, atol=FLOAT32)
+    np.testing.assert_allclose(state.joints[0], motion.joint_positions[0], atol=FLOAT32)
+    assert state.pace == 1.0
+
+
+def test_the_start_stands_where_it_is_told(controller):
+    state = controller.start((2.0, -3.0), np.pi / 2, "wild")
+    np.testing.assert_allclose(state.motion.positions[ROOT], [2.0, -3.0], atol=FLOAT32)
+    np.testing.assert_allclose(state.motion.directions[ROOT], [1.0, 0.0], atol=FLOAT32)
+    np.testing.assert_allclose(state.style, [0.0, 1.0, 0.0])
+    still = controller.step(state, command(controller, 0.0, 1.0, "wild"))
+    np.testing.assert_allclose(still.motion.joint_positions, state.motion.joint_positions, atol=0.0)
+    assert state.pace == still.pace == 0.0
+
+
+def test_a_step_returns_what_it_takes(controller):
+    """The same shapes and types: a loop compiles once, and a scan carries the state."""
+    state = controller.start()
+    after = controller.step(state, command(controller, SPEED))
+    assert jax.tree.map(jax.typeof, state) == jax.tree.map(jax.typeof, after)
+    size = step._cache_size()
+    controller.step(after, command(controller, 0.7, 0.2, "wild"))
+    assert step._cache_size() == size
+
+
+def test_loop_scan_and_vmap_agree(controller):
+    frames, asked = 40, [command(controller, SPEED, yaw, style) for yaw, style in ((0.4, "calm"), (-0.9, "wild"))]
+    begin = [controller.start(style=index) for index in range(2)]
+    loops = []
+    for state, one in zip(begin, asked, strict=True):
+        for _ in range(frames):
+            state = controller.step(state, one)
+        loops.append(state)
+    stack = partial(jax.tree.map, lambda *leaves: jnp.stack(leaves))
+    commands = stack(*(repeated(one, frames) for one in asked))
+    many = jax.vmap(partial(drive, controller.setup, controller.params))(stack(*begin), commands)[0]
+    for index, (state, one, loop) in enumerate(zip(begin, asked, loops, strict=True)):
+        scanned, seen = drive(controller.setup, controller.params, state, repeated(one, frames))
+        np.testing.assert_allclose(scanned.joints, loop.joints, atol=FLOAT32)
+        np.testing.assert_allclose(many.joints[index], loop.joints, atol=10 * FLOAT32)
+        assert seen.joints.shape == (frames, *loop.joints.shape)
+
+
+def test_bones_are_rigid(controller):
+    _, seen = drive(
+        controller.setup, controller.params, controller.start(), repeated(command(controller, SPEED, 0.5), 60)
+    )
+    parents = np.array(controller.setup.rig.parents[1:])
+    lengths = np.linalg.norm(seen.joints[:, 1:] - seen.joints[:, parents], axis=-1)
+    np.testing.assert_allclose(
+        lengths, np.broadcast_to(np.linalg.norm(controller.setup.rig.offsets[1:], axis=-1), lengths.shape), atol=1e-5
+    )
+
+
+def test_a_style_changes_by_and_by(controller):
+    state = controller.start(style="calm")
+    weights = []
+    for _ in range(150):
+        state = controller.step(state, command(controller, SPEED, style="wild"))
+        weights.append(np.asarray(state.style))
+    weights = np.stack(weights)
+    np.testing.assert_allclose(weights.sum(1), 1.0, atol=2e-3)  # while the last thousandth is snapped
+    assert (np.diff(weights[:, 1]) >= 0).all() and np.abs(np.diff(weights, axis=0)).max() < 0.06
+    np.testing.assert_array_equal(weights[-1], [0.0, 1.0, 0.0])
+
+
+MIRROR = np.array([-1.0, 1.0], np.float32)
+WORLD = np.array([-1.0, 1.0, 1.0], np.float32)
+
+
+def mirrored(tree):
+    """Vectors [..., 2] and [..., 3] reflected in the plane x = 0."""
+
+    def flip(leaf):
+        if leaf.ndim and leaf.shape[-1] in (2, 3):
+            return jnp.asarray(np.asarray(leaf) * (MIRROR if leaf.shape[-1] == 2 else WORLD))
+        return leaf
+
+    return jax.tree.map(flip, tree)
+
+
+def test_regulation_of_a_mirrored_character_is_mirrored():
+    from pfnn_jax.runtime.frame import CONTROLLERS
+    from pfnn_jax.runtime.state import initial_state
+
+    layout = LAYOUT["mason2018"]
+    before = initial_state(layout, input_row(layout, WALK), jnp.float32(0.3), jnp.asarray([0.4, 1.0]), jnp.float32(0.2))
+    after = before.replace(positions=jnp.roll(before.positions, -1, 0), directions=jnp.roll(before.directions, -1, 0))
+    asked = Command(velocity=jnp.asarray([0.9, 0.4]), direction=jnp.asarray([0.8, -0.6]))
+    regulated = Regulated(
+        pace=jnp.float32(0.8), gain=jnp.float32(1.0), velocity=jnp.asarray([0.2, 1.1]), off=jnp.float32(0.1)
+    )
+
+    def all_of(before, after, asked, regulated):
+        wanted = ask(asked, jnp.float32(1.0), before, regulated, CONTROLLERS["mason2018"], STANDARD)
+        found = observe(regulated, before, after, asked, 60.0, STANDARD)
+        angle = turning(found, asked.velocity, 60.0, STANDARD)
+        return wanted, turn_state(after, angle), found.velocity, found.off, angle
+
+    one = all_of(before, after, asked, regulated)
+    other = all_of(mirrored(before), mirrored(after), mirrored(asked), mirrored(regulated).replace(off=-regulated.off))
+    for a, b in zip(jax.tree.leaves(mirrored(one[:3])), jax.tree.leaves(other[:3]), strict=True):
+        np.testing.assert_allclose(a, b, atol=FLOAT32)
+    np.testing.assert_allclose(jnp.stack(one[3:]), -jnp.stack(other[3:]), atol=FLOAT32)
+    assert one[4] != 0.0
+
+
+def test_angles_go_the_short_way():
+    a, b = jnp.asarray([0.0, 1.0]), jnp.asarray([1.0, 0.0])
+    assert angle_between(a, b) == pytest.approx(np.pi / 2) and angle_between(b, a) == pytest.approx(-np.pi / 2)
