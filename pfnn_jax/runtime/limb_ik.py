@@ -76,7 +76,7 @@ def bend(
     both = _length(jnp.stack([along, aside]))
     squares = jnp.sum(u * u) + jnp.sum(v * v)
     bent = -_angle(aside, along)
-    distance = _soft(_length(target - upper), _length(end - upper), jnp.sqrt(squares + 2.0 * both))
+    distance = _soft(_length(target - upper), _length(end - upper), jnp.sqrt(jnp.maximum(squares + 2.0 * both, 1e-12)))
     cosine = (distance * distance - squares) / (2.0 * jnp.maximum(both, 1e-9))
     wanted = jnp.arccos(jnp.clip(cosine, STRAIGHT - 1.0, 1.0 - STRAIGHT))
     # A limb bent the wrong way, by the little that noise bends one, stays so until more bending is asked for, and then

@@ -1,0 +1,148 @@
+"""Generated walks before and after feet are held in place: sliding, bones, and what smoothness it costs.
+
+Parent    Mason 2022 §4.4: foot contact inverse kinematics after the network, to reduce sliding; no numbers.
+Question  how much less do feet slide while they are in contact, by the network's own contacts, and do accelerations
+          and jitter grow?
+Data      runs; of each its styles walk along a figure of eight.
+Expect    see docs/results.md.
+Run       python -m experiments.foot_ik --runs RUN [RUN ...] --out runs/foot_ik
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from experiments.markdown import markdown_table
+from pfnn_jax.errors import InputError
+from pfnn_jax.evaluation.metrics import bone_length_error, contact_sliding, jitter
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.contacts import foot_contacts
+from pfnn_jax.motion.files import write_whole
+from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.skeleton import need_roles
+from pfnn_jax.runtime.fix_feet import fix_feet, output_contacts
+from pfnn_jax.runtime.generate import generate
+from pfnn_jax.runtime.paths import figure_eight
+from pfnn_jax.runtime.pose import make_rig
+from pfnn_jax.training.checkpoint import write_json
+from pfnn_jax.training.run import Run, list_styles, load_run
+
+COLUMNS = {
+    "toes": ("toes slide, m/s", 3),
+    "heels": ("heels slide, m/s", 3),
+    "held": ("held toes, mm per frame", 2),
+    "toe_acceleration": ("toes, m/s²", 1),
+    "knee_acceleration": ("knees, m/s²", 1),
+    "jitter": ("jitter, m/s³", 0),
+    "bones": ("bones, mm", 2),
+}
+
+
+@dataclass(frozen=True)
+class Config:
+    """The experiment.
+
+    Attributes:
+        runs: run directories.
+        out: folder of results.
+        styles: of every run that has them; all of a run's by default.
+        most: at most so many styles of a run, spread over its list.
+        seconds: of each walk; the first second is not judged.
+    """
+
+    runs: tuple[Path, ...]
+    out: Path
+    styles: tuple[str, ...] = ()
+    most: int = 8
+    seconds: float = 12.0
+
+
+def main(config: Config) -> dict[str, Any]:
+    """Runs the experiment; writes foot_ik.json and foot_ik.md."""
+    rows = []
+    for path in config.runs:
+        run = load_run(path)
+        for style in _styles(run, config):
+            found = compare(run, style, config.seconds)
+            rows.append({"run": path.name, "style": style or "(none)", **found})
+    if not rows:
+        raise InputError(config.out, "runs", "none", "name at least one run")
+    config.out.mkdir(parents=True, exist_ok=True)
+    write_json(config.out / "foot_ik.json", rows)
+    text = _table(rows)
+    write_whole(config.out / "foot_ik.md", text)
+    print(text)
+    return {"rows": rows}
+
+
+def compare(run: Run, style: str | None, seconds: float) -> dict[str, dict[str, float]]:
+    """The measures of one walk `network` (joints as predicted), `before` (rigid bones) and `after`."""
+    made = generate(run, style, figure_eight(), seconds=seconds)
+    contacts = output_contacts(run.layout, np.asarray(made.frames.outputs))
+    if contacts is None:
+        contacts = foot_contacts(_joints(made.clip), need_roles(run.skeleton), run.layout.fps).astype(float)
+    predicted = np.asarray(made.frames.joint_positions, np.float64)
+    fixed = fix_feet(made.clip, contacts)
+    walks = {"network": predicted, "before": _joints(made.clip), "after": _joints(fixed)}
+    return {name: measures(run, positions, contacts) for name, positions in walks.items()}
+
+
+def measures(run: Run, positions: np.ndarray, contacts: np.ndarray) -> dict[str, float]:
+    """Of joints [T, J, 3] in metres whose contacts are [T, 4]: see `COLUMNS`."""
+    fps, skip, rig = run.layout.fps, round(run.layout.fps), make_rig(run.skeleton)
+    positions, touching = positions[skip:], contacts[skip:] >= 0.5
+    feet, toes, heels = positions[:, list(rig.feet)], [1, 3], [0, 2]
+    lengths = np.linalg.norm(run.skeleton.offsets, axis=-1)
+    return {
+        "toes": contact_sliding(feet[:, toes], touching[:, toes], fps),
+        "heels": contact_sliding(feet[:, heels], touching[:, heels], fps),
+        "held": 1000.0 * _middle_steps(feet[:, toes], touching[:, toes]),
+        "toe_acceleration": _acceleration(feet[:, toes], fps),
+        "knee_acceleration": _acceleration(positions[:, [leg[1] for leg in rig.legs]], fps),
+        "jitter": jitter(positions, fps),
+        "bones": 1000.0 * bone_length_error(positions, run.skeleton.parents, lengths),
+    }
+
+
+def _middle_steps(toes: np.ndarray, touching: np.ndarray) -> float:
+    """Median step in metres between frames of contact: what a toe moves in the midst of a stance."""
+    both = touching[1:] & touching[:-1]
+    steps = np.linalg.norm(np.diff(toes, axis=0), axis=-1)[both]
+    return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def _acceleration(points: np.ndarray, fps: float) -> float:
+    return float(np.linalg.norm(np.diff(points, n=2, axis=0), axis=-1).mean() * fps**2)
+
+
+def _joints(clip: MotionClip) -> np.ndarray:
+    return forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)[0]
+
+
+def _styles(run: Run, config: Config) -> list[str | None]:
+    names = list(list_styles(run.path))
+    chosen = [name for name in names if name in config.styles] if config.styles else names
+    if not names:
+        return [None]
+    spread = np.unique(np.linspace(0, len(chosen) - 1, min(config.most, len(chosen))).round().astype(int))
+    return [chosen[i] for i in spread] if chosen else []
+
+
+def _table(rows: list[dict[str, Any]]) -> str:
+    lines = []
+    for run in dict.fromkeys(row["run"] for row in rows):
+        own = [row for row in rows if row["run"] == run]
+        for kind in ("network", "before", "after"):
+            means = {key: np.nanmean([row[kind][key] for row in own]) for key in COLUMNS}
+            numbers = [f"{means[key]:.{digits}f}" for key, (_, digits) in COLUMNS.items()]
+            lines.append([f"{run} ({len(own)})" if kind == "network" else "", kind, *numbers])
+    return markdown_table(["run (styles)", "walk", *(title for title, _ in COLUMNS.values())], lines)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))
