@@ -19,7 +19,7 @@ from flax import struct
 
 from pfnn_jax.motion.kinematics import quat_between, quat_conjugate, quat_multiply, quat_rotate
 from pfnn_jax.runtime.limb_ik import bend, forward_of
-from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics, turn_joint
+from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics
 
 PARTNER = (1, 0, 3, 2)
 """The other joint of the same foot, in the order of contacts: left heel, left toe, right heel, right toe."""
@@ -124,11 +124,8 @@ def lock_feet(
     lowered = jnp.stack([jnp.zeros_like(needed), -locks.drop[0], jnp.zeros_like(needed)])
     pose = replace(pose, hips=pose.hips + lowered)
     positions = positions + lowered[None]
-    pole = forward_of(rig, positions)
-    for side, leg in enumerate(rig.legs):
-        toe_share = _smooth(locks.strength[2 * side + 1])
-        pose = _place_foot(rig, pose, positions, world, leg, targets[2 * side : 2 * side + 2], toe_share, pole)
-    return pose, locks
+    shares = _smooth(locks.strength[np.array([1, 3])])
+    return _place_feet(rig, pose, positions, world, targets.reshape(2, 2, 3), shares), locks
 
 
 def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, config: FootLockConfig) -> FootLocks:
@@ -180,28 +177,41 @@ def _needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: Foo
     return jnp.clip(jnp.maximum(*drops), 0.0, config.max_drop * rig.leg_length)
 
 
-def _place_foot(
-    rig: Rig,
-    pose: Pose,
-    positions: jax.Array,
-    world: jax.Array,
-    leg: tuple[int, int, int, int],
+def _place_feet(
+    rig: Rig, pose: Pose, positions: jax.Array, world: jax.Array, targets: jax.Array, toe_shares: jax.Array
+) -> Pose:
+    """The pose with heels and toes at targets [2, 2, 3], both legs at once."""
+    hips, knees, heels, toes = (np.array(joints) for joints in zip(*rig.legs, strict=True))
+    points = positions[hips], positions[knees], positions[heels], positions[toes]
+    over, under, turn = jax.vmap(_solve_leg, in_axes=(0, 0, 0, 0, 0, 0, None))(
+        *points, targets, toe_shares, forward_of(rig, positions)
+    )
+    feet = quat_multiply(quat_conjugate(quat_multiply(over, under)), turn)
+    joints = np.concatenate([hips, knees, heels])
+    above = world[np.array(rig.parents)[joints]]
+    delta = quat_multiply(quat_conjugate(above), quat_multiply(jnp.concatenate([over, under, feet]), above))
+    turned = quat_multiply(delta, pose.rotations[joints])
+    return replace(pose, rotations=pose.rotations.at[joints].set(turned))
+
+
+def _solve_leg(
+    hip: jax.Array,
+    knee: jax.Array,
+    heel: jax.Array,
+    toe: jax.Array,
     targets: jax.Array,
     toe_share: jax.Array,
     pole: jax.Array,
-) -> Pose:
-    """The pose with one foot's heel and toe at targets [2, 3], made as far apart as they are: the held one decides."""
-    hip, knee, heel, toe = leg
-    foot = positions[toe] - positions[heel]
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Turns [4] of hip, knee and foot for heel and toe at targets [2, 3], made as far apart as they are.
+
+    Where the two do not fit, the toe's decides as far as its share goes, and the heel's otherwise.
+    """
     along = targets[1] - targets[0]
-    turn = quat_between(foot, along)
-    rigid = quat_rotate(turn, foot)
-    place = targets[0] + toe_share * (along - rigid)
-    over, under, _ = bend(positions[hip], positions[knee], positions[heel], place, pole)
-    carried = quat_multiply(over, under)
-    pose = turn_joint(rig, pose, world, heel, quat_multiply(quat_conjugate(carried), turn))
-    pose = turn_joint(rig, pose, world, knee, under)
-    return turn_joint(rig, pose, world, hip, over)
+    turn = quat_between(toe - heel, along)
+    place = targets[0] + toe_share * (along - quat_rotate(turn, toe - heel))
+    over, under, _ = bend(hip, knee, heel, place, pole)
+    return over, under, turn
 
 
 def _norm(v: jax.Array) -> jax.Array:

@@ -1,4 +1,4 @@
-"""Laws of held feet: nothing without contact, nothing slides in contact, nothing jumps, and the world's frame is free."""
+"""Laws of held feet: nothing without contact, nothing slides in contact, nothing jumps, the world is free."""
 
 from __future__ import annotations
 
@@ -142,18 +142,13 @@ def test_slopes_are_finite_at_full_stretch():
     rig = make_rig(skeleton)
     straight = jnp.zeros((rig.num_joints, 4)).at[:, 0].set(1.0)  # the T-pose: both legs at their full length
 
-    def loss(hips, rotations, contacts):
-        locks = initial_locks(rig)
-        total = 0.0
-        for height in (0.0, 0.05):
-            pose, locks = lock_feet(
-                rig, Pose(hips=hips + jnp.array([0.0, 1.0, 0.0]) * height, rotations=rotations), contacts, locks
-            )
-            total = total + jnp.sum(pose.rotations**2 * jnp.arange(4.0)[None]) + jnp.sum(pose.hips)
-        return total
+    def loss(hips, rotations):
+        locks = initial_locks(rig).replace(held=jnp.ones(4) > 0.0, strength=jnp.ones(4))
+        pose, _ = lock_feet(rig, Pose(hips=hips, rotations=rotations), jnp.ones(4), locks)
+        return jnp.sum(pose.rotations**2 * jnp.arange(4.0)[None]) + jnp.sum(pose.hips)
 
     with jax.debug_nans(True):
-        slope = jax.jit(jax.grad(loss, argnums=(0, 1)))(jnp.array([0.0, 0.95, 0.0]), straight, jnp.ones(4))
+        slope = jax.jit(jax.grad(loss, argnums=(0, 1)))(jnp.array([0.0, 0.95, 0.0]), straight)
     assert all(np.isfinite(leaf).all() for leaf in slope)
 
 
