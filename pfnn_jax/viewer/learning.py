@@ -88,7 +88,7 @@ def learn_upload(
     check_upload(name, data)
     loaded = stage.cast(run).run
     if not _learning.acquire(blocking=False):
-        progress(0.0, "waiting for another clip")
+        progress(0.0, "waiting")
         _learning.acquire()
     try:
         with _kept_upload(loaded.path, name, data) as clip:

@@ -56,9 +56,9 @@ def test_a_character_of_another_run_stands_where_the_last_one_was(stage):
     actor = Actor(stage, "one/run")
     actor.set_stick(1.0, 0.0, turn=0.3)
     for frame in range(90):
-        before = actor.advance(frame * FRAME)
+        actor.advance(frame * FRAME)
     actor.start_recording()
-    actor.advance(90 * FRAME)
+    before = actor.advance(90 * FRAME)
     actor.choose("two/run", "proud")
     after = actor.advance(90 * FRAME)
     assert after.run == "two/run" and after.style_weights == {"proud": 1.0}
