@@ -73,7 +73,7 @@ def main(config: Config) -> dict[str, Any]:
     if not rows:
         raise InputError(config.out, "runs", "none", "name at least one run")
     config.out.mkdir(parents=True, exist_ok=True)
-    write_json(config.out / "foot_ik.json", rows)
+    write_json(config.out / "foot_ik.json", {"rows": rows})
     text = _table(rows)
     write_whole(config.out / "foot_ik.md", text)
     print(text)
