@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +11,7 @@ import tyro
 from tyro.conf import Positional as Argument
 
 from pfnn_jax.cli.base import Command
-from pfnn_jax.viewer.play import LOCAL, play
+from pfnn_jax.viewer.play import LOCAL, play, rehearsing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,4 +32,6 @@ class Play(Command):
 
     def run(self) -> Any:
         play(self.run_paths, host=self.host, port=self.port, open_browser=self.open)
+        if rehearsing() and self.json is None:
+            os._exit(0)  # else Ctrl-C would wait for a compilation that nobody needs any more
         return {"runs": self.run_paths}

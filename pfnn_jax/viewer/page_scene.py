@@ -20,10 +20,10 @@ from pfnn_jax.viewer.view import View
 if TYPE_CHECKING:
     import viser
 
-COLOURS = {"left": (41, 98, 220), "right": (240, 104, 40), "middle": (222, 226, 232)}
+COLOURS = {"left": (38, 96, 226), "right": (238, 92, 28), "middle": (222, 226, 232)}
 """Of the body's sides; the players' as well."""
 
-PAST, FUTURE, CONTACT = (148, 160, 178), (24, 160, 120), (24, 160, 120)
+PAST, FUTURE = (112, 124, 144), (10, 150, 105)
 SKY, HORIZON = (198, 212, 230), (238, 241, 245)
 GROUND, CELL, SECTION = (226, 231, 237), (203, 211, 221), (170, 181, 196)
 
@@ -123,20 +123,20 @@ class PageScene:
         scene.set_background_image(_sky(), format="png")
         scene.configure_default_lights(False)
         scene.configure_environment_map(None)
-        scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(150, 156, 168), intensity=2.1)
+        scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(150, 156, 168), intensity=1.5)
         self._lamp = scene.add_light_spot(
             "/lamp",
             position=LAMP,
-            direction=tuple(-x for x in LAMP),
+            direction=(-LAMP[0], -LAMP[1], -LAMP[2]),
             angle=0.42,
             penumbra=1.0,
             decay=0.0,
-            intensity=2.9,
+            intensity=2.3,
             cast_shadow=True,
         )
         scene.configure_fog(12.0, 34.0, color=HORIZON)
 
-    def _batch(self, name: str, mesh: Mesh, colours: np.ndarray, scales: np.ndarray) -> Any:
+    def _batch(self, name: str, mesh: Mesh, colours: np.ndarray | tuple[int, int, int], scales: np.ndarray) -> Any:
         still = np.tile([1.0, 0.0, 0.0, 0.0], (len(scales), 1))
         return self._scene.add_batched_meshes_simple(
             name,

@@ -26,6 +26,9 @@ DRIVE = "Stick and keys"
 SHARES = "Shares"
 """Label of the text field with the mixture's shares, in percent."""
 
+MIXTURE = "mixture of three"
+"""What the list of styles shows while the point in the triangle decides."""
+
 SILENCE = 1.0
 """Seconds after which a stick or key held counts as let go: the script repeats itself five times a second."""
 
@@ -91,7 +94,10 @@ class Panel:
             except InputError as error:
                 self.tell("bad", str(error))
         self._hear_stick(now)
-        self._hear_values(now)
+        try:
+            self._hear_values(now)
+        except (InputError, ValueError) as error:  # a browser can send what its page does not offer
+            self.tell("bad", str(error))
 
     def show(self, view: View, now: float, drawn: float) -> None:
         """Brings the readouts up to date.
@@ -136,7 +142,7 @@ class Panel:
         with self._gui.add_folder("Drive"):
             self._gui.add_html(dials.pad())
             self._channel = self._gui.add_text(DRIVE, "")
-            self._own = self._gui.add_checkbox("Style's own speed", True)
+            self._own = self._gui.add_checkbox("Own speed", True, hint="Walk as fast as the style does.")
             self._speed = self._gui.add_slider("Speed", *SPEEDS, step=0.05, initial_value=1.2, disabled=True)
             self._strafe = self._gui.add_checkbox("Sidestep", False, hint="Face ahead while stepping aside or back.")
             self._gui.add_button("Reset", color=PLAIN).on_click(self._later(self._reset))
@@ -146,7 +152,7 @@ class Panel:
         names = self._names(actor.run)
         with self._gui.add_folder("Style"):
             self._run = self._gui.add_dropdown("Run", runs, initial_value=actor.run, visible=len(runs) > 1)
-            self._style = self._gui.add_dropdown("Style", names, initial_value=next(iter(actor.shares)))
+            self._style = self._gui.add_dropdown("Style", (*names, MIXTURE), initial_value=next(iter(actor.shares)))
             with self._gui.add_folder("Mix three", expand_by_default=len(names) > 2):
                 self._triangle = self._gui.add_html("")
                 first = [names[i % len(names)] for i in range(3)]
@@ -226,10 +232,12 @@ class Panel:
         self._scene.follow, self._scene.turn = self._follow.value, self._turn.value
         if self._changed("run", self._run.value):
             self._select(self._run.value, self._names(self._run.value)[0])
-        elif self._changed("style", self._style.value):
-            self._select(self._run.value, self._style.value)
         corners = tuple(corner.value for corner in self._corners)
-        if self._changed("corners", corners) or self._changed("shares", self._share_field.value):
+        chosen = self._changed("style", self._style.value)
+        if chosen and self._style.value != MIXTURE:
+            self._select(self._run.value, self._style.value)
+        moved = self._changed("corners", corners) | self._changed("shares", self._share_field.value)
+        if moved or (chosen and self._style.value == MIXTURE):
             self._mix(corners, now)
         if now >= self._redraw_at:
             self._draw_triangle()
@@ -246,6 +254,7 @@ class Panel:
             return  # half typed
         self._shares, self._mixing = shares, True
         self._actor.mix(corners, shares)
+        self._style.value = self._values["style"] = MIXTURE
         self._redraw_at = now + 0.3  # not while the point is being dragged
 
     def _select(self, run: str, style: str) -> None:
@@ -256,11 +265,12 @@ class Panel:
 
     def _show_options(self, run: str, style: str) -> None:
         names = self._names(run)
-        for field in (self._style, *self._corners):
-            if tuple(field.options) != names:
+        for place, field in enumerate((*self._corners, self._style)):
+            options = names if field is not self._style else (*names, MIXTURE)
+            if tuple(field.options) != options:
                 kept = field.value
-                field.options = names
-                field.value = kept if kept in names else names[0]
+                field.options = options
+                field.value = kept if kept in options else names[place % len(names)]
         self._run.value, self._style.value = run, style
         self._values.update(run=run, style=style, corners=tuple(corner.value for corner in self._corners))
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 LOCAL = "127.0.0.1"
 """The address that only this machine can reach; any other must be asked for."""
 
+REHEARSAL = "rehearsal"
+
 
 class Page:
     """A server with a tab for every browser that connects. Use as a context manager, or `close` it.
@@ -114,20 +116,28 @@ def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080
     stage.warm_up()
     with Page(stage, host, port) as page:
         print(f"{page.url}  (Ctrl-C ends)", flush=True)
-        threading.Thread(target=_rehearse, args=(stage,), name="rehearsal", daemon=True).start()
+        ended = threading.Event()
+        threading.Thread(target=_rehearse, args=(stage, ended), name=REHEARSAL, daemon=True).start()
         if open_browser:
             webbrowser.open(page.url)
         try:
             while True:
                 time.sleep(3600.0)
         except KeyboardInterrupt:
+            ended.set()
             print("Ended.", flush=True)
 
 
-def _rehearse(stage: Stage) -> None:
+def rehearsing() -> bool:
+    """Whether a rehearsal of learning still compiles; it cannot be interrupted, and leaves nothing to be saved."""
+    return any(thread.name == REHEARSAL for thread in threading.enumerate())
+
+
+def _rehearse(stage: Stage, ended: threading.Event) -> None:
     """Compiles what the first upload would wait for, behind the characters."""
     for run in stage.runs:
-        prepare_learning(stage, run)
+        if not ended.is_set():
+            prepare_learning(stage, run)
 
 
 def check_address(host: str, port: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,11 +27,12 @@ class Timeline:
     def __init__(self, gui: viser.GuiApi) -> None:
         self._times = np.linspace(-SECONDS, 0.0, SAMPLES)
         self._seen: list[tuple[float, np.ndarray]] = []
-        bands = tuple({"series": (2 * i + 2, 2 * i + 1), "fill": _FILL[i]} for i in range(4))
-        line = {"stroke": "rgba(0,0,0,0)", "width": 0, "points": {"show": False}}
+        bands: Any = tuple({"series": (2 * i + 2, 2 * i + 1), "fill": _FILL[i]} for i in range(4))
+        line: dict[str, Any] = {"stroke": "rgba(0,0,0,0)", "width": 0, "points": {"show": False}}
+        series: Any = ({"label": "s"}, *(dict(line, label=LANES[i // 2]) for i in range(8)))
         self._chart = gui.add_uplot(
             self._lanes(np.zeros((SAMPLES, 4))),
-            series=({"label": "s"}, *(dict(line, label=LANES[i // 2]) for i in range(8))),
+            series=series,
             bands=bands,
             scales={"x": {"time": False, "range": (-SECONDS, 0.0)}, "y": {"range": (0.0, 4.0)}},
             axes=({"show": False}, {"show": False}),

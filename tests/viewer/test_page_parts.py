@@ -61,9 +61,11 @@ def test_a_body_of_instances_lies_on_the_bones():
 
 @pytest.mark.parametrize(
     "text",
-    ["", "1", "1 0 0 0 0", "1 2 0 0 0 60", "1 nan 0 0 0 60", "1 0 0 0 0 inf", "1 0 0 0 0 -1", "1 0 0 0 0 6e9", "x" * 200,
-     "1 __import__('os') 0 0 0 0", "1 0 0 0 0 60 7"],
-)  # fmt: skip
+    [
+        *("", "1", "1 0 0 0 0", "1 2 0 0 0 60", "1 nan 0 0 0 60", "1 0 0 0 0 inf", "1 0 0 0 0 -1", "1 0 0 0 0 6e9"),
+        *("x" * 200, "1 __import__('os') 0 0 0 0", "1 0 0 0 0 60 7"),
+    ],
+)
 def test_what_a_browser_says_is_numbers_or_nothing(text):
     assert word_of(text) is None
 
