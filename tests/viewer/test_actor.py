@@ -216,7 +216,7 @@ def test_a_recording_is_what_was_shown(stage, tmp_path):
     assert actor.stop_recording() is None
     actor.start_recording()
     views = play(actor, 1.0, "wq", start=0.2)[1:]
-    np.testing.assert_allclose(views[-1].recorded_seconds, 1.0)
+    assert views[-1].recorded_seconds == pytest.approx(1.0)
     clip = actor.stop_recording()
     assert clip is not None and clip.num_frames == 60 and actor.advance(1.3).recorded_seconds is None
     path = Path(tmp_path) / "played.bvh"
@@ -241,5 +241,5 @@ def test_a_forgotten_recording_ends(stage):
 
 def test_phases_are_shown_as_hands_of_a_clock(stage):
     layout = stage.cast(stage.runs[0]).run.layout
-    (dial,) = phase_dials(layout, np.float32(7.0))
+    (dial,) = phase_dials(layout, np.asarray(7.0))
     np.testing.assert_allclose((dial.angle, dial.amplitude), (7.0 - 2 * np.pi, 1.0))

@@ -75,6 +75,7 @@ def test_a_style_joins_and_disturbs_no_other(stage, two_runs):
     version, before = stage.version, walked(stage, "neutral")
     compiled = stages.Controller.step.__globals__["step"]._cache_size()
     learned = load_style(stage.cast("one/run").run, "proud")
+    assert learned is not None
     save_style(two_runs[0], "joined", learned, {"speed": 0.7})
     stage.add_style("one/run", "joined")
     assert stage.version == version + 1 and ("one/run", "joined") in stage.styles
@@ -87,7 +88,7 @@ def test_a_style_joins_and_disturbs_no_other(stage, two_runs):
 
 def test_a_full_bank_grows(stage):
     cast = stage.cast("two/run")
-    styles = [load_style(cast.run, name) for name in cast.styles]
+    styles = [style for name in cast.styles if (style := load_style(cast.run, name)) is not None]
     save_style(cast.run.path, "more", styles[0], {"speed": 1.0})
     rows = len(cast.styles)
     full = replace(
