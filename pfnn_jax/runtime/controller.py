@@ -37,7 +37,17 @@ from pfnn_jax.runtime.limb_ik import reach_arms
 from pfnn_jax.runtime.mixture import check_weights, load_bank
 from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics, make_rig, pose_from_world
 from pfnn_jax.runtime.predictor import Predictor, assemble_predictor, evaluate
-from pfnn_jax.runtime.regulation import STANDARD, Regulated, Regulation, ask, keep_pace, observe, turn_state, turning
+from pfnn_jax.runtime.regulation import (
+    REGULATIONS,
+    STANDARD,
+    Regulated,
+    Regulation,
+    ask,
+    keep_pace,
+    observe,
+    turn_state,
+    turning,
+)
 from pfnn_jax.runtime.state import (
     ROOT,
     CharacterState,
@@ -55,6 +65,9 @@ STYLE_RATE = 0.06
 STYLE_SNAP = 1e-3
 """Weights nearer than this to the commanded ones are set to them, so that styles that are left cost nothing."""
 
+AGNOSTIC = "agnostic"
+"""What a network without any style is called."""
+
 RUN_IN_FRAMES = 90
 """Frames that a character walks unseen before it stands at its start: from a mean pose into its style."""
 
@@ -65,7 +78,7 @@ class ControllerParams:
 
     Attributes:
         predictor: network and statistics, without a style.
-        bank: C styles, leaves [C, ...]; rows beyond the named ones are zeros.
+        bank: C styles, leaves [C, ...]; rows beyond the named ones are zeros. None where the run has no styles.
         speeds: [C] m/s, the styles' own; 0 where it is not known.
         speed: [] m/s, of a style that tells none.
         row: [Dx] the row of inputs, in layout units, from which a character sets out.
@@ -209,31 +222,35 @@ def make_controller(
     capacity: int | None = None,
     *,
     foot_ik: bool = True,
-    regulation: Regulation | None = STANDARD,
+    regulated: bool = True,
 ) -> Controller:
     """A controller of a run.
 
     Args:
-        run: as `load_run` returns it.
+        run: as `load_run` returns it. Of a run without styles the network moves as it is, as the one style `AGNOSTIC`.
         styles: names; by default all of the run's.
         capacity: C, rows of the bank, at least the number of styles: spare rows take styles that are learned later
             without another compilation.
         foot_ik: hold feet that are in contact on the ground, and lay arms along the predicted positions.
-        regulation: how strictly commands are kept, or None for the published loop alone.
+        regulated: keep commands by pace and turning (`regulation`); off for the published loop alone.
 
     Raises:
-        InputError: for an unknown style, styles of different kinds, or a run without styles.
+        InputError: for an unknown style, styles of different kinds, or a FiLM run without styles.
     """
     names = tuple(list_styles(run.path) if styles is None else styles)
-    if not names:
-        raise InputError(run.path, "styles", "none", "a controller needs at least one style")
-    spare = max(capacity or 0, len(names)) - len(names)
-    bank = jax.tree.map(
-        lambda leaf: jnp.concatenate([jnp.asarray(leaf), jnp.zeros((spare, *leaf.shape[1:]), leaf.dtype)]),
-        load_bank(run, names),
-    )
+    if not names and run.config.adapter.kind == "film":
+        raise InputError(run.path, "styles", "none", "a FiLM run needs at least one style to move")
+    spare = max(capacity or 0, len(names)) - len(names) if names else 0
+    bank = None
+    if names:
+        bank = jax.tree.map(
+            lambda leaf: jnp.concatenate([jnp.asarray(leaf), jnp.zeros((spare, *leaf.shape[1:]), leaf.dtype)]),
+            load_bank(run, names),
+        )
     rig = make_rig(run.skeleton, run.path)
     speeds = [told_speed(run, name) or 0.0 for name in names] + [0.0] * spare
+    if not names:
+        names, speeds = (AGNOSTIC,), [default_speed(run, None)]
     speed, layout, normaliser = default_speed(run, None), run.layout, run.normaliser
     row = jnp.asarray(normaliser.inputs.mean, jnp.float32)
     params = ControllerParams(
@@ -245,6 +262,7 @@ def make_controller(
         phase=jnp.float32(0.0) if normaliser.phases is None else jnp.asarray(normaliser.phases.mean, jnp.float32),
         rest=jnp.asarray(resting_heights(layout, normaliser, rig), jnp.float32),
     )
+    regulation = REGULATIONS.get(layout.name, STANDARD) if regulated else None
     setup = ControllerSetup(
         layout, controller_of(run), rig, FootLockConfig() if foot_ik else None, regulation, layout.has_input("gait")
     )
@@ -388,6 +406,8 @@ def drive(
 
 def mixed_style(bank: Any, weights: jax.Array) -> Any:
     """The weighted sum of what C styles add: Films and one-hot shifts by parameters, residuals by their outputs."""
+    if bank is None:
+        return None
     if isinstance(bank, Film | OneHot):
         return mix_parameters(bank, weights)
     return MixedLayer(layers=bank, weights=weights)

@@ -50,14 +50,20 @@ class Regulation:
     speed_rate: float = 0.05
     heading_rate: float = 0.08
     turning: float = 2.0
-    most_turning: float = 1.0
+    most_turning: float = 0.25
     gain_rate: float = 0.0
     most_gain: float = 1.5
-    most_asked: float = 0.8
+    most_asked: float = 0.5
     stretch: float = 0.25
 
 
 STANDARD = Regulation()
+
+REGULATIONS = {
+    "pfnn2017": replace(STANDARD, most_asked=3.2, most_turning=2.0, turning=4.0, heading_rate=0.2),
+}
+"""Regulation by layout, where it differs from `STANDARD`: the network of Holden 2017 keeps its gait whatever turn it is
+asked for, and walks past slow turns unless it is turned."""
 
 
 @struct.dataclass(kw_only=True)

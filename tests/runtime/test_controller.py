@@ -78,7 +78,7 @@ def test_speeds_are_told_or_found(controller):
 
 
 def test_without_regulation_it_is_the_published_loop(run):
-    plain = make_controller(run, ["wild"], foot_ik=False, regulation=None)
+    plain = make_controller(run, ["wild"], foot_ik=False, regulated=False)
     state, asked = plain.start(), command(plain, SPEED, 0.3, "wild")
     predictor = plain.params.predictor.replace(style=mixed_style(plain.params.bank, jnp.ones(1)))
     one = jax.jit(lambda motion: published_step(partial(evaluate, predictor), run.layout, motion, asked)[0])

@@ -1,0 +1,214 @@
+"""Does a character go where it is sent, as fast as it is sent, in every style, and at what price to its feet?
+
+Parent    Mason 2018 §5.1 and Mason 2022 §4.4 describe a trajectory blended with the user's command; neither measures
+          whether the character obeys. The loop of their demos is the one that is compared with (`--published`).
+Question  what share of commands is reached, with the published loop and with pace and turning (`runtime.regulation`)?
+Data      the runs given. Every style walks off from its start, is told to go on, to turn by 45 or 90 degrees to either
+          side or to walk a circle of 45 degrees per second, at 0.75, 1 and 1.25 times its own speed, and to stop.
+Measure   over the two seconds around the third after the command: speed within 20 %, the way made good and the mean
+          facing within 10 degrees; on circles the speed along the way, and the turn rate within 20 %. Two seconds after
+          it is told to stop, the root moves less than 2 cm/s and the feet less than 1 cm/s. Sliding is the speed of
+          feet in contact, before and after feet are held. Pose distance is the mean squared normalised distance of
+          joint positions from the run's mean pose, about 1 on its data.
+Expect    EXPECT
+Run       python -m experiments.controller_laws --runs RUN [RUN ...] --out laws.json
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from flax import struct
+
+from pfnn_jax.motion.files import write_whole
+from pfnn_jax.runtime.controller import Controller, ControllerParams, ControllerSetup, make_controller, start, step
+from pfnn_jax.runtime.frame import Command
+from pfnn_jax.runtime.ground import lift, to_local
+from pfnn_jax.training.run import list_styles, load_run
+
+FPS = 60
+WALK_OFF, OBEY, STOP = 3 * FPS, 4 * FPS, 3 * FPS
+"""Frames: straight on from standing, then under the command that is judged, then told to stand."""
+
+JUDGED = slice(WALK_OFF + OBEY - 2 * FPS, WALK_OFF + OBEY)
+"""Two seconds around the third after a command: no gait's cycle is longer, so that swaying is no error."""
+
+SPEEDS, TURNS, CIRCLES = (0.75, 1.0, 1.25), (0.0, 45.0, -45.0, 90.0, -90.0), (45.0, -45.0)
+"""Shares of the style's own speed, degrees, degrees per second."""
+
+HEADING, SPEED, RATE = 10.0, 0.2, 0.2
+"""Degrees, share of the commanded speed, and share of the turn rate, within which a command counts as reached."""
+
+DRIFT, POSE_DRIFT = 0.02, 0.01
+"""Metres per second below which root and feet stand."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """The experiment.
+
+    Attributes:
+        runs: run directories.
+        out: JSON file of results, or None to print them only.
+        styles: how many of a run's styles, evenly chosen; 0 for all.
+        published: with the published loop instead of regulation.
+        chunk: characters at once.
+    """
+
+    runs: tuple[Path, ...]
+    out: Path | None = None
+    styles: int = 0
+    published: bool = False
+    chunk: int = 256
+
+
+@struct.dataclass(kw_only=True)
+class Track:
+    """What is kept of every frame: leaves [N, T, ...]."""
+
+    root: Any  # [2]
+    facing: Any  # [2]
+    predicted: Any  # [4, 3] feet as the network has them
+    feet: Any  # [4, 3] feet as they are drawn
+    contacts: Any  # [4]
+    pace: Any
+    distance: Any
+
+
+def commands(speed: jax.Array, turn: jax.Array, circle: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Velocities [T, 2] and directions [T, 2] of one character: m/s, radians, radians per second."""
+    frame = jnp.arange(WALK_OFF + OBEY + STOP)
+    since = jnp.clip(frame - WALK_OFF, 0, OBEY)
+    yaw = jnp.where(frame >= WALK_OFF, turn, 0.0) + circle * since / FPS
+    direction = jnp.stack([jnp.sin(yaw), jnp.cos(yaw)], -1)
+    return direction * jnp.where(frame < WALK_OFF + OBEY, speed, 0.0)[:, None], direction
+
+
+@partial(jax.jit, static_argnums=0)
+def walk(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *asked: jax.Array) -> Track:
+    """One character in a style [C] under the commands of `commands`."""
+    layout, feet, statistics = setup.layout, np.array(setup.rig.feet), params.predictor
+    pose = layout.output_slice("joint_position")
+    mean, std = statistics.output_mean[pose], statistics.output_std[pose]
+
+    def frame(state, row):
+        state = step(setup, params, state, Command(velocity=row[0], direction=row[1], style=style))
+        local = to_local(state.ahead.joints - lift(state.ahead.root)[None], state.ahead.facing) / layout.length_unit
+        return state, Track(
+            root=state.root,
+            facing=state.facing,
+            predicted=state.motion.joint_positions[feet],
+            feet=state.joints[feet],
+            contacts=state.contacts,
+            pace=state.pace,
+            distance=jnp.mean(((local.reshape(-1) - mean) / std) ** 2),
+        )
+
+    begin = start(setup, params, jnp.zeros(2), jnp.zeros(()), style)
+    return jax.lax.scan(frame, begin, commands(*asked))[1]
+
+
+def walk_all(controller: Controller, chunk: int) -> dict[str, Any]:
+    """The shares and means of all styles and commands, and those of every style."""
+    cases = [(s, v, t, 0.0) for s in range(len(controller.styles)) for v in SPEEDS for t in TURNS]
+    cases += [(s, v, 0.0, c) for s in range(len(controller.styles)) for v in SPEEDS for c in CIRCLES]
+    index, share, turn, circle = (np.array(column) for column in zip(*cases, strict=True))
+    speed = np.asarray(controller.params.speeds)[index] * share
+    weights = np.eye(controller.capacity, dtype=np.float32)[index]
+    many = jax.vmap(partial(walk, controller.setup), in_axes=(None, 0, 0, 0, 0))
+    columns = [np.asarray(c, np.float32) for c in (weights, speed, np.deg2rad(turn), np.deg2rad(circle))]
+    chunk, parts = min(chunk, len(cases)), []
+    for first in range(0, len(cases), chunk):
+        rows = np.minimum(np.arange(first, first + chunk), len(cases) - 1)
+        parts.append(jax.tree.map(np.asarray, many(controller.params, *(c[rows] for c in columns))))
+    track = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(cases)], *parts)
+    judged = judge(track, speed, turn, circle)
+    styles = {
+        name: {key: _mean(values[index == s]) for key, values in judged.items()}
+        for s, name in enumerate(controller.styles)
+    }
+    return {"all": {key: _mean(values) for key, values in judged.items()}, "styles": styles}
+
+
+def judge(track: Track, speed: np.ndarray, turn: np.ndarray, circle: np.ndarray) -> dict[str, np.ndarray]:
+    """Measures [N] of N walks; NaN where one does not apply."""
+    seconds = (JUDGED.stop - JUDGED.start) / FPS
+    steps = np.diff(track.root[:, JUDGED.start : JUDGED.stop + 1], axis=1)
+    straight = circle == 0.0
+    made = np.where(straight, np.linalg.norm(steps.sum(1), axis=-1), np.linalg.norm(steps, axis=-1).sum(1)) / seconds
+    yaw = np.unwrap(np.arctan2(track.facing[..., 0], track.facing[..., 1]), axis=1)
+    rate = np.rad2deg(yaw[:, JUDGED.stop] - yaw[:, JUDGED.start]) / seconds
+    way = np.rad2deg(np.arctan2(*steps.sum(1).T))
+    off, faced = (np.abs(_short(value - turn)) for value in (way, np.rad2deg(yaw[:, JUDGED].mean(1))))
+    obeys_speed, obeys_way = np.abs(made / speed - 1.0) <= SPEED, off <= HEADING
+    stood = slice(WALK_OFF + OBEY + 2 * FPS, None)
+    drift, pose_drift = (
+        np.linalg.norm(np.diff(values[:, stood], axis=1), axis=-1).reshape(len(speed), -1).max(1) * FPS
+        for values in (track.root, track.feet)
+    )
+    moving = slice(FPS, WALK_OFF + OBEY)
+    there = straight.astype(bool)
+    return {
+        "speed": np.where(there, obeys_speed, np.nan),
+        "way": np.where(there, obeys_way, np.nan),
+        "speed and way": np.where(there, obeys_speed & obeys_way, np.nan),
+        "facing": np.where(there, faced <= HEADING, np.nan),
+        "speed on circles": np.where(there, np.nan, obeys_speed),
+        "rate on circles": np.where(there, np.nan, np.abs(rate / np.where(there, 1.0, circle) - 1.0) <= RATE),
+        "stops": ((drift < DRIFT) & (pose_drift < POSE_DRIFT)).astype(float),
+        "finite": np.isfinite(track.feet).all((1, 2, 3)).astype(float),
+        "degrees off": np.where(there, off, np.nan),
+        "share of speed": made / speed,
+        "pace": track.pace[:, JUDGED].mean(1),
+        "sliding, predicted": _sliding(track.predicted[:, moving], track.contacts[:, moving]),
+        "sliding, drawn": _sliding(track.feet[:, moving], track.contacts[:, moving]),
+        "pose distance": track.distance[:, moving].mean(1),
+    }
+
+
+def _sliding(feet: np.ndarray, contacts: np.ndarray) -> np.ndarray:
+    """[N] m/s, mean horizontal speed of feet [N, T, 4, 3] between frames both in contact."""
+    both = (contacts[:, 1:] >= 0.5) & (contacts[:, :-1] >= 0.5)
+    speed = np.linalg.norm(np.diff(feet, axis=1)[..., [0, 2]], axis=-1) * FPS
+    return (speed * both).sum((1, 2)) / np.maximum(both.sum((1, 2)), 1)
+
+
+def _short(degrees: np.ndarray) -> np.ndarray:
+    return (degrees + 180.0) % 360.0 - 180.0
+
+
+def _mean(values: np.ndarray) -> float:
+    return round(float(np.nanmean(values)), 4)
+
+
+def chosen(names: Sequence[str], count: int) -> list[str]:
+    """Some of the names, evenly; all where the count is 0."""
+    places = np.linspace(0, len(names) - 1, min(count or len(names), len(names)))
+    return [names[round(place)] for place in places]
+
+
+def main(config: Config) -> dict[str, Any]:
+    """Walks every run and prints what it finds."""
+    result = {}
+    for path in config.runs:
+        run = load_run(path)
+        names = chosen(list_styles(run.path), config.styles)
+        controller = make_controller(run, names, regulated=not config.published)
+        result[str(path)] = walk_all(controller, config.chunk)
+        print(path, json.dumps(result[str(path)]["all"]))
+    if config.out is not None:
+        write_whole(config.out, json.dumps(result, indent=1))
+    return result
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))
