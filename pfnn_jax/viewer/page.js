@@ -69,9 +69,13 @@
   };
   requestAnimationFrame(beat);
 
-  const typing = (element) =>
-    !!element && (element.isContentEditable || element.tagName === "TEXTAREA" ||
-      (element.tagName === "INPUT" && !element.readOnly && !/^(checkbox|radio|range|button|file)$/.test(element.type)));
+  const typing = (element) => {
+    if (!element) return false;
+    if (element.getAttribute("role") === "combobox") // a list: only while it is open
+      return element.getAttribute("aria-expanded") === "true";
+    return element.isContentEditable || element.tagName === "TEXTAREA" ||
+      (element.tagName === "INPUT" && !/^(checkbox|radio|range|button|file)$/.test(element.type));
+  };
   const leave = () => typing(document.activeElement) && document.activeElement.blur();
   const onKey = (event) => {
     if (!event.isTrusted) return;

@@ -7,6 +7,7 @@ import io
 import socket
 import threading
 import time
+import warnings
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
@@ -172,6 +173,8 @@ def _serve(host: str, port: int) -> viser.ViserServer:
             """Any page can ask for a public address; none is given."""
 
     check_address(host, port)
+    # A tab may close while its picture is being sent; its thread ends a moment later.
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     with contextlib.redirect_stdout(io.StringIO()):  # its banner; the address is printed by `play`
         server = Server(host=host, port=port, verbose=False)
     if port not in (0, server.get_port()):  # taken since it was checked; viser goes on to the next

@@ -11,6 +11,9 @@ import pytest
 
 from pfnn_jax.motion.bvh import read_bvh
 
+# A tab may close while its picture is being sent; a served page ignores it, but each test has filters of its own.
+pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning")
+
 AT_HOME = 0.05  # metres from the middle that still count as not having moved: the start shifts its weight
 CORNER = 0.9  # share of a style near whose corner the point was put
 
