@@ -195,7 +195,7 @@ def _mean(values: np.ndarray) -> float:
 def chosen(names: Sequence[str], count: int) -> list[str]:
     """Some of the names, evenly; all where the count is 0."""
     places = np.linspace(0, len(names) - 1, min(count or len(names), len(names)))
-    return [names[round(place)] for place in places]
+    return [str(names[round(float(place))]) for place in places]
 
 
 def main(config: Config) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from pfnn_jax.evaluation.timing import Figure, figure, interleave
-from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind
 from pfnn_jax.motion.dataset import prepare
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.preparation import PrepareConfig
@@ -21,7 +21,10 @@ from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.loop import pretrain
 from pfnn_jax.training.run import Run
 
-SYSTEMS = {"PFNN with CP": ("mason2018", "cp"), "LPN with FiLM": ("mason2022", "film")}
+SYSTEMS: dict[str, tuple[str, AdapterKind]] = {
+    "PFNN with CP": ("mason2018", "cp"),
+    "LPN with FiLM": ("mason2022", "film"),
+}
 """The systems of Mason 2018 and 2022: layout and kind of style."""
 
 STYLES = ("neutral", "proud")
@@ -56,8 +59,9 @@ def crowd_figures(hidden: int, num_characters: tuple[int, ...], repetitions: int
 def _run(folder: Path, layout: str, adapter: AdapterConfig, hidden: int) -> Run:
     takes = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 10.0, clip_seconds=5.0)]
     dataset = prepare(takes, folder / "data", PrepareConfig(layout=layout))
-    sizes = {"hidden": hidden, "generator_filters": 8, "generator_hidden": 8}  # a generator makes Films, once
-    return pretrain(dataset, folder / "run", PretrainConfig(adapter=adapter, steps=1, **sizes))
+    # A generator makes Films, once: its size makes no difference here.
+    config = PretrainConfig(adapter=adapter, steps=1, hidden=hidden, generator_filters=8, generator_hidden=8)
+    return pretrain(dataset, folder / "run", config)
 
 
 def _crowd(controller: Controller, number: int) -> tuple:

@@ -90,10 +90,10 @@ class MixedLayer:
     weights: jax.Array  # [C]
 
 
-Layer: TypeAlias = BlendedLayer | CPLayer | DiagonalLayer | BiasLayer | DenseLayer | MixedLayer
+Layer: TypeAlias = BlendedLayer | CPLayer | DiagonalLayer | BiasLayer | DenseLayer
 
 
-def linear(layer: Layer, coefficients: jax.Array, x: jax.Array) -> jax.Array:
+def linear(layer: Layer | MixedLayer, coefficients: jax.Array, x: jax.Array) -> jax.Array:
     """One frame through one layer.
 
     Args:

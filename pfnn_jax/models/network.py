@@ -12,7 +12,7 @@ from pfnn_jax.models.adapters import OneHot, Style
 from pfnn_jax.models.dropout import Dropout, drop, need_key
 from pfnn_jax.models.film import Film, Normalise, layer_norm, modulate
 from pfnn_jax.models.gating import Gating, gate, init_gating
-from pfnn_jax.models.layers import BlendedLayer, CPLayer, DenseLayer, Layer, init_blended, init_cp, linear
+from pfnn_jax.models.layers import BlendedLayer, CPLayer, DenseLayer, Layer, MixedLayer, init_blended, init_cp, linear
 from pfnn_jax.models.spline import catmull_rom_basis
 
 # Masks that `forward` draws from a key: of the inputs of the three layers, and of the style.
@@ -126,7 +126,7 @@ def coefficients(
 
 def forward(
     network: Network,
-    style: Style | None,
+    style: Style | MixedLayer | None,
     coefficients: jax.Array,
     x: jax.Array,
     *,

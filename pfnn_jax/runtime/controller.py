@@ -12,7 +12,7 @@ of styles, and a body with rigid bones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -267,7 +267,7 @@ def make_controller(
         layout, controller_of(run), rig, FootLockConfig() if foot_ik else None, regulation, layout.has_input("gait")
     )
     if not all(speeds[: len(names)]):
-        params = params.replace(speeds=jnp.where(params.speeds > 0.0, params.speeds, natural_speeds(setup, params)))
+        params = replace(params, speeds=jnp.where(params.speeds > 0.0, params.speeds, natural_speeds(setup, params)))
     return Controller(params, setup, names)
 
 
@@ -287,7 +287,7 @@ def natural_speeds(setup: ControllerSetup, params: ControllerParams) -> jax.Arra
     layout = setup.layout
 
     def walk(weights: jax.Array) -> jax.Array:
-        predictor = params.predictor.replace(style=mixed_style(params.bank, weights))
+        predictor = replace(params.predictor, style=mixed_style(params.bank, weights))
 
         def frame(state: CharacterState, _):
             y = evaluate(predictor, network_input(layout, state), state.phase)
@@ -305,7 +305,7 @@ def start(
     setup: ControllerSetup, params: ControllerParams, position: jax.Array, yaw: jax.Array, style: jax.Array
 ) -> ControllerState:
     """A character that stands at `position` [2] metres, facing `yaw` [] radians, in a style [C]."""
-    layout, predictor = setup.layout, params.predictor.replace(style=mixed_style(params.bank, style))
+    layout, predictor = setup.layout, replace(params.predictor, style=mixed_style(params.bank, style))
     speed, ahead = _own_speed(params, style), jnp.asarray([0.0, 1.0], jnp.float32)
     zero = jnp.zeros((), jnp.float32)
     state = initial_state(layout, params.row, params.phase, jnp.zeros(2, jnp.float32), zero)
@@ -337,7 +337,7 @@ def start(
     return _drawn(
         setup,
         ControllerState(
-            motion=placed.replace(target_velocity=speed * turned, target_direction=turned),
+            motion=replace(placed, target_velocity=speed * turned, target_direction=turned),
             behind=still,
             ahead=still,
             clock=jnp.float32(1.0),
@@ -361,7 +361,7 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
     if command.style is not None:
         moved = mix(style, command.style, STYLE_RATE)
         style = jnp.where(jnp.abs(moved - command.style) < STYLE_SNAP, command.style, moved)
-    predictor = params.predictor.replace(style=mixed_style(params.bank, style))
+    predictor = replace(params.predictor, style=mixed_style(params.bank, style))
     own, fps, config = _own_speed(params, style), setup.layout.fps, setup.regulation
     regulated = state.regulated
     if config is not None:
@@ -383,11 +383,11 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
             angle = turning(regulated, command.velocity, fps, config)
             motion = turn_state(motion, angle)
         ahead = _still(setup, params, motion, y, before.directions[ROOT], angle)
-        return inner.replace(
-            motion=motion, regulated=regulated, behind=inner.ahead, ahead=ahead, clock=inner.clock - 1.0
+        return replace(
+            inner, motion=motion, regulated=regulated, behind=inner.ahead, ahead=ahead, clock=inner.clock - 1.0
         )
 
-    state = state.replace(style=style, regulated=regulated, clock=state.clock + regulated.pace)
+    state = replace(state, style=style, regulated=regulated, clock=state.clock + regulated.pace)
     return _drawn(setup, jax.lax.while_loop(due, live, state))
 
 
@@ -449,7 +449,8 @@ def _drawn(setup: ControllerSetup, state: ControllerState) -> ControllerState:
         held = jnp.where(state.regulated.pace > 0.0, contacts, jnp.where(feet.held, 1.0, contacts))
         pose, feet = lock_feet(setup.rig, reach_arms(setup.rig, pose, predicted), held, feet, setup.feet)
     joints, world = forward_kinematics(setup.rig, pose)
-    return state.replace(
+    return replace(
+        state,
         root=mix(behind.root, ahead.root, share),
         facing=turn_towards(behind.facing, ahead.facing, share),
         contacts=contacts,

@@ -103,7 +103,8 @@ def ask(
     at_once = jnp.clip(left, -config.most_asked, config.most_asked)
     velocity = turn(command.velocity * (near / jnp.maximum(speed, STILL)), at_once - left)
     moving = speed > STILL
-    return command.replace(
+    return replace(
+        command,
         velocity=jnp.where(moving, velocity, before.target_velocity / constants.command_gain),
         direction=jnp.where(moving, turn(before.directions[ROOT], at_once), before.target_direction),
     )
@@ -133,7 +134,7 @@ def observe(
     off = jnp.where(_length(command.velocity) > STILL, angle_between(going, unit(command.velocity)), 0.0)
     change = jnp.mod(off - regulated.off + jnp.pi, 2.0 * jnp.pi) - jnp.pi
     off = regulated.off + config.heading_rate * change
-    return regulated.replace(velocity=velocity, off=jnp.mod(off + jnp.pi, 2.0 * jnp.pi) - jnp.pi)
+    return replace(regulated, velocity=velocity, off=jnp.mod(off + jnp.pi, 2.0 * jnp.pi) - jnp.pi)
 
 
 def turning(regulated: Regulated, wanted: jax.Array, fps: float, config: Regulation) -> jax.Array:
@@ -157,7 +158,7 @@ def keep_pace(regulated: Regulated, wanted: jax.Array, contacts: jax.Array, conf
     both = jnp.minimum(jnp.max(contacts[:2]), jnp.max(contacts[2:])) > 0.5
     halted = ~moving & ((both & (regulated.pace < 0.6)) | (regulated.pace < 0.05))
     pace = mix(regulated.pace, target, jnp.where(moving, config.pace_rate, 0.04))
-    return regulated.replace(pace=jnp.where(halted, 0.0, pace))
+    return replace(regulated, pace=jnp.where(halted, 0.0, pace))
 
 
 def turn_state(state: CharacterState, angle: jax.Array) -> CharacterState:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from functools import cache
 from pathlib import Path
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +18,8 @@ from pfnn_jax.export.batch import batch_function, relative_error, sample_rows, s
 from pfnn_jax.export.bins import write_bins
 from pfnn_jax.export.onnx import TOLERANCE
 from pfnn_jax.export.run import export_run
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
-from pfnn_jax.models.film import film_to_vector
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
+from pfnn_jax.models.film import Film, film_to_vector
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.motion.layout import layout_for
@@ -51,7 +52,7 @@ def make_run(path: Path, name: str, kind: str, num_styles: int = 2) -> Run:
     gated = {"phase_size": layout.phase_size, "gating_hidden": 5} if layout.phase_size else {}
     network = NetworkConfig(layout.input_size, layout.output_size, HIDDEN, 4, **gated)
     names = tuple(f"style{index}" for index in range(num_styles))
-    adapter = AdapterConfig(kind, 3)
+    adapter = AdapterConfig(cast(AdapterKind, kind), 3)
     config = RunConfig(network, adapter, name, layout.num_joints, names, skeleton_to_json(skeleton))
     sizes = [layout.input_size, layout.output_size] + [layout.phase_size] * bool(layout.phase_size)
     sides = [Statistics(*(generator.uniform(0.2, 0.8, (2, size)).astype(np.float32))) for size in sizes]
@@ -83,12 +84,19 @@ def test_weights_of_the_spline_without_gathering():
     np.testing.assert_allclose(spline_weights(jnp.asarray(phases), 5), expected, atol=2e-6)
 
 
+def film_numbers(run, style) -> np.ndarray:
+    """[4H] of a style of a FiLM run."""
+    film = make_predictor(run, style).style
+    assert isinstance(film, Film)
+    return np.asarray(film_to_vector(film))
+
+
 @pytest.mark.parametrize(("name", "kind"), [("mason2018", "cp"), ("mason2022", "film"), ("mason2022_pfnn", "one_hot")])
 def test_a_batch_function_is_the_predictor(runs, name, kind):
     run = runs(name, kind)
     x, phase = sample_rows(run.normaliser, run.layout, 64)
     predictor = make_predictor(run, "style1")
-    expected = np.asarray(jax.vmap(evaluate, (None, 0, 0))(predictor, x, phase))
+    expected = np.asarray(jax.vmap(evaluate, (None, 0, 0))(predictor, jnp.asarray(x), jnp.asarray(phase)))
     assert relative_error(np.asarray(batch_function(predictor)(x, phase)), expected) < TOLERANCE
 
 
@@ -133,7 +141,7 @@ def walk(run: Run, style: str | None, description: dict) -> np.ndarray:
         x = x[columns] * factors
     x, zero = jnp.asarray(x, jnp.float32), jnp.zeros((), jnp.float32)
     state = initial_state(layout, x, jnp.asarray(start["phase"], jnp.float32), jnp.zeros(2, jnp.float32), zero)
-    pairs = [jnp.asarray(np.stack([v.imag, v.real], -1), jnp.float32) for v in commands(start["speed"])]
+    pairs = [jnp.asarray(np.stack([np.imag(v), np.real(v)], -1), jnp.float32) for v in commands(start["speed"])]
     command = Command(velocity=pairs[0], direction=pairs[1])
     with jax.default_matmul_precision("highest"):
         made = rollout(evaluate, make_predictor(run, style), layout, state, command, config=controller_of(run))
@@ -195,10 +203,10 @@ def test_onnx_says_what_jax_says(runs, tmp_path, name, kind, film_input):
     x, phase = sample_rows(run.normaliser, run.layout, 1, seed=1)
     rows = {"x": x, "phase": phase}
     if film_input:
-        rows["style"] = np.asarray(film_to_vector(make_predictor(run, "style0").style))[None]
+        rows["style"] = film_numbers(run, "style0")[None]
         np.testing.assert_array_equal(
             np.fromfile(tmp_path / "onnx" / told["styles"][0]["file"], "<f4"),
-            np.asarray(film_to_vector(make_predictor(run, style).style)),
+            film_numbers(run, style),
         )
         style = "style0"
     expected = predict_rows(run, x, phase, style)

@@ -25,10 +25,10 @@ def bank(kind: str):
 @pytest.mark.parametrize("kind", ["cp", "blended", "diagonal", "bias", "dense"])
 @pytest.mark.parametrize("weights", [[0.0, 1.0, 0.0], [0.5, 0.2, 0.3], [0.0, 1.5, -0.5]])
 def test_a_mixture_is_the_weighted_sum_of_outputs(kind: str, weights: list[float], float64: None):
-    layers, weights = bank(kind), jnp.asarray(weights)
-    mixed = linear(MixedLayer(layers=layers, weights=weights), jnp.asarray(COEFFICIENTS), jnp.asarray(X))
+    layers, shares = bank(kind), jnp.asarray(weights)
+    mixed = linear(MixedLayer(layers=layers, weights=shares), jnp.asarray(COEFFICIENTS), jnp.asarray(X))
     each = jax.vmap(lambda layer: linear(layer, jnp.asarray(COEFFICIENTS), jnp.asarray(X)))(layers)
-    np.testing.assert_allclose(mixed, weights @ each, atol=FLOAT64)
+    np.testing.assert_allclose(mixed, shares @ each, atol=FLOAT64)
 
 
 def test_a_mixture_at_a_vertex_is_that_layer():
@@ -49,5 +49,5 @@ def test_no_sample_of_a_batch_has_a_matrix_of_its_own():
         return jax.vmap(one)(weights, x)
 
     compiled = jax.jit(many).lower(layers, weights, x).compile().as_text()
-    assert f"f32[{batch},{HIDDEN},{HIDDEN}]" not in compiled
+    assert compiled is not None and f"f32[{batch},{HIDDEN},{HIDDEN}]" not in compiled
     assert f"f32[{batch},{POINTS},{HIDDEN},{HIDDEN}]" not in compiled

@@ -143,7 +143,7 @@ def test_slopes_are_finite_at_full_stretch():
     straight = jnp.zeros((rig.num_joints, 4)).at[:, 0].set(1.0)  # the T-pose: both legs at their full length
 
     def loss(hips, rotations):
-        locks = initial_locks(rig).replace(held=jnp.ones(4) > 0.0, strength=jnp.ones(4))
+        locks = replace(initial_locks(rig), held=jnp.ones(4) > 0.0, strength=jnp.ones(4))
         pose, _ = lock_feet(rig, Pose(hips=hips, rotations=rotations), jnp.ones(4), locks)
         return jnp.sum(pose.rotations**2 * jnp.arange(4.0)[None]) + jnp.sum(pose.hips)
 

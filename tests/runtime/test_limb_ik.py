@@ -112,9 +112,9 @@ def test_places_are_continuous_through_full_stretch():
     heights = jnp.linspace(-0.90, -1.10, 401)
 
     def knee(height):
-        points = [jnp.asarray(p, jnp.float32) for p in bent_leg(0.5)]
-        over, _, _ = bend(*points, jnp.stack([0.0 * height, height, 0.0 * height]), jnp.array([0.0, 0.0, 1.0]))
-        return quat_rotate(over, points[1])
+        hip, knee, heel = (jnp.asarray(p, jnp.float32) for p in bent_leg(0.5))
+        over, _, _ = bend(hip, knee, heel, jnp.stack([0.0 * height, height, 0.0 * height]), jnp.array([0.0, 0.0, 1.0]))
+        return quat_rotate(over, knee)
 
     steps = np.linalg.norm(np.diff(np.asarray(jax.jit(jax.vmap(knee))(heights)), axis=0), axis=-1)
     assert steps.max() < 3e-3  # for steps of the target of half a millimetre
@@ -125,7 +125,7 @@ def test_slopes_are_right_at_generic_places_and_finite_at_singular_ones():
         pole = jnp.array([0.1, 0.0, 1.0])
 
         def end(points, target):
-            over, under, found = bend(*points, target, pole)
+            over, under, found = bend(points[0], points[1], points[2], target, pole)
             return jnp.concatenate([over, under, found])
 
         for flexion, target in ((0.6, [0.1, -0.8, 0.2]), (0.2, [0.0, -0.97, 0.15]), (1.5, [0.0, -1.4, 0.3])):

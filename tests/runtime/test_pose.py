@@ -13,6 +13,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion import kinematics
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.kinematics import quat_between, quat_from_axis_angle, quat_multiply, quat_normalise, quat_rotate
+from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics, make_rig, pose_from_world, turn_joint
 from tests.motion.skeletons import body, body_clip, random_clip
 
@@ -96,7 +97,7 @@ def test_the_knee_is_found_behind_joints_without_length():
     parents = np.insert(np.where(skeleton.parents >= 13, skeleton.parents + 1, skeleton.parents), 13, 12)
     parents[14] = 13
     names = (*skeleton.names[:13], "l_twist", *skeleton.names[13:])
-    roles = replace(skeleton.roles, left_foot=(15, 16), right_hip=17, right_foot=(19, 20))
+    roles = replace(need_roles(skeleton), left_foot=(15, 16), right_hip=17, right_foot=(19, 20))
     rig = make_rig(replace(skeleton, names=names, parents=parents, offsets=offsets, roles=roles))
     assert rig.legs == ((12, 14, 15, 16), (17, 18, 19, 20))
     assert rig.leg_length == pytest.approx(make_rig(skeleton).leg_length)
@@ -106,7 +107,7 @@ def test_a_skeleton_without_roles_or_knees_is_refused():
     with pytest.raises(InputError, match="hips"):
         make_rig(body())
     skeleton = body_clip().skeleton
-    stiff = replace(skeleton, roles=replace(skeleton.roles, left_hip=13))
+    stiff = replace(skeleton, roles=replace(need_roles(skeleton), left_hip=13))
     with pytest.raises(InputError, match="knee"):
         make_rig(stiff, "stiff.bvh")
 
