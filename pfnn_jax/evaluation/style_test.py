@@ -21,12 +21,12 @@ from pfnn_jax.evaluation.metrics import (
     resting_heights,
     skating_ratio,
 )
-from pfnn_jax.motion.features import Features, join_rows, root_steps, select_rows
+from pfnn_jax.motion.features import Features, join_rows, root_steps, select_rows, usual_speed
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 from pfnn_jax.runtime.predictor import Predictor, evaluate
 from pfnn_jax.runtime.rollout import locked_rollout
-from pfnn_jax.runtime.turning import TURN_RATE, mean_speed, walk_circles
+from pfnn_jax.runtime.turning import TURN_RATE, walk_circles
 
 LOCKED_SECONDS = 3.0
 """Length of the rollouts with root, trajectory and phase locked to the truth."""
@@ -137,7 +137,7 @@ def circle_test(
         `turn_rate` (achieved over commanded, mean of both sides), `nearest_turning_pose` (metres), `skating` (m/s),
         `skating_ratio`, `bone_error` (metres) and `jitter` (m/s³); all infinite if the walk is not finite.
     """
-    speed = max(mean_speed(clip.y, layout), 0.3)
+    speed = max(usual_speed(layout, clip.y), 0.3)
     frames = walk_circles(predictor, layout, clip.x[0], clip.phase[0], speed, seconds)
     if not np.isfinite(np.asarray(frames.outputs)).all():
         names = ("turn_rate", "nearest_turning_pose", "skating", "skating_ratio", "bone_error", "jitter")

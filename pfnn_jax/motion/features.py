@@ -150,6 +150,13 @@ def root_steps(layout: FrameLayout, y: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return velocity, np.arctan2(forward_x, forward_z) * layout.fps
 
 
+def usual_speed(layout: FrameLayout, y: np.ndarray) -> float:
+    """Metres per second along the ground, the median over rows y [N, Dy] in layout units: of walks and a few runs, that
+    of a walk."""
+    velocity, _ = root_steps(layout, y)
+    return float(np.median(np.linalg.norm(velocity, axis=1)))
+
+
 def clip_from_outputs(
     skeleton: Skeleton,
     layout: FrameLayout,

@@ -15,14 +15,14 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.motion.clip_file import ClipFile
-from pfnn_jax.motion.features import Features
+from pfnn_jax.motion.features import Features, usual_speed
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.preparation import same_topology
 from pfnn_jax.motion.sources import check_style_name
 from pfnn_jax.motion.takes import fit_hands, load_take, take_features
 from pfnn_jax.runtime.generate import controller_of
 from pfnn_jax.runtime.mixture import load_choice
-from pfnn_jax.runtime.turning import make_stability_check, mean_speed
+from pfnn_jax.runtime.turning import make_stability_check
 from pfnn_jax.training.few_shot import FewShotConfig, choose, refit, train_grid
 from pfnn_jax.training.generator_tuning import TuningConfig, tune_generator
 from pfnn_jax.training.run import Run, check_adapter, list_styles, load_generator, save_style
@@ -73,7 +73,7 @@ def learn_style(
         "source": clip_file.path.name,
         "frames": len(parts[0].x),
         "mirrored": mirror,
-        "speed": mean_speed(parts[0].y, run.layout),
+        "speed": usual_speed(run.layout, parts[0].y),
         "config": asdict(config),
         **found,
         "seconds": time.perf_counter() - started,
@@ -181,7 +181,7 @@ def tune_style(
         "source": clip_file.path.name,
         "frames": len(parts[0].x),
         "mirrored": mirror,
-        "speed": mean_speed(parts[0].y, run.layout),
+        "speed": usual_speed(run.layout, parts[0].y),
         "config": asdict(config),
         "loss": float(tuned.losses[-1]),
         "seconds": time.perf_counter() - started,

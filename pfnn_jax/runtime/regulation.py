@@ -38,10 +38,9 @@ class Regulation:
         heading_rate: of the running mean of how far it is off its way.
         turning: radians per second of turning for each radian off the way.
         most_turning: radians per second, the most that it is turned at full pace.
-        gain_rate: at which the speed asked of the network grows while the pace cannot give the wanted one.
-        most_gain: bound of that.
         most_asked: radians, the most that a network is asked to turn at once.
         stretch: share by which the speed asked of a network may differ from its style's own.
+        stands: whether the network was shown characters that stand. Others are held still where they halt.
     """
 
     slowest: float = 0.3
@@ -50,17 +49,16 @@ class Regulation:
     speed_rate: float = 0.05
     heading_rate: float = 0.08
     turning: float = 2.0
-    most_turning: float = 0.25
-    gain_rate: float = 0.0
-    most_gain: float = 1.5
+    most_turning: float = 1.0
     most_asked: float = 0.5
     stretch: float = 0.25
+    stands: bool = False
 
 
 STANDARD = Regulation()
 
 REGULATIONS = {
-    "pfnn2017": replace(STANDARD, most_asked=3.2, most_turning=2.0, turning=4.0, heading_rate=0.2),
+    "pfnn2017": replace(STANDARD, most_asked=3.2, most_turning=2.0, turning=4.0, heading_rate=0.2, stands=True),
 }
 """Regulation by layout, where it differs from `STANDARD`: the network of Holden 2017 keeps its gait whatever turn it is
 asked for, and walks past slow turns unless it is turned."""
@@ -72,13 +70,11 @@ class Regulated:
 
     Attributes:
         pace: [] its own seconds for each second of the world.
-        gain: [] factor on the speed asked of the network.
         velocity: [2] metres for each of its own seconds, seen from its root: a running mean.
         off: [] radians about +Y from its way to the wanted one: a running mean.
     """
 
     pace: jax.Array
-    gain: jax.Array
     velocity: jax.Array
     off: jax.Array
 
@@ -95,14 +91,21 @@ def ask(
 
     Networks that are asked for what their style never did may lose its gait. So they are asked for speeds near its
     own, and what is missing is left to the pace; and for turns by as much as the published demos ask for at once, so
-    that a character turns about in an arc. One that shall stand is asked to go on, and is stopped by its pace.
+    that a character turns about in an arc. One that shall stand is asked to go on, and is stopped by its pace, unless
+    its network knows how to stand.
     """
     speed = _length(command.velocity)
-    near = jnp.clip(speed, (1.0 - config.stretch) * own, (1.0 + config.stretch) * own) * regulated.gain
+    near = jnp.clip(speed, (1.0 - config.stretch) * own, (1.0 + config.stretch) * own)
     left = angle_between(before.directions[ROOT], command.direction)
     at_once = jnp.clip(left, -config.most_asked, config.most_asked)
     velocity = turn(command.velocity * (near / jnp.maximum(speed, STILL)), at_once - left)
     moving = speed > STILL
+    if config.stands:
+        return replace(
+            command,
+            velocity=velocity * moving,
+            direction=turn(before.directions[ROOT], jnp.where(moving, at_once, 0.0)),
+        )
     return replace(
         command,
         velocity=jnp.where(moving, velocity, before.target_velocity / constants.command_gain),
@@ -144,7 +147,7 @@ def turning(regulated: Regulated, wanted: jax.Array, fps: float, config: Regulat
 
 
 def keep_pace(regulated: Regulated, wanted: jax.Array, contacts: jax.Array, config: Regulation) -> Regulated:
-    """Pace and gain of the next frame of the world.
+    """The pace of the next frame of the world.
 
     Args:
         regulated: as `observe` leaves it.
@@ -154,7 +157,9 @@ def keep_pace(regulated: Regulated, wanted: jax.Array, contacts: jax.Array, conf
     """
     speed, own = _length(wanted), jnp.maximum(_length(regulated.velocity), 0.05)
     moving = speed > STILL
-    target = jnp.where(moving, jnp.clip(speed / own, config.slowest, config.fastest), 0.0)
+    target = jnp.where(moving, jnp.clip(speed / own, config.slowest, config.fastest), float(config.stands))
+    if config.stands:
+        return replace(regulated, pace=mix(regulated.pace, target, config.pace_rate))
     both = jnp.minimum(jnp.max(contacts[:2]), jnp.max(contacts[2:])) > 0.5
     halted = ~moving & ((both & (regulated.pace < 0.6)) | (regulated.pace < 0.05))
     pace = mix(regulated.pace, target, jnp.where(moving, config.pace_rate, 0.04))
@@ -170,11 +175,10 @@ def turn_state(state: CharacterState, angle: jax.Array) -> CharacterState:
         middle = [v[..., axis] for axis in range(1, v.shape[-1] - 1)]
         return jnp.stack([level[..., 0], *middle, level[..., 1]], -1)
 
-    future = turned(state.positions[ROOT:] - root[None]) + root[None]
     return replace(
         state,
-        positions=state.positions.at[ROOT:].set(future),
-        directions=state.directions.at[ROOT:].set(turned(state.directions[ROOT:])),
+        positions=turned(state.positions - root[None]) + root[None],
+        directions=turned(state.directions),
         joint_positions=turned(state.joint_positions - lift(root)[None]) + lift(root)[None],
         joint_velocities=turned(state.joint_velocities),
         joint_forward=None if state.joint_forward is None else turned(state.joint_forward),

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.models.network import Network
-from pfnn_jax.motion.features import root_steps
+from pfnn_jax.motion.features import usual_speed
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.runtime.frame import ControllerConfig
@@ -39,12 +39,6 @@ def predictor_of(trained: Any, shared: Network, normaliser: Normaliser) -> Predi
     """A predictor from few-shot training's result: an adapter beside `shared`, or a whole network."""
     network, adapter = assemble(trained, shared)
     return assemble_predictor(network, adapter, normaliser)
-
-
-def mean_speed(y: np.ndarray, layout: FrameLayout) -> float:
-    """Metres per second along the ground, mean over rows y [N, Dy] in layout units."""
-    velocity, _ = root_steps(layout, y)
-    return float(np.linalg.norm(velocity, axis=1).mean())
 
 
 def walk_circles(
@@ -107,7 +101,7 @@ def make_stability_check(
     """
     pose = layout.output_slice("joint_position")
     own = np.mean(normaliser.outputs.apply(y)[:, pose] ** 2, axis=1).max()
-    speed = max(mean_speed(y, layout), 0.3)
+    speed = max(usual_speed(layout, y), 0.3)
     mean, std = (jnp.asarray(value, jnp.float32) for value in (normaliser.outputs.mean, normaliser.outputs.std))
 
     def is_stable(trained: Any) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.dataset import Dataset
+from pfnn_jax.motion.features import usual_speed
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.log import append_metrics, rewind_metrics
@@ -124,5 +125,11 @@ def _save_result(out: Path, state: PretrainState, dataset: Dataset, bank: Any) -
         save_generator(out, state.modulation)
     for index, style in enumerate(dataset.styles):
         adapter = jax.tree.map(lambda leaf, i=index: np.asarray(leaf[i]), bank)
-        info = {"source": str(dataset.path), "frames": dataset.frames[style], "steps": int(state.step)}
+        y = dataset.arrays(style)[1]
+        info = {
+            "source": str(dataset.path),
+            "frames": dataset.frames[style],
+            "speed": usual_speed(dataset.layout, y[::10]),
+            "steps": int(state.step),
+        }
         save_style(out, style, adapter, info, overwrite=True)

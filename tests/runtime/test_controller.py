@@ -181,9 +181,7 @@ def test_regulation_of_a_mirrored_character_is_mirrored():
     before = initial_state(layout, input_row(layout, WALK), jnp.float32(0.3), jnp.asarray([0.4, 1.0]), jnp.float32(0.2))
     after = replace(before, positions=jnp.roll(before.positions, -1, 0), directions=jnp.roll(before.directions, -1, 0))
     asked = Command(velocity=jnp.asarray([0.9, 0.4]), direction=jnp.asarray([0.8, -0.6]))
-    regulated = Regulated(
-        pace=jnp.float32(0.8), gain=jnp.float32(1.0), velocity=jnp.asarray([0.2, 1.1]), off=jnp.float32(0.1)
-    )
+    regulated = Regulated(pace=jnp.float32(0.8), velocity=jnp.asarray([0.2, 1.1]), off=jnp.float32(0.1))
 
     def all_of(before, after, asked, regulated):
         wanted = ask(asked, jnp.float32(1.0), before, regulated, CONTROLLERS["mason2018"], STANDARD)

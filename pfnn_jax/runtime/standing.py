@@ -1,0 +1,95 @@
+"""How a driven character begins: standing, in the midst of a walk that nobody saw."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.motion.frame_layout import FrameLayout
+from pfnn_jax.motion.normaliser import Normaliser
+from pfnn_jax.runtime.character import (
+    ControllerParams,
+    ControllerSetup,
+    ControllerState,
+    drawn,
+    mixed_style,
+    own_speed,
+    still_frame,
+)
+from pfnn_jax.runtime.foot_lock import initial_locks
+from pfnn_jax.runtime.frame import Command, published_step
+from pfnn_jax.runtime.ground import heading, root_yaw
+from pfnn_jax.runtime.pose import Pose, Rig
+from pfnn_jax.runtime.predictor import evaluate
+from pfnn_jax.runtime.regulation import Regulated
+from pfnn_jax.runtime.state import ROOT, CharacterState, initial_state, place_state, standing_state
+
+RUN_IN_FRAMES = 90
+"""Frames that a character walks unseen before it stands at its start: from a mean pose into its style."""
+
+
+def resting_heights(layout: FrameLayout, normaliser: Normaliser, rig: Rig) -> np.ndarray:
+    """[4] metres: how high the joints of the feet are on the ground, where most frames of any gait have them: about a
+    deviation below the mean."""
+    blocks = [
+        np.asarray(values)[layout.output_slice("joint_position")].reshape(-1, 3)[list(rig.feet), 1] * layout.length_unit
+        for values in (normaliser.outputs.mean, normaliser.outputs.std)
+    ]
+    return blocks[0] - blocks[1]
+
+
+@partial(jax.jit, static_argnums=0)
+def start(
+    setup: ControllerSetup, params: ControllerParams, position: jax.Array, yaw: jax.Array, style: jax.Array
+) -> ControllerState:
+    """A character that stands at `position` [2] metres, facing `yaw` [] radians, in a style [C]."""
+    layout, predictor = setup.layout, replace(params.predictor, style=mixed_style(params.bank, style))
+    speed, ahead = own_speed(params, style), jnp.asarray([0.0, 1.0], jnp.float32)
+    zero = jnp.zeros((), jnp.float32)
+    state = initial_state(layout, params.row, params.phase, jnp.zeros(2, jnp.float32), zero)
+    command = Command(velocity=speed * ahead, direction=ahead)
+    if layout.has_input("gait"):  # the network was shown characters that stand
+        state = standing_state(layout, params.row, jnp.zeros(2, jnp.float32), zero)
+        command = Command(velocity=0.0 * ahead, direction=ahead)
+
+    def frame(state: CharacterState, _):
+        after, y = published_step(partial(evaluate, predictor), layout, state, command, setup.config)
+        return after, (after, y, state.positions[ROOT], state.directions[ROOT])
+
+    _, (states, ys, roots, facings) = jax.lax.scan(frame, state, length=RUN_IN_FRAMES)
+    heights = states.joint_positions[:, np.array(setup.rig.feet), 1] - params.rest[None]
+    unready = jnp.arange(RUN_IN_FRAMES) < RUN_IN_FRAMES // 2
+    best = jnp.argmin(jnp.max(heights, axis=1) + unready)
+    motion, y, root, facing = jax.tree.map(lambda leaf: leaf[best], (states, ys, roots, facings))
+    turned = heading(yaw)
+    placed = place_state(motion, position, yaw)
+    angle = yaw - root_yaw(motion.directions[ROOT])
+    still = still_frame(setup, params, placed, y, facing, angle)
+    regulated = Regulated(
+        pace=jnp.float32(1.0 if setup.regulation is None else 0.0),
+        velocity=speed * ahead,
+        off=zero,
+    )
+    pose = Pose(hips=still.joints[0], rotations=still.rotations)
+    return drawn(
+        setup,
+        ControllerState(
+            motion=replace(placed, target_velocity=speed * turned, target_direction=turned),
+            behind=still,
+            ahead=still,
+            clock=jnp.float32(1.0),
+            style=style,
+            regulated=regulated,
+            root=still.root,
+            facing=still.facing,
+            contacts=still.contacts,
+            feet=initial_locks(setup.rig),
+            pose=pose,
+            joints=still.joints,
+            world_rotations=still.rotations,
+        ),
+    )
