@@ -32,9 +32,11 @@ import tyro
 from flax import struct
 
 from pfnn_jax.motion.files import write_whole
-from pfnn_jax.runtime.controller import Controller, ControllerParams, ControllerSetup, make_controller, start, step
+from pfnn_jax.runtime.character import ControllerParams, ControllerSetup
+from pfnn_jax.runtime.controller import Controller, make_controller, step
 from pfnn_jax.runtime.frame import Command
 from pfnn_jax.runtime.ground import lift, to_local
+from pfnn_jax.runtime.standing import start
 from pfnn_jax.training.run import list_styles, load_run
 
 FPS = 60
@@ -62,6 +64,7 @@ class Config:
         runs: run directories.
         out: JSON file of results, or None to print them only.
         styles: how many of a run's styles, evenly chosen; 0 for all.
+        minutes: of random commands for every style, beside the others.
         published: with the published loop instead of regulation.
         chunk: characters at once.
     """
@@ -69,6 +72,7 @@ class Config:
     runs: tuple[Path, ...]
     out: Path | None = None
     styles: int = 0
+    minutes: float = 10.0
     published: bool = False
     chunk: int = 256
 
@@ -192,6 +196,53 @@ def _mean(values: np.ndarray) -> float:
     return round(float(np.nanmean(values)), 4)
 
 
+def random_commands(seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities [T, 2], 1 being a style's own speed, and directions [T, 2]: another every one to three seconds, one in
+    six of them to stand."""
+    rng, frames = np.random.default_rng(seed), round(seconds * FPS)
+    lengths = rng.integers(FPS, 3 * FPS, frames // FPS + 1)
+    yaw, speed = rng.uniform(-np.pi, np.pi, len(lengths)), rng.uniform(0.3, 1.5, len(lengths))
+    speed = np.where(rng.random(len(lengths)) < 1 / 6, 0.0, speed)
+    yaw, speed = (np.repeat(values, lengths)[:frames].astype(np.float32) for values in (yaw, speed))
+    direction = np.stack([np.sin(yaw), np.cos(yaw)], -1)
+    return speed[:, None] * direction, direction
+
+
+@partial(jax.jit, static_argnums=0)
+def wander(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *asked: jax.Array) -> dict[str, Any]:
+    """The worst of a character in a style [C] under commands [T, 2]: what must stay bounded."""
+    statistics, pose = params.predictor, setup.layout.output_slice("joint_position")
+    mean, std = statistics.output_mean[pose], statistics.output_std[pose]
+
+    def frame(carry, row):
+        before, worst = carry
+        state = step(setup, params, before, Command(velocity=row[0], direction=row[1], style=style))
+        local = to_local(state.ahead.joints - lift(state.ahead.root)[None], state.ahead.facing)
+        now = {
+            "pose distance": jnp.mean(((local.reshape(-1) / setup.layout.length_unit - mean) / std) ** 2),
+            "speed of a joint, m/s": FPS * jnp.max(jnp.linalg.norm(state.joints - before.joints, axis=-1)),
+            "height of a joint, m": jnp.max(jnp.abs(state.joints[:, 1])),
+            "not finite": 1.0 - jnp.isfinite(state.joints).all().astype(jnp.float32),
+        }
+        return (state, jax.tree.map(jnp.maximum, worst, now)), None
+
+    begin = start(setup, params, jnp.zeros(2), jnp.zeros(()), style)
+    zero = dict.fromkeys(
+        ("pose distance", "speed of a joint, m/s", "height of a joint, m", "not finite"), jnp.zeros(())
+    )
+    return jax.lax.scan(frame, (begin, zero), asked)[0][1]
+
+
+def wander_all(controller: Controller, minutes: float) -> dict[str, Any]:
+    """The worst of every style under random commands, and over all styles."""
+    count, (velocity, direction) = len(controller.styles), random_commands(60.0 * minutes, 0)
+    weights = jnp.eye(count, controller.capacity)
+    velocities = velocity[None] * np.asarray(controller.params.speeds)[:count, None, None]
+    many = jax.vmap(partial(wander, controller.setup), in_axes=(None, 0, 0, None))
+    worst = jax.tree.map(np.asarray, many(controller.params, weights, velocities, jnp.asarray(direction)))
+    return {name: round(float(values.max()), 3) for name, values in worst.items()}
+
+
 def chosen(names: Sequence[str], count: int) -> list[str]:
     """Some of the names, evenly; all where the count is 0."""
     places = np.linspace(0, len(names) - 1, min(count or len(names), len(names)))
@@ -205,8 +256,10 @@ def main(config: Config) -> dict[str, Any]:
         run = load_run(path)
         names = chosen(list_styles(run.path), config.styles)
         controller = make_controller(run, names, regulated=not config.published)
-        result[str(path)] = walk_all(controller, config.chunk)
-        print(path, json.dumps(result[str(path)]["all"]))
+        found = walk_all(controller, config.chunk)
+        found["random"] = wander_all(controller, config.minutes)
+        result[str(path)] = found
+        print(path, json.dumps(found["all"]), json.dumps(found["random"]))
     if config.out is not None:
         write_whole(config.out, json.dumps(result, indent=1))
     return result

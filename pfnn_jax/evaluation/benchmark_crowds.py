@@ -15,7 +15,8 @@ from pfnn_jax.motion.dataset import prepare
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.preparation import PrepareConfig
 from pfnn_jax.motion.synthetic import synthetic_clips
-from pfnn_jax.runtime.controller import Controller, ControllerState, make_controller, step
+from pfnn_jax.runtime.character import ControllerState
+from pfnn_jax.runtime.controller import Controller, make_controller, step
 from pfnn_jax.runtime.frame import Command
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.loop import pretrain

@@ -34,6 +34,7 @@ class ControllerParams:
         bank: C styles, leaves [C, ...]; rows beyond the named ones are zeros. None where the run has no styles.
         speeds: [C] m/s, the styles' own; 0 where it is not known.
         speed: [] m/s, of a style that tells none.
+        shares: [C] of its own speed to ask of the network, so that it walks at that speed (`standing.find_shares`).
         row: [Dx] the row of inputs, in layout units, from which a character sets out.
         phase: [] radians or [G]: at that row.
         rest: [4] metres, height of left heel, left toe, right heel, right toe on the ground.
@@ -43,6 +44,7 @@ class ControllerParams:
     bank: Any
     speeds: jax.Array
     speed: jax.Array
+    shares: jax.Array
     row: jax.Array
     phase: jax.Array
     rest: jax.Array
@@ -134,6 +136,11 @@ def mixed_style(bank: Any, weights: jax.Array) -> Any:
 def own_speed(params: ControllerParams, style: jax.Array) -> jax.Array:
     """[] m/s at which a mixture of styles walks by itself."""
     return jnp.dot(style, jnp.where(params.speeds > 0.0, params.speeds, params.speed))
+
+
+def own_share(params: ControllerParams, style: jax.Array) -> jax.Array:
+    """[] share of its own speed to ask of the network for a mixture of styles."""
+    return jnp.dot(style, params.shares)
 
 
 def still_frame(

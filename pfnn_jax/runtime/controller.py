@@ -27,6 +27,7 @@ from pfnn_jax.runtime.character import (
     ControllerState,
     drawn,
     mixed_style,
+    own_share,
     own_speed,
     still_frame,
 )
@@ -46,7 +47,7 @@ from pfnn_jax.runtime.regulation import (
     turn_state,
     turning,
 )
-from pfnn_jax.runtime.standing import resting_heights, start
+from pfnn_jax.runtime.standing import find_shares, resting_heights, start
 from pfnn_jax.runtime.state import (
     ROOT,
     straight_row,
@@ -150,12 +151,16 @@ def make_controller(
         bank=bank,
         speeds=jnp.asarray(speeds, jnp.float32),
         speed=jnp.float32(speed),
-        row=straight_row(layout, row, speed) if layout.next_frame else row,
+        shares=jnp.ones(len(speeds), jnp.float32),
+        row=straight_row(layout, row, speed),
         phase=jnp.float32(0.0) if normaliser.phases is None else jnp.asarray(normaliser.phases.mean, jnp.float32),
         rest=jnp.asarray(resting_heights(layout, normaliser, rig), jnp.float32),
     )
     regulation = REGULATIONS.get(layout.name, STANDARD) if regulated else None
     setup = ControllerSetup(layout, controller_of(run), rig, FootLockConfig() if foot_ik else None, regulation)
+    if regulation is not None:
+        shares = find_shares(setup, params, jnp.eye(len(names), len(speeds)))
+        params = replace(params, shares=params.shares.at[: len(names)].set(shares))
     return Controller(params, setup, names)
 
 
@@ -167,7 +172,8 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
         moved = mix(style, command.style, STYLE_RATE)
         style = jnp.where(jnp.abs(moved - command.style) < STYLE_SNAP, command.style, moved)
     predictor = replace(params.predictor, style=mixed_style(params.bank, style))
-    own, fps, config = own_speed(params, style), setup.layout.fps, setup.regulation
+    own, share = own_speed(params, style), own_share(params, style)
+    fps, config = setup.layout.fps, setup.regulation
     regulated = state.regulated
     if config is not None:
         regulated = keep_pace(regulated, command.velocity, state.contacts, config)
@@ -180,7 +186,7 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
         before, regulated = inner.motion, inner.regulated
         asked = command
         if config is not None:
-            asked = ask(command, own, before, regulated, setup.config, config)
+            asked = ask(command, own, share, before, regulated, setup.config, config)
         motion, y = published_step(partial(evaluate, predictor), setup.layout, before, asked, setup.config)
         angle = jnp.zeros((), y.dtype)
         if config is not None:

@@ -6,9 +6,9 @@ published loop leaves it at that. Here two things are added around it:
 - Pace. The character lives at `pace` times its own time: frames of the network are drawn faster or slower than they
   were predicted, and between them. Root, feet and phase slow down and quicken together, so that feet keep step with the
   ground, and the network notices nothing. At pace 0 the character stands.
-- Turning. With every frame of its own time the whole character, feet included, is turned about its root towards the
-  way it shall go, at a bounded rate. One that stands is never turned. What is left of that turn under a foot on the
-  ground is the foot lock's to hold.
+- Turning. With every frame of its own time the whole character, feet and past included, is turned about its root
+  towards the way it shall go, at a bounded rate. The network cannot notice that, as it sees all from the root. One that
+  stands is never turned. What is left of that turn under a foot on the ground is the foot lock's to hold.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Regulation:
         speed_rate: of the running mean of the character's own velocity: about a step.
         heading_rate: of the running mean of how far it is off its way.
         turning: radians per second of turning for each radian off the way.
-        most_turning: radians per second, the most that it is turned at full pace.
+        most_turning: radians per second, the most that it is turned.
         most_asked: radians, the most that a network is asked to turn at once.
         stretch: share by which the speed asked of a network may differ from its style's own.
         stands: whether the network was shown characters that stand. Others are held still where they halt.
@@ -48,7 +48,7 @@ class Regulation:
     pace_rate: float = 0.1
     speed_rate: float = 0.05
     heading_rate: float = 0.08
-    turning: float = 2.0
+    turning: float = 4.0
     most_turning: float = 1.0
     most_asked: float = 0.5
     stretch: float = 0.25
@@ -58,7 +58,7 @@ class Regulation:
 STANDARD = Regulation()
 
 REGULATIONS = {
-    "pfnn2017": replace(STANDARD, most_asked=3.2, most_turning=2.0, turning=4.0, heading_rate=0.2, stands=True),
+    "pfnn2017": replace(STANDARD, most_asked=3.2, most_turning=2.0, heading_rate=0.2, stands=True),
 }
 """Regulation by layout, where it differs from `STANDARD`: the network of Holden 2017 keeps its gait whatever turn it is
 asked for, and walks past slow turns unless it is turned."""
@@ -82,12 +82,13 @@ class Regulated:
 def ask(
     command: Command,
     own: jax.Array,
+    share: jax.Array,
     before: CharacterState,
     regulated: Regulated,
     constants: ControllerConfig,
     config: Regulation,
 ) -> Command:
-    """What to ask of the network for a command, where the style's own speed is `own` [] m/s.
+    """What to ask of the network for a command, of a style that walks at `own` [] m/s if asked for a share [] of that.
 
     Networks that are asked for what their style never did may lose its gait. So they are asked for speeds near its
     own, and what is missing is left to the pace; and for turns by as much as the published demos ask for at once, so
@@ -95,7 +96,7 @@ def ask(
     its network knows how to stand.
     """
     speed = _length(command.velocity)
-    near = jnp.clip(speed, (1.0 - config.stretch) * own, (1.0 + config.stretch) * own)
+    near = jnp.clip(speed, (1.0 - config.stretch) * own, (1.0 + config.stretch) * own) * share
     left = angle_between(before.directions[ROOT], command.direction)
     at_once = jnp.clip(left, -config.most_asked, config.most_asked)
     velocity = turn(command.velocity * (near / jnp.maximum(speed, STILL)), at_once - left)
@@ -143,7 +144,8 @@ def observe(
 def turning(regulated: Regulated, wanted: jax.Array, fps: float, config: Regulation) -> jax.Array:
     """Radians [] by which a character is turned in one frame of its own time towards a wanted velocity [2]."""
     rate = jnp.clip(config.turning * regulated.off, -config.most_turning, config.most_turning)
-    return jnp.where(_length(wanted) > STILL, rate / fps, 0.0)
+    world = jnp.clip(regulated.pace, config.slowest, 1.0)  # frames of its own time in one of the world
+    return jnp.where(_length(wanted) > STILL, rate / (fps * world), 0.0)
 
 
 def keep_pace(regulated: Regulated, wanted: jax.Array, contacts: jax.Array, config: Regulation) -> Regulated:
@@ -167,7 +169,8 @@ def keep_pace(regulated: Regulated, wanted: jax.Array, contacts: jax.Array, conf
 
 
 def turn_state(state: CharacterState, angle: jax.Array) -> CharacterState:
-    """The character turned about its root by an angle [] radians; the way behind it stays where it was."""
+    """The character turned about its root by an angle [] radians, and the way behind it with it: seen from
+    its root nothing has changed."""
     root = state.positions[ROOT]
 
     def turned(v: jax.Array) -> jax.Array:

@@ -17,6 +17,7 @@ from pfnn_jax.runtime.character import (
     ControllerState,
     drawn,
     mixed_style,
+    own_share,
     own_speed,
     still_frame,
 )
@@ -27,6 +28,9 @@ from pfnn_jax.runtime.pose import Pose, Rig
 from pfnn_jax.runtime.predictor import evaluate
 from pfnn_jax.runtime.regulation import Regulated
 from pfnn_jax.runtime.state import ROOT, CharacterState, initial_state, place_state, standing_state
+
+SHARES = (0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4)
+"""Of a style's own speed, tried by `find_shares`."""
 
 RUN_IN_FRAMES = 90
 """Frames that a character walks unseen before it stands at its start: from a mean pose into its style."""
@@ -43,6 +47,36 @@ def resting_heights(layout: FrameLayout, normaliser: Normaliser, rig: Rig) -> np
 
 
 @partial(jax.jit, static_argnums=0)
+def find_shares(setup: ControllerSetup, params: ControllerParams, styles: jax.Array) -> jax.Array:
+    """[S] shares of their own speeds to ask of the network for styles [S, C], by trying.
+
+    Networks answer speeds in their own way: some walk slower than they are asked to, and some that were shown walks and
+    runs fall from walking into running at what is a walk's speed. Each style is tried at several speeds; taken is the
+    one that leads nearest to its own and, as commands differ by as much, whose neighbours do so too.
+    """
+    layout = setup.layout
+
+    def settled(style: jax.Array, share: jax.Array) -> jax.Array:
+        predictor, own = replace(params.predictor, style=mixed_style(params.bank, style)), own_speed(params, style)
+        ahead = jnp.asarray([0.0, 1.0], jnp.float32)
+        command = Command(velocity=share * own * ahead, direction=ahead)
+
+        def frame(state: CharacterState, _):
+            after, _ = published_step(partial(evaluate, predictor), layout, state, command, setup.config)
+            return after, jnp.linalg.norm(after.positions[ROOT] - state.positions[ROOT]) * layout.fps
+
+        state = initial_state(layout, params.row, params.phase, jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32))
+        speeds = jax.lax.scan(frame, state, length=2 * RUN_IN_FRAMES)[1]
+        return jnp.abs(jnp.log(jnp.maximum(jnp.mean(speeds[RUN_IN_FRAMES:]), 1e-3) / own))
+
+    shares = jnp.asarray(SHARES, jnp.float32)
+    off = jax.vmap(lambda style: jax.vmap(partial(settled, style))(shares))(styles)
+    padded = jnp.pad(off, ((0, 0), (1, 1)), mode="edge")
+    worst = jnp.maximum(jnp.maximum(padded[:, :-2], padded[:, 2:]), off)
+    return shares[jnp.argmin(worst, axis=1)]
+
+
+@partial(jax.jit, static_argnums=0)
 def start(
     setup: ControllerSetup, params: ControllerParams, position: jax.Array, yaw: jax.Array, style: jax.Array
 ) -> ControllerState:
@@ -51,7 +85,7 @@ def start(
     speed, ahead = own_speed(params, style), jnp.asarray([0.0, 1.0], jnp.float32)
     zero = jnp.zeros((), jnp.float32)
     state = initial_state(layout, params.row, params.phase, jnp.zeros(2, jnp.float32), zero)
-    command = Command(velocity=speed * ahead, direction=ahead)
+    command = Command(velocity=own_share(params, style) * speed * ahead, direction=ahead)
     if layout.has_input("gait"):  # the network was shown characters that stand
         state = standing_state(layout, params.row, jnp.zeros(2, jnp.float32), zero)
         command = Command(velocity=0.0 * ahead, direction=ahead)

@@ -18,11 +18,12 @@ from pfnn_jax.motion.layout import LAYOUTS
 from pfnn_jax.motion.normaliser import fit_normaliser
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.synthetic import synthesise
-from pfnn_jax.runtime.controller import Command, Controller, drive, make_controller, mixed_style, step
-from pfnn_jax.runtime.frame import published_step
+from pfnn_jax.runtime.character import mixed_style, own_speed
+from pfnn_jax.runtime.controller import Controller, drive, make_controller, step
+from pfnn_jax.runtime.frame import CONTROLLERS, Command, published_step
 from pfnn_jax.runtime.predictor import evaluate
 from pfnn_jax.runtime.regulation import STANDARD, Regulated, angle_between, ask, observe, turn_state, turning
-from pfnn_jax.runtime.state import ROOT
+from pfnn_jax.runtime.state import ROOT, initial_state
 from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared, save_style
 from tests.runtime.walkers import LAYOUT, WALK, input_row
 
@@ -72,10 +73,10 @@ def test_spare_rows_are_zero_and_styles_have_names(controller):
         controller.style_weights({"calm": 0.5, "wild": 0.6})
 
 
-def test_speeds_are_told_or_found(controller):
-    """The walk's own speed, which the network was made to repeat."""
-    assert controller.params.speeds[1] == pytest.approx(SPEED)
-    assert controller.params.speeds[0] == pytest.approx(SPEED, rel=0.2)
+def test_styles_walk_at_the_speed_that_they_tell_or_at_that_of_the_data(controller):
+    told, untold = (own_speed(controller.params, jnp.eye(3)[index]) for index in (1, 0))
+    assert told == pytest.approx(SPEED)
+    assert untold == pytest.approx(SPEED, rel=0.05) and untold != told
 
 
 def test_without_regulation_it_is_the_published_loop(run):
@@ -174,9 +175,6 @@ def mirrored(tree):
 
 
 def test_regulation_of_a_mirrored_character_is_mirrored():
-    from pfnn_jax.runtime.frame import CONTROLLERS
-    from pfnn_jax.runtime.state import initial_state
-
     layout = LAYOUT["mason2018"]
     before = initial_state(layout, input_row(layout, WALK), jnp.float32(0.3), jnp.asarray([0.4, 1.0]), jnp.float32(0.2))
     after = replace(before, positions=jnp.roll(before.positions, -1, 0), directions=jnp.roll(before.directions, -1, 0))
@@ -184,7 +182,7 @@ def test_regulation_of_a_mirrored_character_is_mirrored():
     regulated = Regulated(pace=jnp.float32(0.8), velocity=jnp.asarray([0.2, 1.1]), off=jnp.float32(0.1))
 
     def all_of(before, after, asked, regulated):
-        wanted = ask(asked, jnp.float32(1.0), before, regulated, CONTROLLERS["mason2018"], STANDARD)
+        wanted = ask(asked, jnp.float32(1.0), jnp.float32(0.8), before, regulated, CONTROLLERS["mason2018"], STANDARD)
         found = observe(regulated, before, after, asked, 60.0, STANDARD)
         angle = turning(found, asked.velocity, 60.0, STANDARD)
         return wanted, turn_state(after, angle), found.velocity, found.off, angle

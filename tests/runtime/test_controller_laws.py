@@ -1,0 +1,95 @@
+"""A trained network under commands: it goes where it is sent, as fast as it is sent, in every style, and stands."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.controller_laws import CIRCLES, SPEEDS, TURNS, commands, walk, walk_all, wander_all
+from pfnn_jax.motion.dataset import prepare
+from pfnn_jax.motion.labelled import LabelledClip
+from pfnn_jax.motion.preparation import PrepareConfig
+from pfnn_jax.motion.synthetic import synthetic_clips
+from pfnn_jax.runtime.controller import Controller, make_controller, step
+from pfnn_jax.runtime.frame import Command
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.loop import pretrain
+
+STYLES = ("neutral", "old", "proud")
+MIRRORED = 12.0  # degrees by which turns to the left and to the right may differ in training data that holds both alike
+BODY = 2.2  # metres above which no joint of a body of 1.7 m rises
+LEAP = 12.0  # m/s, faster than any hand or foot of these walks
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory) -> Controller:
+    """Of a small network with three styles and their mirror images; feet are not held, which is not the question."""
+    folder = tmp_path_factory.mktemp("driven")
+    takes = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 20.0)]
+    dataset = prepare(takes, folder / "data", PrepareConfig())
+    settings = PretrainConfig(hidden=64, steps=500, learning_rate=1e-3)
+    return make_controller(pretrain(dataset, folder / "run", settings), foot_ik=False)
+
+
+@pytest.fixture(scope="module")
+def judged(controller) -> dict:
+    return walk_all(controller, 128)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_commands_are_reached(judged, style):
+    """Within 20 % of the speed and 10 degrees of the way, at 0.75, 1 and 1.25 times its own speed, on every turn."""
+    found = judged["styles"][style]
+    assert found["speed and way"] == 1.0, found
+    assert found["speed on circles"] == 1.0 and found["rate on circles"] == 1.0, found
+    assert found["finite"] == 1.0 and found["stops"] == 1.0, found
+
+
+def test_left_and_right_turns_mirror_each_other(controller):
+    """Statistically: the data was mirrored, so that neither side is the network's favourite."""
+    yaws = np.deg2rad([90.0, -90.0]).astype(np.float32)
+    for index in range(len(STYLES)):
+        style, speed = jnp.eye(controller.capacity)[index], controller.params.speeds[index]
+        one, other = (walk(controller.setup, controller.params, style, speed, yaw, jnp.zeros(())) for yaw in yaws)
+        ways = [np.rad2deg(np.arctan2(*(track.root[420] - track.root[300]))) for track in (one, other)]
+        assert abs(ways[0] + ways[1]) < MIRRORED
+
+
+def test_random_commands_leave_a_body(controller):
+    worst = wander_all(controller, 0.5)
+    assert worst["not finite"] == 0.0
+    assert worst["height of a joint, m"] < BODY and worst["speed of a joint, m/s"] < LEAP
+
+
+def test_a_change_of_style_is_no_jump(controller):
+    """The largest step of a joint while the style changes is near to that of walking in one style or the other."""
+
+    def fastest(styles):
+        direction = jnp.asarray([0.0, 1.0])
+        velocity = 1.1 * direction
+
+        def frame(state, style):
+            after = step(
+                controller.setup, controller.params, state, Command(velocity=velocity, direction=direction, style=style)
+            )
+            return after, jnp.max(jnp.linalg.norm(after.joints - state.joints, axis=-1))
+
+        return jax.lax.scan(frame, controller.start(style=0), styles)[1][180:]
+
+    names = controller.styles
+    first, last = (jnp.asarray(controller.style_weights(name)) for name in (names[0], names[-1]))
+    stays = [jnp.tile(style[None], (420, 1)) for style in (first, last)]
+    change = jnp.concatenate([stays[0][:240], stays[1][:180]])
+    changing, *walking = (np.asarray(jax.jit(fastest)(styles)) for styles in (change, *stays))
+    assert changing.max() < 1.25 * max(steps.max() for steps in walking)
+
+
+def test_the_commands_that_are_judged():
+    velocity, direction = commands(jnp.float32(1.2), jnp.float32(np.pi / 2), jnp.float32(0.0))
+    np.testing.assert_allclose(velocity[100], [0.0, 1.2], atol=1e-6)
+    np.testing.assert_allclose(velocity[300], [1.2, 0.0], atol=1e-6)
+    np.testing.assert_allclose(velocity[-1], [0.0, 0.0])
+    np.testing.assert_allclose(direction[-1], [1.0, 0.0], atol=1e-6)
+    assert SPEEDS == (0.75, 1.0, 1.25) and 90.0 in TURNS and 45.0 in CIRCLES
