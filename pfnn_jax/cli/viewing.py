@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +10,7 @@ import tyro
 from tyro.conf import Positional as Argument
 
 from pfnn_jax.cli.base import Command
-from pfnn_jax.viewer.play import LOCAL, play, rehearsing
+from pfnn_jax.viewer.play import LOCAL, play
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +31,4 @@ class Play(Command):
 
     def run(self) -> Any:
         play(self.run_paths, host=self.host, port=self.port, open_browser=self.open)
-        if rehearsing() and self.json is None:
-            os._exit(0)  # else Ctrl-C would wait for a compilation that nobody needs any more
         return {"runs": self.run_paths}

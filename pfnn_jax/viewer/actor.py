@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -232,6 +233,7 @@ class Actor:
             pressed, key, shift = self._presses.popleft()
             self._keys.press(key, shift, pressed)
         command = self._command(cast, clock)
+        self._state = fitted(self._state, cast.controller.capacity)
         started = time.perf_counter()
         self._state = jax.block_until_ready(cast.controller.step(self._state, command))
         self._durations.append(time.perf_counter() - started)
@@ -294,6 +296,15 @@ class Actor:
             steps_per_second=float(sum(steps for _, steps in self._made)),
             recorded_seconds=None if self._recording is None else self._recording.seconds,
         )
+
+
+def fitted(state: ControllerState, capacity: int) -> ControllerState:
+    """The state with style weights [C] for a bank that has grown since; those it had keep their rows."""
+    if len(state.style) == capacity:
+        return state
+    weights = np.zeros(capacity, np.float32)
+    weights[: len(state.style)] = state.style
+    return replace(state, style=jax.device_put(weights, jax.devices()[0]))
 
 
 def _wrapped(angle: float) -> float:

@@ -7,13 +7,10 @@ is left as it was.
 
 from __future__ import annotations
 
-import os
 import re
-import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +21,7 @@ from pfnn_jax.motion.files import write_whole
 from pfnn_jax.runtime.learn import learn_style, rehearse
 from pfnn_jax.training.few_shot import FILM, FewShotConfig
 from pfnn_jax.training.run import Run, list_styles
+from pfnn_jax.viewer import background
 from pfnn_jax.viewer.stage import Stage
 
 MOST_BYTES = 10_000_000
@@ -46,6 +44,11 @@ QUICK_FILM = replace(FILM, learning_rates=(3e-3, 1e-2), stops=(25, 50))
 Progress = Callable[[float, str], None]
 
 _learning = threading.Lock()  # one at a time: two would both take twice as long
+_unfinished: set[Path] = set()
+
+
+class GivenUp(Exception):
+    """The page ends while a style is being learned."""
 
 
 def page_config(run: Run) -> FewShotConfig:
@@ -55,10 +58,29 @@ def page_config(run: Run) -> FewShotConfig:
 
 
 def prepare_learning(stage: Stage, run: str) -> None:
-    """Compiles what learning needs, in the background of a page that has just been opened; see `rehearse`."""
+    """Compiles what learning needs, in the background of a page that has just been opened; see `rehearse`.
+
+    An upload goes first, and waits for the preparation of its own run alone.
+    """
     with _learning:
-        loaded = stage.cast(run).run
-        _in_background(partial(rehearse, loaded, page_config(loaded)))
+        pass
+    loaded = stage.cast(run).run
+    with stage.preparation(run):
+        background.do(partial(rehearse, loaded, page_config(loaded)), niceness=NICENESS)
+
+
+def give_up(stage: Stage, wait: float = 0.5) -> None:
+    """Leaves out what is being learned, for the page ends: the runs' folders are as if it had never been begun.
+
+    Args:
+        stage: where it is learned; nothing can be learned there any more.
+        wait: seconds for which it may take notice, before only its traces are removed.
+    """
+    stage.ended.set()
+    if _learning.acquire(timeout=wait):
+        _learning.release()
+    for path in tuple(_unfinished):
+        _remove(path)
 
 
 def learn_upload(
@@ -83,6 +105,7 @@ def learn_upload(
     Raises:
         InputError: for an unknown run; for a file that is too large, no text, no BVH, of too many joints or frames, too
             short or long, without steps where the run needs them, or of another skeleton. Then nothing has changed.
+        GivenUp: if the page ends meanwhile.
     """
     name = style_name(filename)
     check_upload(name, data)
@@ -90,11 +113,21 @@ def learn_upload(
     if not _learning.acquire(blocking=False):
         progress(0.0, "waiting")
         _learning.acquire()
+
+    def told(share: float, what: str) -> None:
+        if stage.ended.is_set():
+            raise GivenUp
+        progress(share, what)
+
     try:
-        with _kept_upload(loaded.path, name, data) as clip:
-            style, work = clip.style, partial(_learn, loaded, clip, progress)
-            _in_background(work)
-        stage.add_style(run, style)
+        with _kept_upload(loaded.path, name, data) as clip, stage.preparation(run):
+            style, work = clip.style, partial(_learn, loaded, clip, told)
+            background.do(work, niceness=NICENESS)
+        background.do(partial(stage.add_style, run, style))
+    except InputError as error:
+        if stage.ended.is_set():  # its clip has been taken away
+            raise GivenUp from error
+        raise
     finally:
         _learning.release()
     progress(1.0, "done")
@@ -160,17 +193,24 @@ def _kept_upload(run: Path, name: str, data: bytes) -> Iterator[ClipFile]:
     taken = {style.lower() for style in list_styles(run)}
     taken |= set() if new else {path.stem.lower() for path in folder.iterdir()}
     free = next(free for free in _numbered(name) if free.lower() not in taken)
-    path, kept = folder / f"{free}.bvh", False
+    path = folder / f"{free}.bvh"
+    _unfinished.add(path)
     try:
         folder.mkdir(exist_ok=True)
         write_whole(path, data)
         yield ClipFile(path, free, symmetric=is_symmetric(free))
-        kept = True
+    except BaseException:
+        _remove(path)
+        raise
     finally:
-        if not kept:
-            path.unlink(missing_ok=True)
-            if new and folder.is_dir() and not any(folder.iterdir()):
-                folder.rmdir()
+        _unfinished.discard(path)
+
+
+def _remove(upload: Path) -> None:
+    """An upload, and its folder if nothing else is in it."""
+    upload.unlink(missing_ok=True)
+    with suppress(OSError):
+        upload.parent.rmdir()
 
 
 def _numbered(name: str) -> Iterator[str]:
@@ -179,14 +219,3 @@ def _numbered(name: str) -> Iterator[str]:
     while True:
         yield f"{name} {number}"
         number += 1
-
-
-def _in_background(work: Callable[[], None]) -> None:
-    """Does the work in a thread that stands back behind the others, and waits for it."""
-
-    def stand_back() -> None:
-        if sys.platform == "linux":  # elsewhere niceness is of the whole process
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
-
-    with ThreadPoolExecutor(1, "learning", initializer=stand_back) as pool:
-        pool.submit(work).result()

@@ -182,8 +182,9 @@ class PageScene:
         if len(points) != len(self._arrows.batched_positions):
             self._arrows.remove()
             colours = np.array([PAST] * behind + [FUTURE] * (len(points) - behind), np.uint8)
+            self._parts = [part for part in self._parts if part is not self._arrows]
             self._arrows = self._batch("/trajectory/arrows", _arrow(), colours, np.ones((len(points), 3)))
-            self._parts[2] = self._arrows
+            self._parts.append(self._arrows)
         self._arrows.batched_positions = points + np.array([0.0, LIFT, 0.0])
         self._arrows.batched_wxyzs = quat_from_yaw(yaws)
 
@@ -213,6 +214,19 @@ class PageScene:
 
     def _turned(self, rotations: np.ndarray) -> np.ndarray:
         return quat_multiply(quat_from_yaw(-self.yaw), rotations)
+
+
+def look(client: viser.ClientHandle) -> None:
+    """Puts a tab's camera behind its character."""
+    client.camera.fov = CAMERA_FIELD
+    client.camera.position = CAMERA_POSITION
+    client.camera.look_at = CAMERA_TARGET
+
+
+def camera_yaw(position: Any, target: Any) -> float | None:
+    """Radians about +Y from +Z at which a camera looks, both [3]; None for one that looks straight down."""
+    ahead, left = float(target[2] - position[2]), float(target[0] - position[0])
+    return math.atan2(left, ahead) if math.hypot(ahead, left) > 1e-3 else None
 
 
 def _sky(height: int = 64) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pfnn_jax.errors import InputError
 from pfnn_jax.viewer import dials
 from pfnn_jax.viewer.actor import Actor
-from pfnn_jax.viewer.page_scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET, PageScene
+from pfnn_jax.viewer.page_scene import PageScene, camera_yaw, look
 from pfnn_jax.viewer.recording import bvh_bytes
 from pfnn_jax.viewer.stage import Stage
 from pfnn_jax.viewer.timeline import SECONDS, Timeline
@@ -44,6 +44,7 @@ KEYS = {
 FEET = {"left": "#3b7ae6", "right": "#e8743b", "heel": "#667082", "toe": "#b4bcc8"}
 READOUT_WIDTH = 282.0  # CSS pixels
 PLAIN = (84, 97, 117)  # of buttons
+TURNED = math.radians(0.5)  # of a camera: less is no one's wish
 QUEUED = 64  # presses and clicks that may wait
 
 
@@ -186,7 +187,7 @@ class Panel:
     def _camera(self) -> None:
         with self._gui.add_folder("Camera", expand_by_default=False):
             self._follow = self._gui.add_checkbox("Follow", True)
-            self._turn = self._gui.add_checkbox("Turn along", True)
+            self._turn = self._gui.add_checkbox("Turn along", True, hint="Else W leads where you look.")
             self._gui.add_button("Behind the character", color=PLAIN).on_click(self._later(self._look_again))
 
     def _commands(self) -> None:
@@ -230,6 +231,7 @@ class Panel:
         if self._changed("strafe", self._strafe.value):
             self._actor.set_strafe(self._strafe.value)
         self._scene.follow, self._scene.turn = self._follow.value, self._turn.value
+        self._hear_camera()
         if self._changed("run", self._run.value):
             self._select(self._run.value, self._names(self._run.value)[0])
         corners = tuple(corner.value for corner in self._corners)
@@ -241,6 +243,18 @@ class Panel:
             self._mix(corners, now)
         if now >= self._redraw_at:
             self._draw_triangle()
+
+    def _hear_camera(self) -> None:
+        """A camera that does not turn with the heading leads instead, whenever it is turned by hand."""
+        if self._follow.value and self._turn.value:
+            self._values.pop("look", None)
+            return
+        camera = self._client.camera
+        yaw = camera_yaw(camera.position, camera.look_at)
+        before = self._values.get("look")
+        if yaw is not None and (before is None or abs(math.remainder(yaw - before, 2.0 * math.pi)) > TURNED):
+            self._values["look"] = yaw
+            self._actor.set_heading(math.remainder(yaw + self._scene.yaw, 2.0 * math.pi))
 
     def _changed(self, name: str, value: Any) -> bool:
         """Whether a value differs from the last time; the first time it does not."""
@@ -305,13 +319,6 @@ class Panel:
 
     def _look_again(self) -> None:
         look(self._client)
-
-
-def look(client: viser.ClientHandle) -> None:
-    """Puts a tab's camera behind its character."""
-    client.camera.fov = CAMERA_FIELD
-    client.camera.position = CAMERA_POSITION
-    client.camera.look_at = CAMERA_TARGET
 
 
 @dataclass(frozen=True)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import io
+import signal
 import socket
 import threading
-import time
 import warnings
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.viewer.learning import prepare_learning
+from pfnn_jax.viewer import background
+from pfnn_jax.viewer.guard import guarded
+from pfnn_jax.viewer.learning import give_up, prepare_learning
 from pfnn_jax.viewer.page_scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
 from pfnn_jax.viewer.stage import Stage
 from pfnn_jax.viewer.tab import Tab
@@ -25,7 +28,8 @@ if TYPE_CHECKING:
 LOCAL = "127.0.0.1"
 """The address that only this machine can reach; any other must be asked for."""
 
-REHEARSAL = "rehearsal"
+LONGEST_END = 1.5
+"""Seconds for which the end of a server is waited for: a tab that does not answer would hold it up for longer."""
 
 
 class Page:
@@ -76,9 +80,13 @@ class Page:
         with self._lock:
             tabs, self._tabs = list(self._tabs.values()), {}
         for tab in tabs:
-            tab.close()
+            tab.close(wait=0.0)
+        for tab in tabs:
+            tab.close(wait=1.0 / len(tabs))
         with contextlib.redirect_stdout(io.StringIO()):
-            self._server.stop()
+            ending = threading.Thread(target=self._server.stop, daemon=True)
+            ending.start()
+            ending.join(LONGEST_END)
 
     def __enter__(self) -> Page:
         return self
@@ -100,7 +108,9 @@ class Page:
 
 
 def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080, open_browser: bool = False) -> None:
-    """Serves a page to drive characters of some runs, until Ctrl-C.
+    """Serves a page to drive characters of some runs, until Ctrl-C or SIGTERM.
+
+    Either ends it within moments, whatever is being compiled or learned; what is not learned then is left out.
 
     Args:
         run_paths: folders of runs.
@@ -112,33 +122,48 @@ def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080
         InputError: for a folder that is no run, or if nobody can listen at the address.
     """
     check_address(host, port)  # before runs are loaded and compiled
-    stage = Stage(run_paths)
-    print(f"{', '.join(stage.runs)}: {len(stage.styles)} styles; compiling", flush=True)
-    stage.warm_up()
-    with Page(stage, host, port) as page:
-        print(f"{page.url}  (Ctrl-C ends)", flush=True)
-        ended = threading.Event()
-        threading.Thread(target=_rehearse, args=(stage, ended), name=REHEARSAL, daemon=True).start()
-        if open_browser:
-            webbrowser.open(page.url)
-        try:
-            while True:
-                time.sleep(3600.0)
-        except KeyboardInterrupt:
-            ended.set()
-            print("Ended.", flush=True)
+    with _ended_by_signals() as ending, contextlib.suppress(KeyboardInterrupt):
+        stage = background.do(partial(Stage, run_paths))
+        print(f"{', '.join(stage.runs)}: {len(stage.styles)} styles; compiling", flush=True)
+        threading.Thread(target=_rehearse, args=(stage,), name="rehearsal", daemon=True).start()
+        background.do(stage.warm_up)
+        with Page(stage, host, port) as page:
+            print(f"{page.url}  (Ctrl-C ends)", flush=True)
+            if open_browser:
+                webbrowser.open(page.url)
+            with contextlib.suppress(KeyboardInterrupt):
+                threading.Event().wait()
+            ending()
+            give_up(stage)
+    print("Ended.", flush=True)
+    background.leave_work()
 
 
-def rehearsing() -> bool:
-    """Whether a rehearsal of learning still compiles; it cannot be interrupted, and leaves nothing to be saved."""
-    return any(thread.name == REHEARSAL for thread in threading.enumerate())
+@contextlib.contextmanager
+def _ended_by_signals() -> Iterator[Callable[[], None]]:
+    """SIGTERM within the block is as Ctrl-C; yields what makes it deaf to both, for an end that is not interrupted."""
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def ending() -> None:
+        for number in before:
+            signal.signal(number, signal.SIG_IGN)
+
+    try:
+        for number in before:
+            signal.signal(number, signal.default_int_handler)
+        yield ending
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
-def _rehearse(stage: Stage, ended: threading.Event) -> None:
-    """Compiles what the first upload would wait for, behind the characters."""
+def _rehearse(stage: Stage) -> None:
+    """Compiles what the first upload would wait for, on the core that compiling a step leaves idle."""
     for run in stage.runs:
-        if not ended.is_set():
-            prepare_learning(stage, run)
+        prepare_learning(stage, run)
 
 
 def check_address(host: str, port: int) -> None:
@@ -175,8 +200,11 @@ def _serve(host: str, port: int) -> viser.ViserServer:
     check_address(host, port)
     # A tab may close while its picture is being sent; its thread ends a moment later.
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
-    with contextlib.redirect_stdout(io.StringIO()):  # its banner; the address is printed by `play`
+    with contextlib.redirect_stdout(io.StringIO()), guarded(host) as started:  # its banner; `play` prints the address
         server = Server(host=host, port=port, verbose=False)
+    if not started:
+        server.stop()
+        raise InputError("environment", "viser", viser.__version__, "does not let requests be checked; try 1.1.1")
     if port not in (0, server.get_port()):  # taken since it was checked; viser goes on to the next
         server.stop()
         raise InputError("page", f"port at {host}", port, "is taken; choose another with --port")

@@ -55,6 +55,9 @@ class Stage:
 
     Raises:
         InputError: for a folder that is no run, a run given twice, or one whose styles cannot be loaded.
+
+    Attributes:
+        ended: set when nothing shall be learned any more.
     """
 
     def __init__(self, run_paths: Sequence[str | Path], *, foot_ik: bool = True) -> None:
@@ -64,7 +67,9 @@ class Stage:
         self._lock = threading.RLock()
         self._foot_ik = foot_ik
         self._casts = {name: load_cast(name, path, foot_ik) for name, path in zip(_names(paths), paths, strict=True)}
+        self._preparations = {name: threading.Lock() for name in self._casts}
         self._version = 0
+        self.ended = threading.Event()
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -91,12 +96,18 @@ class Stage:
             raise InputError("stage", "run", ascii(run)[:60], f"must be one of {', '.join(self.runs)}")
         return self._casts[run]
 
+    def preparation(self, run: str) -> threading.Lock:
+        """Held by who compiles or learns in a run, so that nothing is compiled twice.
+
+        Raises:
+            InputError: for a run that is not on stage.
+        """
+        return self._preparations[self.cast(run).name]
+
     def warm_up(self) -> None:
         """Compiles one step of every run, so that the first character does not wait for it."""
         for name in self.runs:
-            controller = self.cast(name).controller
-            command = make_command(1.0, 0.0, 0.0, controller.style_weights(controller.styles[0]))
-            jax.block_until_ready(controller.step(controller.start(), command))
+            try_out(self.cast(name).controller)
 
     def add_style(self, run: str, style: str) -> None:
         """Takes a style that has been saved in a run's folder into its bank; characters can choose it at once.
@@ -108,8 +119,16 @@ class Stage:
         with self._lock:
             cast = self.cast(run)
             controller = joined(cast.run, cast.controller, style, parameters, foot_ik=self._foot_ik)
+            if controller.capacity != cast.controller.capacity:
+                try_out(controller)  # before characters have to wait for its compilation
             self._casts = {**self._casts, run: replace(cast, controller=controller, speeds=_speeds(controller))}
             self._version += 1
+
+
+def try_out(controller: Controller) -> None:
+    """A start and a step, for which everything is compiled that a character needs."""
+    command = make_command(1.0, 0.0, 0.0, controller.style_weights(controller.styles[0]))
+    jax.block_until_ready(controller.step(controller.start(), command))
 
 
 def make_command(speed: float, going: float, facing: float, weights: np.ndarray) -> Command:
@@ -133,9 +152,13 @@ def load_cast(name: str, path: Path, foot_ik: bool = True) -> Cast:
 def joined(run: Run, controller: Controller, style: str, parameters: object, *, foot_ik: bool = True) -> Controller:
     """A controller with one more style, in a spare row where there is one, else in a larger bank.
 
+    Where the run had no styles, its network as it is stays the first: a row of zeros, which adds nothing.
+
     Raises:
         InputError: if the style is of another kind than those of the bank.
     """
+    if controller.params.bank is None:
+        controller = _with_bank(controller, parameters)
     count, bank = len(controller.styles), controller.params.bank
     rows = [np.shape(leaf)[1:] for leaf in jax.tree.leaves(bank)]
     if jax.tree.structure(bank) != jax.tree.structure(parameters) or rows != [
@@ -152,6 +175,16 @@ def joined(run: Run, controller: Controller, style: str, parameters: object, *, 
     bank = jax.tree.map(lambda rows, row: _with_row(rows, index, row), bank, parameters)
     speeds = _with_row(controller.params.speeds, index, default_speed(run, style))
     return _bound(replace(controller, params=replace(controller.params, bank=bank, speeds=speeds), styles=styles))
+
+
+def _with_bank(controller: Controller, parameters: object) -> Controller:
+    """The controller of a run without styles, with rows of zeros for what is like the parameters."""
+    params = controller.params
+    rows = len(controller.styles) + SPARE
+    bank = jax.tree.map(lambda leaf: np.zeros((rows, *np.shape(leaf)), np.float32), parameters)
+    speeds = np.zeros(rows, np.float32)
+    speeds[: len(params.speeds)] = params.speeds
+    return replace(controller, params=replace(params, bank=bank, speeds=speeds, shares=np.ones(rows, np.float32)))
 
 
 def _with_row(rows: Any, index: int, row: Any) -> np.ndarray:

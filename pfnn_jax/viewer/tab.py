@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError, TrainingError
 from pfnn_jax.viewer.actor import Actor
-from pfnn_jax.viewer.learning import MOST_BYTES, learn_upload
+from pfnn_jax.viewer.learning import MOST_BYTES, GivenUp, learn_upload
 from pfnn_jax.viewer.page_scene import PageScene
 from pfnn_jax.viewer.panel import Panel
 from pfnn_jax.viewer.stage import Stage
@@ -66,7 +67,12 @@ class Tab:
     def _live(self) -> None:
         actor, scene = Actor(self._stage), PageScene(self._client.scene)
         panel = Panel(self._client, self._stage, actor, scene)
-        panel.upload.on_upload(lambda event: self._learn(actor, panel, event.target.value))
+
+        async def uploaded(event: Any) -> None:  # not in one of viser's threads: the program's end waits for those
+            work = partial(self._learn, actor, panel, event.target.value)
+            threading.Thread(target=work, name="upload", daemon=True).start()
+
+        panel.upload.on_upload(uploaded)
         view = actor.advance(time.monotonic())
         worn = ""
         drawn_at = shown_at = -1.0
@@ -117,6 +123,8 @@ class Tab:
             panel.tell("good", f"{style} is learned and among the styles of {run}.")
         except (InputError, TrainingError) as error:
             panel.tell("bad", str(error))
+        except GivenUp:
+            pass  # nobody is there to be told
         finally:
             panel.learning(False)
             self._learning.release()

@@ -45,13 +45,22 @@ def zombie_bvh(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def served(played_run) -> Iterator[Any]:
-    """The page of the small run, on a free port."""
+def second_run(played_run, tmp_path_factory) -> Path:
+    """The same with two of its styles: another run, for which nothing has to be compiled."""
+    path = tmp_path_factory.mktemp("second") / "two"
+    shutil.copytree(played_run, path)
+    shutil.rmtree(path / "styles" / "depressed")
+    return path
+
+
+@pytest.fixture(scope="session")
+def served(played_run, second_run) -> Iterator[Any]:
+    """The page of the small run and of a second one, on a free port."""
     pytest.importorskip("viser", reason="viser is not installed")
     from pfnn_jax.viewer.play import Page
     from pfnn_jax.viewer.stage import Stage
 
-    stage = Stage([played_run])
+    stage = Stage([played_run, second_run])
     stage.warm_up()
     with Page(stage, port=0) as page:
         yield page

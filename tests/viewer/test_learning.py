@@ -18,7 +18,16 @@ from pfnn_jax.training.few_shot import FewShotConfig
 from pfnn_jax.training.run import load_run, load_style
 from pfnn_jax.viewer import learning
 from pfnn_jax.viewer.actor import Actor
-from pfnn_jax.viewer.learning import MOST_BYTES, check_upload, learn_upload, page_config, prepare_learning, style_name
+from pfnn_jax.viewer.learning import (
+    MOST_BYTES,
+    GivenUp,
+    check_upload,
+    give_up,
+    learn_upload,
+    page_config,
+    prepare_learning,
+    style_name,
+)
 from pfnn_jax.viewer.stage import Stage
 
 FRAME = 1.0 / 60.0
@@ -122,6 +131,21 @@ def test_a_first_upload_that_fails_leaves_no_folder(played_run, tmp_path, monkey
     monkeypatch.setattr(learning, "learn_style", broken)
     with pytest.raises(MemoryError):
         learn_upload(Stage([path]), "run", "walk.bvh", b"HIERARCHY")
+    assert contents(path) == before
+
+
+def test_a_page_that_ends_leaves_no_trace_of_what_it_learns(played_run, zombie_bvh, tmp_path):
+    path = tmp_path / "run"
+    shutil.copytree(played_run, path)
+    before, ending = contents(path), Stage([path])
+
+    def end(share: float, what: str) -> None:
+        assert (path / "uploads" / "walk.bvh").is_file()
+        give_up(ending, wait=0.0)
+        assert contents(path) == before
+
+    with pytest.raises(GivenUp):
+        learn_upload(ending, "run", "walk.bvh", zombie_bvh.read_bytes(), end)
     assert contents(path) == before
 
 

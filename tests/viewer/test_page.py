@@ -15,6 +15,7 @@ from pfnn_jax.motion.bvh import read_bvh
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning")
 
 AT_HOME = 0.05  # metres from the middle that still count as not having moved: the start shifts its weight
+NEAR = 0.2  # metres: of a step that ends and one that does not begin
 CORNER = 0.9  # share of a style near whose corner the point was put
 
 
@@ -46,7 +47,7 @@ def test_shift_runs_and_keys_work_together(visitor):
     visitor.wait(lambda: 0.0 < wanted(visitor) < 0.75 * running, "walking is slower than running")
     yaw = heading(visitor)
     visitor.page.keyboard.down("q")
-    visitor.wait(lambda: abs(np.angle(np.exp(1j * (heading(visitor) - yaw)))) > 0.3, "Q turns while W is held")
+    visitor.wait(lambda: turned(heading(visitor), yaw) > 0.3, "Q turns while W is held")
     assert wanted(visitor) > 0.0
     visitor.page.keyboard.up("q")
     visitor.page.keyboard.up("w")
@@ -136,6 +137,40 @@ def test_a_good_clip_becomes_a_style_that_moves(visitor, played_run, zombie_bvh)
     visitor.walk(0.3)
 
 
+def test_another_run_takes_the_character_over(visitor):
+    home(visitor)
+    styles, root = visitor.options("Style"), visitor.root()
+    visitor.choose("Run", "two")
+    visitor.wait(lambda: visitor.read("style") == "neutral", "the other run begins in its first style")
+    assert "neutral" in visitor.options("Style") and "depressed" not in visitor.options("Style")
+    assert np.linalg.norm(visitor.root() - root) < NEAR
+    visitor.walk(0.3)
+    visitor.choose("Run", "run")
+    visitor.wait(lambda: visitor.read("style") == styles[0], "and back")
+    assert visitor.options("Style") == styles
+    visitor.walk(0.3)
+    assert not visitor.errors
+
+
+def test_a_camera_that_does_not_turn_along_leads(visitor):
+    home(visitor)
+    visitor.page.get_by_text("Camera", exact=True).first.click()
+    box = visitor.field("Turn along")
+    box.click()
+    visitor.wait(lambda: heading(visitor) != 0.0, "W leads where the camera looks, a little aside")
+    before = heading(visitor)
+    size = visitor.page.viewport_size
+    x, y = 0.5 * size["width"], 0.85 * size["height"]
+    visitor.page.mouse.move(x, y)
+    visitor.page.mouse.down()
+    visitor.page.mouse.move(x - 80, y, steps=4)
+    visitor.page.mouse.up()
+    visitor.wait(lambda: turned(heading(visitor), before) > 0.2, "the heading goes where the camera looks")
+    box.click()
+    visitor.press("Behind the character")
+    home(visitor)
+
+
 def test_tabs_have_characters_of_their_own_and_leave_nothing_behind(visitor, another_visitor, served):
     home(visitor)
     second = another_visitor()
@@ -161,6 +196,36 @@ def test_only_this_machine_can_connect(served):
         pass
 
 
+def handshake(port: int, *headers: str) -> str:
+    """The first line of what a server answers to one who asks for a websocket."""
+    key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=="
+    lines = ("GET / HTTP/1.1", "Connection: Upgrade", "Upgrade: websocket", key, "Sec-WebSocket-Version: 13", *headers)
+    with socket.create_connection(("127.0.0.1", port), timeout=10.0) as connection:
+        connection.sendall("\r\n".join((*lines, "", "")).encode())
+        return connection.recv(4096).decode().splitlines()[0]
+
+
+def test_pages_of_other_sites_are_refused(served, visitor):
+    host = f"127.0.0.1:{served.port}"
+    assert " 101 " in handshake(served.port, f"Host: {host}", f"Origin: http://{host}")
+    for headers in (
+        (f"Host: {host}", "Origin: https://evil.example"),
+        (f"Host: {host}", "Origin: null"),
+        (f"Host: {host}", f"Origin: http://{host}", "Origin: https://evil.example"),
+        (f"Host: evil.example:{served.port}", f"Origin: http://evil.example:{served.port}"),
+    ):
+        assert " 403 " in handshake(served.port, *headers), headers
+    answer = visitor.page.evaluate(
+        """(url) => new Promise((done) => {  // another name of this machine is another site
+            const socket = new WebSocket(url, "viser-v");
+            socket.onopen = () => done("open");
+            socket.onerror = () => done("refused");
+        })""",
+        f"ws://localhost:{served.port}",
+    )
+    assert answer == "refused"
+
+
 def wanted(visitor) -> float:
     found = re.search(r"of ([0-9.]+) wanted", visitor.read("speed"))
     assert found is not None
@@ -169,6 +234,11 @@ def wanted(visitor) -> float:
 
 def heading(visitor) -> float:
     return np.deg2rad(float(visitor.read("heading").strip("°")))
+
+
+def turned(yaw: float, before: float) -> float:
+    """Radians between two headings."""
+    return abs(np.angle(np.exp(1j * (yaw - before))))
 
 
 def share(visitor, style: str) -> float:

@@ -11,8 +11,10 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
 from pfnn_jax.motion.synthetic import synthesise
-from pfnn_jax.viewer import dials
+from pfnn_jax.viewer import background, dials
 from pfnn_jax.viewer.body import capsule_ends
+from pfnn_jax.viewer.guard import names_of, objection
+from pfnn_jax.viewer.page_scene import camera_yaw
 from pfnn_jax.viewer.panel import word_of
 from pfnn_jax.viewer.play import check_address, play
 from pfnn_jax.viewer.solids import TAPER, Body, Mesh, frustum, sphere
@@ -123,3 +125,46 @@ def test_an_address_that_cannot_be_used_is_named():
         with pytest.raises(InputError, match=message):
             check_address(host, port)
     check_address("127.0.0.1", 0)
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "fine"),
+    [
+        ("http://127.0.0.1:8080", "127.0.0.1:8080", True),
+        ("http://localhost:8080", "LOCALHOST:8080", True),
+        ("http://[::1]:8080", "[::1]:8080", True),
+        ("http://192.168.1.7:8080", "192.168.1.7:8080", True),
+        (None, "localhost:8080", True),  # no browser
+        ("https://evil.example", "127.0.0.1:8080", False),
+        ("http://127.0.0.1:9000", "127.0.0.1:8080", False),  # another server of this machine
+        ("http://127.0.0.1", "127.0.0.1:8080", False),
+        ("null", "127.0.0.1:8080", False),  # a file, or a frame shut in
+        ("", "127.0.0.1:8080", False),
+        ("http://evil.example:8080", "evil.example:8080", False),  # a name that was made to lead here
+        ("http://127.0.0.1.evil.example", "127.0.0.1.evil.example", False),
+        (None, "2130706433", False),
+        (None, "[", False),
+        (None, None, False),
+    ],
+)
+def test_only_its_own_page_may_talk_to_a_server(origin, host, fine):
+    assert (objection(origin, host, names_of("127.0.0.1")) is None) == fine
+
+
+def test_a_server_for_others_goes_by_its_names():
+    machine = socket.gethostname()
+    assert objection(None, f"{machine}:8080", names_of("0.0.0.0")) is None
+    assert objection(None, "walks.example", names_of("walks.example")) is None
+    assert names_of("127.0.0.1") == {"127.0.0.1"} and names_of("localhost") == {"localhost"}
+
+
+def test_a_camera_looks_along_a_yaw():
+    assert camera_yaw([0.0, 1.0, -4.0], [0.0, 0.0, 0.0]) == 0.0
+    assert camera_yaw([-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]) == pytest.approx(np.pi / 2)
+    assert camera_yaw([0.0, 3.0, 0.0], [0.0, 0.0, 0.0]) is None
+
+
+def test_work_beside_a_page_returns_or_raises():
+    assert background.do(lambda: 7, niceness=1) == 7
+    with pytest.raises(ZeroDivisionError):
+        background.do(lambda: 1 // 0)

@@ -30,6 +30,12 @@ EXACT = 1e-9
 FPS = 10.0  # of the films made here: few frames
 
 
+@pytest.fixture(autouse=True)
+def plain_start(monkeypatch):
+    """Of ffmpeg: a process group of its own takes a fork, of which JAX warns once it has computed."""
+    monkeypatch.setenv("IMAGEIO_FFMPEG_NO_PREVENT_SIGINT", "1")
+
+
 @pytest.fixture
 def short() -> Track:
     return make_track(frames=40)

@@ -13,7 +13,7 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.training.run import load_style, save_style
 from pfnn_jax.viewer import stage as stages
-from pfnn_jax.viewer.actor import Actor
+from pfnn_jax.viewer.actor import Actor, fitted
 from pfnn_jax.viewer.stage import SPARE, Stage, joined
 
 FRAME = 1.0 / 60.0
@@ -80,7 +80,9 @@ def test_a_style_joins_and_disturbs_no_other(stage, two_runs):
     stage.add_style("one/run", "joined")
     assert stage.version == version + 1 and ("one/run", "joined") in stage.styles
     assert ("two/run", "joined") not in stage.styles
-    assert stage.cast("one/run").speeds["joined"] == pytest.approx(0.7)
+    cast = stage.cast("one/run")
+    assert cast.speeds["joined"] == pytest.approx(0.7)
+    assert float(cast.controller.params.speeds[cast.styles.index("joined")]) == pytest.approx(0.7)
     np.testing.assert_array_equal(walked(stage, "neutral"), before)
     assert np.abs(walked(stage, "joined") - before).max() > 1e-4
     assert stages.Controller.step.__globals__["step"]._cache_size() == compiled
@@ -104,6 +106,41 @@ def test_a_full_bank_grows(stage):
     for index, style in enumerate([*styles, styles[0]]):
         rows_of = jax.tree.map(lambda leaf, i=index: leaf[i], grown.params.bank)
         jax.tree.map(np.testing.assert_array_equal, rows_of, style)
+
+
+def test_a_character_lives_on_when_its_bank_grows(stage):
+    cast = stage.cast("two/run")
+    state = cast.controller.start(style="proud")
+    grown = fitted(state, cast.controller.capacity + 3)
+    assert fitted(state, cast.controller.capacity) is state
+    expected = np.zeros(cast.controller.capacity + 3)
+    expected[cast.styles.index("proud")] = 1.0
+    np.testing.assert_array_equal(grown.style, expected)
+
+
+def test_a_run_without_styles_takes_its_first(stage, played_run, tmp_path):
+    learned, path = load_style(stage.cast("one/run").run, "proud"), tmp_path / "bare"
+    shutil.copytree(played_run, path)
+    for style in ("depressed", "neutral", "proud"):
+        shutil.rmtree(path / "styles" / style)
+    bare = Stage([path])
+    actor = Actor(bare)
+    actor.advance(0.0)
+    before = actor.advance(FRAME)
+    assert bare.styles == [("bare", "agnostic")]
+    assert learned is not None
+    save_style(path, "proud", learned, {"speed": 0.7})
+    bare.add_style("bare", "proud")
+    cast = bare.cast("bare")
+    assert cast.styles == ("agnostic", "proud") and cast.controller.capacity == 1 + SPARE
+    assert cast.speeds["proud"] == pytest.approx(0.7) and cast.speeds["agnostic"] > 0.0
+    np.testing.assert_allclose(cast.controller.params.speeds[:2], [cast.speeds["agnostic"], 0.7])
+    after = actor.advance(2 * FRAME)
+    assert np.abs(after.joints - before.joints).max() < 0.05
+    actor.choose("bare", "proud")
+    for frame in range(3, 93):
+        after = actor.advance(frame * FRAME)
+    assert after.style_weights["proud"] == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_style_of_another_kind_cannot_join(stage):
