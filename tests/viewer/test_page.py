@@ -157,7 +157,8 @@ def test_a_camera_that_does_not_turn_along_leads(visitor):
     visitor.page.get_by_text("Camera", exact=True).first.click()
     box = visitor.field("Turn along")
     box.click()
-    visitor.wait(lambda: heading(visitor) != 0.0, "W leads where the camera looks, a little aside")
+    visitor.page.keyboard.down("w")
+    visitor.wait(lambda: turned(heading(visitor), 0.0) > 0.1, "W leads where the camera looks, a little aside")
     before = heading(visitor)
     size = visitor.page.viewport_size
     x, y = 0.5 * size["width"], 0.85 * size["height"]
@@ -166,6 +167,7 @@ def test_a_camera_that_does_not_turn_along_leads(visitor):
     visitor.page.mouse.move(x - 80, y, steps=4)
     visitor.page.mouse.up()
     visitor.wait(lambda: turned(heading(visitor), before) > 0.2, "the heading goes where the camera looks")
+    visitor.page.keyboard.up("w")
     box.click()
     visitor.press("Behind the character")
     home(visitor)
