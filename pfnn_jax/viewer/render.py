@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -125,6 +126,8 @@ def _mp4(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, pr
     except ImportError:
         rule = "MP4 needs imageio-ffmpeg: pip install pfnn-jax[viewer]"
         raise InputError(out, "suffix", ".mp4", rule) from None
+    # Its way to keep Ctrl-C from ffmpeg forks a process in which threads, such as JAX's, may hold locks for ever.
+    os.environ.setdefault("IMAGEIO_FFMPEG_NO_PREVENT_SIGINT", "1")
     film = Film(tracks, fps or MP4_FPS, MP4_DPI)
     start: Any = imageio_ffmpeg.write_frames  # says that rates are whole numbers, and takes any
     with tempfile.TemporaryDirectory() as folder:
