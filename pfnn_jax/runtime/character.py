@@ -34,7 +34,7 @@ class ControllerParams:
         bank: C styles, leaves [C, ...]; rows beyond the named ones are zeros. None where the run has no styles.
         speeds: [C] m/s, the styles' own; 0 where it is not known.
         speed: [] m/s, of a style that tells none.
-        shares: [C] of its own speed to ask of the network, so that it walks at that speed (`standing.find_shares`).
+        shares: [C] of its own speed to ask of the network, so that it walks at that speed (`standing.find_walks`).
         row: [Dx] the row of inputs, in layout units, from which a character sets out.
         phase: [] radians or [G]: at that row.
         rest: [4] metres, height of left heel, left toe, right heel, right toe on the ground.

@@ -39,7 +39,6 @@ from pfnn_jax.runtime.mixture import check_weights, load_bank
 from pfnn_jax.runtime.pose import make_rig
 from pfnn_jax.runtime.predictor import assemble_predictor, evaluate
 from pfnn_jax.runtime.regulation import (
-    REGULATIONS,
     STANDARD,
     ask,
     keep_pace,
@@ -47,7 +46,7 @@ from pfnn_jax.runtime.regulation import (
     turn_state,
     turning,
 )
-from pfnn_jax.runtime.standing import find_shares, resting_heights, start
+from pfnn_jax.runtime.standing import find_walks, resting_heights, start
 from pfnn_jax.runtime.state import (
     ROOT,
     straight_row,
@@ -143,7 +142,7 @@ def make_controller(
     rig = make_rig(run.skeleton, run.path)
     speeds = [told_speed(run, name) or 0.0 for name in names] + [0.0] * spare
     if not names:
-        names, speeds = (AGNOSTIC,), [default_speed(run, None)]
+        names, speeds = (AGNOSTIC,), [0.0]
     speed, layout, normaliser = default_speed(run, None), run.layout, run.normaliser
     row = jnp.asarray(normaliser.inputs.mean, jnp.float32)
     params = ControllerParams(
@@ -156,11 +155,14 @@ def make_controller(
         phase=jnp.float32(0.0) if normaliser.phases is None else jnp.asarray(normaliser.phases.mean, jnp.float32),
         rest=jnp.asarray(resting_heights(layout, normaliser, rig), jnp.float32),
     )
-    regulation = REGULATIONS.get(layout.name, STANDARD) if regulated else None
+    regulation = STANDARD if regulated else None
     setup = ControllerSetup(layout, controller_of(run), rig, FootLockConfig() if foot_ik else None, regulation)
-    if regulation is not None:
-        shares = find_shares(setup, params, jnp.eye(len(names), len(speeds)))
-        params = replace(params, shares=params.shares.at[: len(names)].set(shares))
+    own, shares = find_walks(setup, params, np.asarray(speeds[: len(names)]))
+    params = replace(
+        params,
+        speeds=params.speeds.at[: len(names)].set(own),
+        shares=params.shares.at[: len(names)].set(shares),
+    )
     return Controller(params, setup, names)
 
 

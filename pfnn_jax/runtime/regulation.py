@@ -40,7 +40,6 @@ class Regulation:
         most_turning: radians per second, the most that it is turned.
         most_asked: radians, the most that a network is asked to turn at once.
         stretch: share by which the speed asked of a network may differ from its style's own.
-        stands: whether the network was shown characters that stand. Others are held still where they halt.
     """
 
     slowest: float = 0.3
@@ -52,16 +51,9 @@ class Regulation:
     most_turning: float = 1.0
     most_asked: float = 0.5
     stretch: float = 0.25
-    stands: bool = False
 
 
 STANDARD = Regulation()
-
-REGULATIONS = {
-    "pfnn2017": replace(STANDARD, most_asked=3.2, most_turning=2.0, heading_rate=0.2, stands=True),
-}
-"""Regulation by layout, where it differs from `STANDARD`: the network of Holden 2017 keeps its gait whatever turn it is
-asked for, and walks past slow turns unless it is turned."""
 
 
 @struct.dataclass(kw_only=True)
@@ -92,8 +84,7 @@ def ask(
 
     Networks that are asked for what their style never did may lose its gait. So they are asked for speeds near its
     own, and what is missing is left to the pace; and for turns by as much as the published demos ask for at once, so
-    that a character turns about in an arc. One that shall stand is asked to go on, and is stopped by its pace, unless
-    its network knows how to stand.
+    that a character turns about in an arc. One that shall stand is asked to go on, and is stopped by its pace.
     """
     speed = _length(command.velocity)
     near = jnp.clip(speed, (1.0 - config.stretch) * own, (1.0 + config.stretch) * own) * share
@@ -101,12 +92,6 @@ def ask(
     at_once = jnp.clip(left, -config.most_asked, config.most_asked)
     velocity = turn(command.velocity * (near / jnp.maximum(speed, STILL)), at_once - left)
     moving = speed > STILL
-    if config.stands:
-        return replace(
-            command,
-            velocity=velocity * moving,
-            direction=turn(before.directions[ROOT], jnp.where(moving, at_once, 0.0)),
-        )
     return replace(
         command,
         velocity=jnp.where(moving, velocity, before.target_velocity / constants.command_gain),
@@ -159,9 +144,7 @@ def keep_pace(regulated: Regulated, wanted: jax.Array, contacts: jax.Array, conf
     """
     speed, own = _length(wanted), jnp.maximum(_length(regulated.velocity), 0.05)
     moving = speed > STILL
-    target = jnp.where(moving, jnp.clip(speed / own, config.slowest, config.fastest), float(config.stands))
-    if config.stands:
-        return replace(regulated, pace=mix(regulated.pace, target, config.pace_rate))
+    target = jnp.where(moving, jnp.clip(speed / own, config.slowest, config.fastest), 0.0)
     both = jnp.minimum(jnp.max(contacts[:2]), jnp.max(contacts[2:])) > 0.5
     halted = ~moving & ((both & (regulated.pace < 0.6)) | (regulated.pace < 0.05))
     pace = mix(regulated.pace, target, jnp.where(moving, config.pace_rate, 0.04))

@@ -30,7 +30,10 @@ from pfnn_jax.runtime.regulation import Regulated
 from pfnn_jax.runtime.state import ROOT, CharacterState, initial_state, place_state, standing_state
 
 SHARES = (0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4)
-"""Of a style's own speed, tried by `find_shares`."""
+"""Of a style's own speed, tried by `find_walks`."""
+
+WALKS = {"pfnn2017": 1.5}
+"""Metres per second that a published demo asks of its network for a walk."""
 
 RUN_IN_FRAMES = 90
 """Frames that a character walks unseen before it stands at its start: from a mean pose into its style."""
@@ -46,34 +49,50 @@ def resting_heights(layout: FrameLayout, normaliser: Normaliser, rig: Rig) -> np
     return blocks[0] - blocks[1]
 
 
-@partial(jax.jit, static_argnums=0)
-def find_shares(setup: ControllerSetup, params: ControllerParams, styles: jax.Array) -> jax.Array:
-    """[S] shares of their own speeds to ask of the network for styles [S, C], by trying.
+def find_walks(setup: ControllerSetup, params: ControllerParams, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The speed at which each style walks, and the share of it to ask of the network, by trying.
 
     Networks answer speeds in their own way: some walk slower than they are asked to, and some that were shown walks and
     runs fall from walking into running at what is a walk's speed. Each style is tried at several speeds; taken is the
-    one that leads nearest to its own and, as commands differ by as much, whose neighbours do so too.
+    one that leads nearest to its own and, as commands differ by as much, whose neighbours do so too. The own speed of a
+    style that tells none is what it makes of the published demo's walk, or of the speed of the data.
+
+    Args:
+        setup: of a controller.
+        params: of the same; their bank has C rows, of which the first S are styles.
+        speeds: [S] metres per second that the styles tell, 0 where they tell none.
+
+    Returns:
+        Speeds [S] metres per second, and shares [S].
     """
+    count = len(speeds)
+    unknown = WALKS.get(setup.layout.name, float(params.speed))
+    asked = np.where(speeds[:, None] > 0.0, speeds[:, None] * np.asarray(SHARES), unknown).astype(np.float32)
+    found = np.maximum(np.asarray(settle(setup, params, jnp.eye(count, len(params.speeds)), jnp.asarray(asked))), 0.05)
+    off = np.abs(np.log(found / np.where(speeds > 0.0, speeds, found[:, 0])[:, None]))
+    padded = np.pad(off, ((0, 0), (1, 1)), mode="edge")
+    best = np.argmin(np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), off), axis=1)
+    own = np.where(speeds > 0.0, speeds, found[:, 0])
+    return own, asked[np.arange(count), best] / own
+
+
+@partial(jax.jit, static_argnums=0)
+def settle(setup: ControllerSetup, params: ControllerParams, styles: jax.Array, asked: jax.Array) -> jax.Array:
+    """[S, A] metres per second at which styles [S, C] walk straight on after a while if asked for [S, A]."""
     layout = setup.layout
 
-    def settled(style: jax.Array, share: jax.Array) -> jax.Array:
-        predictor, own = replace(params.predictor, style=mixed_style(params.bank, style)), own_speed(params, style)
-        ahead = jnp.asarray([0.0, 1.0], jnp.float32)
-        command = Command(velocity=share * own * ahead, direction=ahead)
+    def settled(style: jax.Array, speed: jax.Array) -> jax.Array:
+        predictor, ahead = replace(params.predictor, style=mixed_style(params.bank, style)), jnp.asarray([0.0, 1.0])
+        command = Command(velocity=speed * ahead, direction=ahead)
 
         def frame(state: CharacterState, _):
             after, _ = published_step(partial(evaluate, predictor), layout, state, command, setup.config)
             return after, jnp.linalg.norm(after.positions[ROOT] - state.positions[ROOT]) * layout.fps
 
         state = initial_state(layout, params.row, params.phase, jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32))
-        speeds = jax.lax.scan(frame, state, length=2 * RUN_IN_FRAMES)[1]
-        return jnp.abs(jnp.log(jnp.maximum(jnp.mean(speeds[RUN_IN_FRAMES:]), 1e-3) / own))
+        return jnp.mean(jax.lax.scan(frame, state, length=2 * RUN_IN_FRAMES)[1][RUN_IN_FRAMES:])
 
-    shares = jnp.asarray(SHARES, jnp.float32)
-    off = jax.vmap(lambda style: jax.vmap(partial(settled, style))(shares))(styles)
-    padded = jnp.pad(off, ((0, 0), (1, 1)), mode="edge")
-    worst = jnp.maximum(jnp.maximum(padded[:, :-2], padded[:, 2:]), off)
-    return shares[jnp.argmin(worst, axis=1)]
+    return jax.vmap(lambda style, row: jax.vmap(partial(settled, style))(row))(styles, asked)
 
 
 @partial(jax.jit, static_argnums=0)

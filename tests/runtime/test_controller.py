@@ -73,10 +73,10 @@ def test_spare_rows_are_zero_and_styles_have_names(controller):
         controller.style_weights({"calm": 0.5, "wild": 0.6})
 
 
-def test_styles_walk_at_the_speed_that_they_tell_or_at_that_of_the_data(controller):
+def test_styles_walk_at_the_speed_that_they_tell_or_at_that_of_their_network(controller):
     told, untold = (own_speed(controller.params, jnp.eye(3)[index]) for index in (1, 0))
     assert told == pytest.approx(SPEED)
-    assert untold == pytest.approx(SPEED, rel=0.05) and untold != told
+    assert untold == pytest.approx(SPEED, rel=0.2) and untold != told  # the walk that the network was made to repeat
 
 
 def test_without_regulation_it_is_the_published_loop(run):
