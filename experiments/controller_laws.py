@@ -10,9 +10,9 @@ Measure   over the two seconds around the third after the command: speed within 
           it is told to stop, the root moves less than 2 cm/s and the feet less than 1 cm/s. Sliding is the speed of
           feet in contact, before and after feet are held. Pose distance is the mean squared normalised distance of
           joint positions from the run's mean pose, about 1 on its data.
-Expect    on the procedural run of the demo all commands in all 9 styles (69 % with the published loop), on Bandai-Namco-2
-          all with an LPN (14 %) and 96 % with a PFNN (13 %), on 25 of the authors' 100 styles 97 % (39 %); see
-          docs/results.md. Half an hour on 2 cores.
+Expect    on the demo's run all commands in all 9 styles (69 % with the published loop), on Bandai-Namco-2 all with an
+          LPN (14 %) and 96 % with a PFNN (13 %), on 25 of the authors' 100 styles 97 % (39 %); see docs/results.md.
+          Half an hour on 2 cores.
 Run       python -m experiments.controller_laws --runs RUN [RUN ...] --out laws.json
 """
 
