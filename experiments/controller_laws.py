@@ -196,6 +196,10 @@ def _mean(values: np.ndarray) -> float:
     return round(float(np.nanmean(values)), 4)
 
 
+WORST = ("pose distance", "speed of a joint, m/s", "height of a joint, m", "not finite")
+"""What must stay bounded under random commands."""
+
+
 def random_commands(seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Velocities [T, 2], 1 being a style's own speed, and directions [T, 2]: another every one to three seconds, one in
     six of them to stand."""
@@ -227,9 +231,7 @@ def wander(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *
         return (state, jax.tree.map(jnp.maximum, worst, now)), None
 
     begin = start(setup, params, jnp.zeros(2), jnp.zeros(()), style)
-    zero = dict.fromkeys(
-        ("pose distance", "speed of a joint, m/s", "height of a joint, m", "not finite"), jnp.zeros(())
-    )
+    zero: dict[str, Any] = {name: jnp.zeros(()) for name in WORST}
     return jax.lax.scan(frame, (begin, zero), asked)[0][1]
 
 

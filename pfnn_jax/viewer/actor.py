@@ -15,7 +15,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.runtime.controller import Command, ControllerState
-from pfnn_jax.runtime.state import ROOT, joint_root
+from pfnn_jax.runtime.state import ROOT
 from pfnn_jax.viewer.keys import Keys, Wish
 from pfnn_jax.viewer.recording import Recording
 from pfnn_jax.viewer.stage import Cast, Stage, make_command
@@ -226,6 +226,8 @@ class Actor:
         self._facing_yaw, self._root = yaw, np.asarray(root, np.float32)
         self._wanted = 0.0
         self._roots: deque[np.ndarray] = deque(maxlen=SPEED_SPAN + 1)
+        begun = (np.array(self._state.root), np.array(self._state.facing))
+        self._trail: deque[tuple[np.ndarray, np.ndarray]] = deque([begun] * ROOT, maxlen=ROOT)
 
     def _step(self, cast: Cast, clock: float) -> None:
         """One step of the state, by what is held at `clock` seconds."""
@@ -238,8 +240,9 @@ class Actor:
         self._state = jax.block_until_ready(cast.controller.step(self._state, command))
         self._durations.append(time.perf_counter() - started)
         self._frame += 1
-        self._root = np.array(np.asarray(self._state.motion.positions)[joint_root(cast.run.layout)])
+        self._root = np.array(self._state.root)
         self._roots.append(self._root)
+        self._trail.append((self._root, np.array(self._state.facing)))
         if self._recording is not None and self._recorded_run == self._run:
             self._recording.add(np.asarray(self._state.joints)[0], np.asarray(self._state.world_rotations))
 
@@ -270,7 +273,9 @@ class Actor:
     def _view(self, cast: Cast) -> View:
         state, layout = self._state, cast.run.layout
         positions, directions = np.asarray(state.motion.positions), np.asarray(state.motion.directions)
-        root = joint_root(layout)
+        # What the network remembers of its way is turned with it: behind it is drawn where it really was.
+        now = (np.array(state.root), np.array(state.facing))
+        behind = [*list(self._trail)[-1 - STRIDE :: -STRIDE][::-1], now]
         weights = np.asarray(state.style)
         span = len(self._roots) - 1
         speed = float(np.linalg.norm(self._roots[-1] - self._roots[0])) * layout.fps / span if span > 0 else 0.0
@@ -280,13 +285,13 @@ class Actor:
             frame=self._frame,
             joints=np.array(state.joints),
             world_rotations=np.array(state.world_rotations),
-            root=positions[root].copy(),
-            facing=directions[root].copy(),
+            root=now[0],
+            facing=now[1],
             heading=self._heading,
-            past_positions=positions[: ROOT + 1 : STRIDE].copy(),
-            past_directions=directions[: ROOT + 1 : STRIDE].copy(),
-            future_positions=positions[ROOT::STRIDE].copy(),
-            future_directions=directions[ROOT::STRIDE].copy(),
+            past_positions=np.stack([position for position, _ in behind]),
+            past_directions=np.stack([direction for _, direction in behind]),
+            future_positions=np.concatenate([now[0][None], positions[ROOT + STRIDE :: STRIDE]]),
+            future_directions=np.concatenate([now[1][None], directions[ROOT + STRIDE :: STRIDE]]),
             contacts=np.array(state.contacts),
             dials=phase_dials(layout, np.asarray(state.motion.phase), cast.phase_scale),
             speed=speed,
