@@ -120,7 +120,7 @@ def test_the_result_is_json_with_machine_versions_and_figures(result):
     again = json.loads(json.dumps(result))
     assert again["machine"] == machine() and again["machine"]["processor"]
     assert again["versions"] == versions()
-    assert len({row["section"] for row in again["figures"]}) == 11
+    assert len({row["section"] for row in again["figures"]}) == 12
     for row in again["figures"]:
         assert row["value"] > 0 and row["low"] <= row["value"] <= row["high"] and row["repetitions"] >= 1
 

@@ -53,7 +53,7 @@ def second_run(played_run, tmp_path_factory) -> Path:
     return path
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def served(played_run, second_run) -> Iterator[Any]:
     """The page of the small run and of a second one, on a free port."""
     pytest.importorskip("viser", reason="viser is not installed")
@@ -66,9 +66,9 @@ def served(played_run, second_run) -> Iterator[Any]:
         yield page
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Chromium without a window; skips where there is none."""
+    """Chromium without a window, closed with its module: it draws as long as it lives. Skips where there is none."""
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
@@ -143,7 +143,7 @@ class Visitor:
         self.page.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def visitor(browser, served) -> Iterator[Visitor]:
     """One tab that most tests share: loading it takes longest."""
     person = Visitor(browser, served.url)
@@ -151,7 +151,7 @@ def visitor(browser, served) -> Iterator[Visitor]:
     person.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def another_visitor(browser, served) -> Callable[[], Visitor]:
     """Opens one more tab."""
     return lambda: Visitor(browser, served.url)
