@@ -30,6 +30,9 @@ SYSTEMS: dict[str, tuple[str, AdapterKind]] = {
 
 STYLES = ("neutral", "proud")
 
+STRIDE, STEPS = 120, 5
+"""Frames after which a character is in its stride, and steps in one repetition."""
+
 
 def crowd_figures(hidden: int, num_characters: tuple[int, ...], repetitions: int) -> list[Figure]:
     """Characters per second of controller steps, for crowds of several sizes, each in a mixture of two styles.
@@ -53,7 +56,9 @@ def crowd_figures(hidden: int, num_characters: tuple[int, ...], repetitions: int
             works = {name: partial(*_crowd(controller, number)) for name, controller in controllers.items()}
             seconds = interleave(works, repetitions)
             section = f"crowd, {system}"
-            figures += [figure(section, f"{number} {name}", number / value, "1/s") for name, value in seconds.items()]
+            figures += [
+                figure(section, f"{number} {name}", STEPS * number / value, "1/s") for name, value in seconds.items()
+            ]
     return figures
 
 
@@ -66,17 +71,22 @@ def _run(folder: Path, layout: str, adapter: AdapterConfig, hidden: int) -> Run:
 
 
 def _crowd(controller: Controller, number: int) -> tuple:
-    """The step of a crowd in the midst of a walk, and its arguments: all parameters are shared, nothing else is."""
+    """Some steps of a crowd in the midst of a walk, and their arguments: all parameters are shared, nothing else is.
 
-    def crowd_step(params, states: ControllerState, commands: Command) -> ControllerState:
-        return jax.vmap(partial(step, controller.setup, params))(states, commands)
+    Several, as a character's own time decides which of them evaluate its network.
+    """
 
-    positions = jnp.stack([jnp.arange(number, dtype=jnp.float32), jnp.zeros(number)], -1)
-    states = jax.vmap(controller.start)(positions, jnp.zeros(number))
-    ahead = jnp.tile(jnp.asarray([[0.0, 1.0]]), (number, 1))
-    style = jnp.asarray(controller.style_weights(dict.fromkeys(STYLES, 0.5)))
-    commands = Command(velocity=ahead, direction=ahead, style=jnp.tile(style[None], (number, 1)))
-    compiled = jax.jit(crowd_step)
-    for _ in range(3):  # into the walk, where the style is a mixture already
-        states = compiled(controller.params, states, commands)
+    def crowd_steps(params, states: ControllerState, commands: Command) -> ControllerState:
+        one = jax.vmap(partial(step, controller.setup, params))
+        return jax.lax.scan(lambda states, _: (one(states, commands), None), states, length=STEPS)[0]
+
+    ahead, style = jnp.asarray([0.0, 1.0]), controller.style_weights(dict.fromkeys(STYLES, 0.5))
+    command = Command(velocity=ahead, direction=ahead, style=jnp.asarray(style))
+    alone = controller.start()
+    for _ in range(STRIDE):  # from standing into the walk
+        alone = controller.step(alone, command)
+    states, commands = (
+        jax.tree.map(lambda leaf: jnp.tile(leaf[None], (number, *(1,) * leaf.ndim)), one) for one in (alone, command)
+    )
+    compiled = jax.jit(crowd_steps)
     return compiled, controller.params, states, commands
