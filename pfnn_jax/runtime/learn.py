@@ -70,10 +70,7 @@ def learn_style(
     _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
     adapter, found = learn_rows(run, parts, config, progress)
     info = {
-        "source": clip_file.path.name,
-        "frames": len(parts[0].x),
-        "mirrored": mirror,
-        "speed": usual_speed(run.layout, parts[0].y),
+        **_about_clip(run, clip_file, parts, mirror),
         "config": asdict(config),
         **found,
         "seconds": time.perf_counter() - started,
@@ -178,16 +175,23 @@ def tune_style(
     data = style_data({clip_file.style: parts}, run.layout, run.normaliser, run.skeleton.parents)
     tuned = tune_generator(run.shared, sizes, parameters, data, config, style=clip_file.style)
     info = {
-        "source": clip_file.path.name,
-        "frames": len(parts[0].x),
-        "mirrored": mirror,
-        "speed": usual_speed(run.layout, parts[0].y),
+        **_about_clip(run, clip_file, parts, mirror),
         "config": asdict(config),
         "loss": float(tuned.losses[-1]),
         "seconds": time.perf_counter() - started,
     }
     save_style(run.path, clip_file.style, tuned.film, info, overwrite)
     return info
+
+
+def _about_clip(run: Run, clip_file: ClipFile, parts: list[Features], mirror: bool) -> dict[str, Any]:
+    """What a style's `style.json` tells of its clip, whichever way it was learned."""
+    return {
+        "source": clip_file.path.name,
+        "frames": len(parts[0].x),
+        "mirrored": mirror,
+        "speed": usual_speed(run.layout, parts[0].y),
+    }
 
 
 def clip_parts(labelled: LabelledClip, run: Run, mirror: bool) -> list[Features]:

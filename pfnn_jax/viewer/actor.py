@@ -15,11 +15,12 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.runtime.controller import Command, ControllerState
-from pfnn_jax.runtime.state import ROOT
+from pfnn_jax.runtime.mixture import SUM
+from pfnn_jax.runtime.state import ROOT, STRIDE
 from pfnn_jax.viewer.keys import Keys, Wish
 from pfnn_jax.viewer.recording import Recording
 from pfnn_jax.viewer.stage import Cast, Stage, make_command
-from pfnn_jax.viewer.view import STRIDE, View, phase_dials
+from pfnn_jax.viewer.view import View, phase_dials
 
 CATCH_UP = 6
 """Steps made up for at once; of a longer pause, as of a busy machine, the rest is forgotten."""
@@ -35,9 +36,6 @@ FASTEST = 6.0
 
 SPEED_SPAN = 15
 """Steps over which the shown speed is measured."""
-
-SUM = 1e-3
-"""How far from one the sum of mixing weights may lie."""
 
 
 class Actor:

@@ -10,9 +10,6 @@ import numpy as np
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
 
-STRIDE = 10
-"""Frames between the points of the drawn trajectory, as networks see it."""
-
 END_NAMES = ("left hand", "right hand", "left toe", "right toe")
 """The end effectors of local phases, in the order of their numbers."""
 
