@@ -3,9 +3,9 @@
 A quaternion turns vectors by `v' = q v q*`; a product `a b` applies b first. Right-handed axes, Y up.
 
 NumPy in and out, in float64. The functions that a character needs while it runs (`quat_multiply`, `quat_conjugate`,
-`quat_rotate`, `quat_normalise`, `quat_from_axis_angle`, `quat_between`) also take arrays of another library that names
-its functions as NumPy does (`__array_namespace__`): they answer in that library and in its precision, and their
-gradients are finite everywhere.
+`quat_rotate`, `quat_normalise`, `quat_exp`, `quat_between` and the `quat_from_` of axis and angle, matrix, yaw, forward
+and up) also take arrays of another library that names its functions as NumPy does (`__array_namespace__`): they answer
+in that library and in its precision, and their gradients are finite everywhere.
 """
 
 from __future__ import annotations
@@ -130,25 +130,25 @@ def quat_to_matrix(q: ArrayLike) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def quat_from_matrix(m: ArrayLike) -> np.ndarray:
+def quat_from_matrix(m: ArrayLike) -> Any:
     """Unit quaternions [..., 4] with w ≥ 0 of rotation matrices m [..., 3, 3]."""
-    m = np.asarray(m, dtype=float)
+    xp, m = _floats(m)
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
     # row r is 4 q_r q: the longest row is the one free of cancellation
-    rows = np.stack(
+    rows = xp.stack(
         [
-            np.stack((1 + xx + yy + zz, wx, wy, wz), axis=-1),
-            np.stack((wx, 1 + xx - yy - zz, xy, xz), axis=-1),
-            np.stack((wy, xy, 1 - xx + yy - zz, yz), axis=-1),
-            np.stack((wz, xz, yz, 1 - xx - yy + zz), axis=-1),
+            xp.stack((1 + xx + yy + zz, wx, wy, wz), axis=-1),
+            xp.stack((wx, 1 + xx - yy - zz, xy, xz), axis=-1),
+            xp.stack((wy, xy, 1 - xx + yy - zz, yz), axis=-1),
+            xp.stack((wz, xz, yz, 1 - xx - yy + zz), axis=-1),
         ],
         axis=-2,
     )
-    best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
-    q = quat_normalise(np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :])
-    return np.where(q[..., :1] < 0, -q, q)
+    best = xp.argmax(xp.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
+    q = quat_normalise(xp.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :])
+    return xp.where(q[..., :1] < 0, -q, q)
 
 
 def quat_log(q: ArrayLike) -> np.ndarray:
@@ -164,11 +164,14 @@ def quat_log(q: ArrayLike) -> np.ndarray:
     return q[..., 1:] * scale
 
 
-def quat_exp(v: ArrayLike) -> np.ndarray:
+def quat_exp(v: ArrayLike) -> Any:
     """Unit quaternions [..., 4] of half-angle vectors v [..., 3]; the inverse of `quat_log`."""
-    v = np.asarray(v, dtype=float)
-    half = np.linalg.norm(v, axis=-1, keepdims=True)
-    return np.concatenate((np.cos(half), v * np.sinc(half / np.pi)), axis=-1)
+    xp, v = _floats(v)
+    squared = xp.sum(v * v, axis=-1, keepdims=True)
+    found = squared > SMALL**2
+    half = xp.sqrt(xp.where(found, squared, 1.0))
+    w, scale = xp.where(found, xp.cos(half), 1.0), xp.where(found, xp.sin(half) / half, 1.0)
+    return xp.concatenate((w, v * scale), axis=-1)
 
 
 def quat_slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> np.ndarray:
@@ -201,23 +204,23 @@ def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
     return quat_normalise(xp.where(opposite, half_turn, q))
 
 
-def quat_from_yaw(yaw: ArrayLike) -> np.ndarray:
+def quat_from_yaw(yaw: ArrayLike) -> Any:
     """Rotation [..., 4] by yaw [...] radians about +Y; takes +Z to (sin yaw, 0, cos yaw)."""
-    half = np.asarray(yaw, dtype=float) / 2
-    zero = np.zeros_like(half)
-    return np.stack((np.cos(half), zero, np.sin(half), zero), axis=-1)
+    xp, angle = _floats(yaw)
+    half = angle / 2
+    zero = xp.zeros_like(half)
+    return xp.stack((xp.cos(half), zero, xp.sin(half), zero), axis=-1)
 
 
-def quat_from_forward_up(forward: ArrayLike, up: ArrayLike) -> np.ndarray:
+def quat_from_forward_up(forward: ArrayLike, up: ArrayLike) -> Any:
     """Rotation [..., 4] whose local +Z is `forward` [..., 3] and whose local +Y is `up` [..., 3] made orthogonal.
 
     Both need not be unit or orthogonal, as a network's outputs are not; `forward` keeps its direction.
     """
-    z = np.asarray(forward, dtype=float)
-    z = z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), SMALL)
-    x = np.cross(np.asarray(up, dtype=float), z)
-    x = x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), SMALL)
-    return quat_from_matrix(np.stack((x, np.cross(z, x), z), axis=-1))
+    xp, along, upward = _floats(forward, up)
+    z = _direction(along, xp)
+    x = _direction(xp.cross(upward, z), xp)
+    return quat_from_matrix(xp.stack((x, xp.cross(z, x), z), axis=-1))
 
 
 def forward_kinematics(

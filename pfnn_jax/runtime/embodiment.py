@@ -8,9 +8,9 @@ import numpy as np
 
 from pfnn_jax.motion.contacts import MAX_HEIGHT, MAX_SPEED
 from pfnn_jax.motion.frame_layout import FrameLayout
-from pfnn_jax.motion.kinematics import quat_multiply
+from pfnn_jax.motion.kinematics import quat_exp, quat_from_forward_up, quat_from_yaw, quat_multiply
 from pfnn_jax.runtime.blocks import read_block
-from pfnn_jax.runtime.ground import orthonormal, to_world
+from pfnn_jax.runtime.ground import root_yaw
 from pfnn_jax.runtime.pose import Rig
 from pfnn_jax.runtime.state import CharacterState
 
@@ -18,36 +18,15 @@ from pfnn_jax.runtime.state import CharacterState
 def predicted_rotations(layout: FrameLayout, y: jax.Array, facing: jax.Array) -> jax.Array:
     """Rotations [J, 4] in the world that y [Dy] gives the joints, seen from a root facing [2]."""
     if layout.has_output("joint_rotation"):
-        half = read_block(layout, y, "joint_rotation", 3)
-        squared = jnp.sum(half * half, axis=-1, keepdims=True)
-        angle = jnp.sqrt(jnp.maximum(squared, 1e-12))
-        local = jnp.concatenate([jnp.cos(angle), half * (jnp.sin(angle) / angle)], -1)
-        return turn_rotations(local, jnp.arctan2(facing[0], facing[1]))
-    forward, up = orthonormal(*(read_block(layout, y, name, 3) for name in ("joint_forward", "joint_up")))
-    return rotations_from_axes(to_world(forward, facing), to_world(up, facing))
+        local = quat_exp(read_block(layout, y, "joint_rotation", 3))
+    else:
+        local = quat_from_forward_up(*(read_block(layout, y, name, 3) for name in ("joint_forward", "joint_up")))
+    return turn_rotations(local, root_yaw(facing))
 
 
 def turn_rotations(rotations: jax.Array, angle: jax.Array) -> jax.Array:
     """Rotations [J, 4] in the world, turned by an angle [] radians about +Y."""
-    zero = jnp.zeros_like(angle)
-    return quat_multiply(jnp.stack([jnp.cos(angle / 2), zero, jnp.sin(angle / 2), zero])[None], rotations)
-
-
-def rotations_from_axes(forward: jax.Array, up: jax.Array) -> jax.Array:
-    """Rotations [J, 4] whose local +Z is `forward` and whose local +Y is `up`, both [J, 3], of length 1 and across."""
-    x, y, z = jnp.cross(up, forward), up, forward
-    trace = x[:, 0] + y[:, 1] + z[:, 2]
-    # Each column is a quaternion times one of its own components; the one of the largest is exact to rounding.
-    columns = [
-        [1.0 + trace, y[:, 2] - z[:, 1], z[:, 0] - x[:, 2], x[:, 1] - y[:, 0]],
-        [y[:, 2] - z[:, 1], 1.0 + 2.0 * x[:, 0] - trace, y[:, 0] + x[:, 1], z[:, 0] + x[:, 2]],
-        [z[:, 0] - x[:, 2], y[:, 0] + x[:, 1], 1.0 + 2.0 * y[:, 1] - trace, z[:, 1] + y[:, 2]],
-        [x[:, 1] - y[:, 0], z[:, 0] + x[:, 2], z[:, 1] + y[:, 2], 1.0 + 2.0 * z[:, 2] - trace],
-    ]
-    table = jnp.stack([jnp.stack(column, -1) for column in columns], -2)
-    best = jnp.argmax(jnp.diagonal(table, axis1=-2, axis2=-1), -1)
-    found = jnp.take_along_axis(table, best[:, None, None], axis=-2)[:, 0]
-    return found * jax.lax.rsqrt(jnp.sum(found * found, axis=-1, keepdims=True))
+    return quat_multiply(quat_from_yaw(angle)[None], rotations)
 
 
 def mix_rotations(old: jax.Array, new: jax.Array, share: jax.Array) -> jax.Array:

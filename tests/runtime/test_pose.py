@@ -140,6 +140,10 @@ def test_quaternions_of_both_libraries_agree():
         (quat_normalise, (3 * q,)),
         (quat_from_axis_angle, (v, w[:, 0])),
         (quat_between, (v, w)),
+        (kinematics.quat_exp, (v,)),
+        (kinematics.quat_from_yaw, (w[:, 0],)),
+        (kinematics.quat_from_forward_up, (v, w)),
+        (kinematics.quat_from_matrix, (kinematics.quat_to_matrix(q),)),
     ):
         expected = function(*arguments)
         found = function(*(jnp.asarray(a, jnp.float32) for a in arguments))
@@ -157,6 +161,9 @@ def test_slopes_of_quaternions_are_finite_where_they_have_no_direction():
             (lambda v: quat_between(v, x), zero),
             (lambda v: quat_between(v, x), -x),
             (lambda v: quat_between(v, x), x),
+            (kinematics.quat_exp, zero),
+            (lambda v: kinematics.quat_from_forward_up(v, x), zero),
+            (lambda v: kinematics.quat_from_forward_up(v, x), x),
         ):
             assert np.isfinite(function(at)).all()
             assert np.isfinite(jax.jacobian(function)(at)).all()
