@@ -157,13 +157,16 @@ def make_controller(
     )
     regulation = STANDARD if regulated else None
     setup = ControllerSetup(layout, controller_of(run), rig, FootLockConfig() if foot_ik else None, regulation)
-    own, shares = find_walks(setup, params, np.asarray(speeds[: len(names)]))
-    params = replace(
-        params,
-        speeds=params.speeds.at[: len(names)].set(own),
-        shares=params.shares.at[: len(names)].set(shares),
-    )
-    return Controller(params, setup, names)
+    return with_walks(Controller(params, setup, names), names)
+
+
+def with_walks(controller: Controller, styles: Sequence[str]) -> Controller:
+    """The controller with the walks of some of its styles found out anew, from the speeds that they tell."""
+    rows, params = [controller.styles.index(name) for name in styles], controller.params
+    speeds, shares = np.array(params.speeds), np.array(params.shares)
+    speeds[rows], shares[rows] = find_walks(controller.setup, params, rows)
+    params = replace(params, speeds=jnp.asarray(speeds), shares=jnp.asarray(shares))
+    return replace(controller, params=params)
 
 
 @partial(jax.jit, static_argnums=0)

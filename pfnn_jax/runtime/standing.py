@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
@@ -49,7 +51,7 @@ def resting_heights(layout: FrameLayout, normaliser: Normaliser, rig: Rig) -> np
     return blocks[0] - blocks[1]
 
 
-def find_walks(setup: ControllerSetup, params: ControllerParams, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def find_walks(setup: ControllerSetup, params: ControllerParams, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """The speed at which each style walks, and the share of it to ask of the network, by trying.
 
     Networks answer speeds in their own way: some walk slower than they are asked to, and some that were shown walks and
@@ -59,25 +61,28 @@ def find_walks(setup: ControllerSetup, params: ControllerParams, speeds: np.ndar
 
     Args:
         setup: of a controller.
-        params: of the same; their bank has C rows, of which the first S are styles.
-        speeds: [S] metres per second that the styles tell, 0 where they tell none.
+        params: of the same; their bank has C rows.
+        rows: S of them, the styles to try; `params.speeds` is what they tell.
 
     Returns:
         Speeds [S] metres per second, and shares [S].
     """
-    count = len(speeds)
+    chosen, count = np.asarray(rows), len(rows)
+    told = np.asarray(params.speeds)[chosen]
     unknown = WALKS.get(setup.layout.name, float(params.speed))
-    asked = np.where(speeds[:, None] > 0.0, speeds[:, None] * np.asarray(SHARES), unknown).astype(np.float32)
-    found = np.maximum(np.asarray(settle(setup, params, jnp.eye(count, len(params.speeds)), jnp.asarray(asked))), 0.05)
-    off = np.abs(np.log(found / np.where(speeds > 0.0, speeds, found[:, 0])[:, None]))
+    shares = np.asarray(SHARES if np.any(told > 0.0) else (1.0,))
+    asked = np.where(told[:, None] > 0.0, told[:, None] * shares, unknown).astype(np.float32)
+    found = np.asarray(settle(setup, params, np.eye(len(params.speeds), dtype=np.float32)[chosen], asked))
+    found = np.maximum(found, 0.05)
+    own = np.where(told > 0.0, told, found[:, 0])
+    off = np.abs(np.log(found / own[:, None]))
     padded = np.pad(off, ((0, 0), (1, 1)), mode="edge")
     best = np.argmin(np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), off), axis=1)
-    own = np.where(speeds > 0.0, speeds, found[:, 0])
     return own, asked[np.arange(count), best] / own
 
 
 @partial(jax.jit, static_argnums=0)
-def settle(setup: ControllerSetup, params: ControllerParams, styles: jax.Array, asked: jax.Array) -> jax.Array:
+def settle(setup: ControllerSetup, params: ControllerParams, styles: ArrayLike, asked: ArrayLike) -> jax.Array:
     """[S, A] metres per second at which styles [S, C] walk straight on after a while if asked for [S, A]."""
     layout = setup.layout
 

@@ -22,7 +22,7 @@ from pfnn_jax.runtime.learn import learn_style, rehearse
 from pfnn_jax.training.few_shot import FILM, FewShotConfig
 from pfnn_jax.training.run import Run, list_styles
 from pfnn_jax.viewer import background
-from pfnn_jax.viewer.stage import Stage
+from pfnn_jax.viewer.stage import Stage, rehearse_walks
 
 MOST_BYTES = 10_000_000
 """Size of the largest file taken."""
@@ -64,9 +64,10 @@ def prepare_learning(stage: Stage, run: str) -> None:
     """
     with _learning:
         pass
-    loaded = stage.cast(run).run
+    cast = stage.cast(run)
     with stage.preparation(run):
-        background.do(partial(rehearse, loaded, page_config(loaded)), niceness=NICENESS)
+        background.do(partial(rehearse, cast.run, page_config(cast.run)), niceness=NICENESS)
+        background.do(partial(rehearse_walks, cast.controller), niceness=NICENESS)
 
 
 def give_up(stage: Stage, wait: float = 0.5) -> None:

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.runtime.controller import Command, Controller, make_controller
+from pfnn_jax.runtime.controller import Command, Controller, make_controller, with_walks
 from pfnn_jax.runtime.generate import default_speed
 from pfnn_jax.training.run import Run, list_styles, load_run, load_style
 from pfnn_jax.viewer.view import phase_scale
@@ -125,6 +125,11 @@ class Stage:
             self._version += 1
 
 
+def rehearse_walks(controller: Controller) -> None:
+    """Tries one style as one that is learned will be, so that everything is compiled for that."""
+    with_walks(controller, controller.styles[:1])
+
+
 def try_out(controller: Controller) -> None:
     """A start and a step, for which everything is compiled that a character needs."""
     command = make_command(1.0, 0.0, 0.0, controller.style_weights(controller.styles[0]))
@@ -174,7 +179,8 @@ def joined(run: Run, controller: Controller, style: str, parameters: object, *, 
         return _bound(make_controller(run, styles, capacity=more, foot_ik=foot_ik))
     bank = jax.tree.map(lambda rows, row: _with_row(rows, index, row), bank, parameters)
     speeds = _with_row(controller.params.speeds, index, default_speed(run, style))
-    return _bound(replace(controller, params=replace(controller.params, bank=bank, speeds=speeds), styles=styles))
+    params = replace(controller.params, bank=bank, speeds=speeds)
+    return _bound(with_walks(_bound(replace(controller, params=params, styles=styles)), [style]))
 
 
 def _with_bank(controller: Controller, parameters: object) -> Controller:

@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.training.run import load_style, save_style
-from pfnn_jax.viewer import stage as stages
+from pfnn_jax.runtime.controller import make_controller, step
+from pfnn_jax.runtime.standing import settle
+from pfnn_jax.training.run import load_run, load_style, save_style
 from pfnn_jax.viewer.actor import Actor, fitted
-from pfnn_jax.viewer.stage import SPARE, Stage, joined
+from pfnn_jax.viewer.stage import SPARE, Stage, joined, rehearse_walks
 
 FRAME = 1.0 / 60.0
+SHARE = 1e-5
+"""Relative: both are float32 quotients of the same numbers."""
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +76,8 @@ def test_a_character_of_another_run_stands_where_the_last_one_was(stage):
 
 def test_a_style_joins_and_disturbs_no_other(stage, two_runs):
     version, before = stage.version, walked(stage, "neutral")
-    compiled = stages.Controller.step.__globals__["step"]._cache_size()
+    rehearse_walks(stage.cast("one/run").controller)
+    compiled = step._cache_size(), settle._cache_size()
     learned = load_style(stage.cast("one/run").run, "proud")
     assert learned is not None
     save_style(two_runs[0], "joined", learned, {"speed": 0.7})
@@ -85,7 +89,10 @@ def test_a_style_joins_and_disturbs_no_other(stage, two_runs):
     assert float(cast.controller.params.speeds[cast.styles.index("joined")]) == pytest.approx(0.7)
     np.testing.assert_array_equal(walked(stage, "neutral"), before)
     assert np.abs(walked(stage, "joined") - before).max() > 1e-4
-    assert stages.Controller.step.__globals__["step"]._cache_size() == compiled
+    assert (step._cache_size(), settle._cache_size()) == compiled
+    fresh = make_controller(load_run(two_runs[0]), ["joined"]).params
+    index = cast.styles.index("joined")
+    assert float(cast.controller.params.shares[index]) == pytest.approx(float(fresh.shares[0]), rel=SHARE)
 
 
 def test_a_full_bank_grows(stage):
