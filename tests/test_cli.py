@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +16,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.cli import main
-from pfnn_jax.cli.main import COMMANDS
+from pfnn_jax.cli.command_line import COMMANDS, Predict
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.synthetic import STYLES, synthesise, synthetic_clips
@@ -308,3 +313,27 @@ def test_settings_that_break_a_rule_are_one_line(refused, folder):
 def test_training_that_turns_non_finite_is_one_line(refused, folder, tmp_path):
     line = refused("pretrain", folder / "data", "--out", tmp_path / "run", *SMALL, "--learning-rate", "1e30")
     assert "step" in line and "style" in line
+
+
+def test_an_interrupt_ends_a_command_with_one_line(monkeypatch, capsys):
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Predict, "run", interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        run("predict", "run", "x.npz", "--out", "y.npz")
+    assert stopped.value.code == 130
+    assert capsys.readouterr().err == "pfnn-jax: interrupted\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems have no such signals")
+def test_an_interrupt_while_libraries_are_loaded_ends_without_a_word():
+    program = "from pfnn_jax.cli import main; print('begun', flush=True); main(['render', '--help'])"
+    with subprocess.Popen([sys.executable, "-c", program], stdout=-1, stderr=-1, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.2)  # it is in `main` by then, and for a second or more among its imports
+        process.send_signal(signal.SIGINT)
+        rest = process.communicate(timeout=60.0)
+    assert process.returncode in (-signal.SIGINT, 130)
+    assert rest in (("", ""), ("", "pfnn-jax: interrupted\n"))

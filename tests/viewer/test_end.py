@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 AT_ONCE = 3.0  # seconds
-PROGRAM = "from pfnn_jax.cli.main import main; main()"
+PROGRAM = "from pfnn_jax.cli import main; main()"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="other systems have no such signals")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pfnn_jax.cli.main import main
+from pfnn_jax.cli import main
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import resample

@@ -55,7 +55,7 @@ def parse(args: Sequence[str] | None) -> Any:
         raise InputError("command line", "settings", str(error).removesuffix("."), "see --help") from error
 
 
-def main(args: Sequence[str] | None = None) -> None:
+def run(args: Sequence[str] | None) -> None:
     """Runs a command line; bad input ends with one line on standard error and exit code 2."""
     try:
         command = parse(args)
