@@ -15,12 +15,10 @@ from matplotlib.figure import Figure
 
 from pfnn_jax.motion.files import write_whole
 from pfnn_jax.viewer.body import Capsule, capsule_ends
+from pfnn_jax.viewer.palette import GRID as GRID
+from pfnn_jax.viewer.palette import INK as INK
+from pfnn_jax.viewer.palette import MUTED, PANEL, PHASE, SIDES
 from pfnn_jax.viewer.tracks import Track, foot_bars, phase_lines
-
-INK, MUTED, GRID, PANEL = "#1f2733", "#6b7685", "#dfe4ea", "#f3f5f8"
-SIDES = {"left": "#2f6fde", "right": "#e0662f", "middle": "#8a94a3"}
-"""Colours of the body: left limbs blue, right limbs orange, trunk grey."""
-PHASE = "#2f9e77"
 
 LIGHT = np.array([-0.5, 0.85])  # on the page: from above left
 SMALLER = np.linspace(0.0, 0.72, 9)  # of nested outlines: how much smaller each is

@@ -15,9 +15,6 @@ from matplotlib.path import Path
 
 from pfnn_jax.viewer.camera import Camera
 from pfnn_jax.viewer.drawing import (
-    INK,
-    MUTED,
-    PANEL,
     all_ends,
     blank_figure,
     body_shapes,
@@ -27,6 +24,7 @@ from pfnn_jax.viewer.drawing import (
     strip_height,
     tones,
 )
+from pfnn_jax.viewer.palette import GROUND, INK, MUTED, PANEL, SHADE, SHADOW
 from pfnn_jax.viewer.scene import make_scene
 from pfnn_jax.viewer.tracks import Track
 
@@ -34,9 +32,8 @@ PER_ROW = 4
 PANES = {1: (6.4, 4.2), 2: (4.4, 4.2), 3: (3.6, 3.8), 4: (3.0, 3.5)}  # inches, by how many stand beside each other
 EDGE, APART, CAPTION, NAMES, SECONDS, ABOVE_STRIP = 0.12, 0.16, 0.28, 0.75, 0.2, 0.08  # inches
 WINDOW = 10.0  # seconds of a time line; of longer clips it shows the part around now
-GRID, REACH = "#c3cbd6", 7  # colour of the ground's lines, and how many of them lie to every side
+REACH = 7  # how many of the ground's lines lie to every side
 TRAIL, TRAIL_STEP = 20.0, 0.1  # seconds of the path drawn before and after now, and between its points
-SHADOW = to_rgba("#141e32", 0.16)
 PALE = 0.62  # share of the background in a clip that has ended
 
 
@@ -118,7 +115,7 @@ class _Pane:
         self.grid = LineCollection([], linewidths=0.8)
         self.past = LineCollection([], linewidths=1.6, colors=[to_rgba(INK, 0.55)])
         self.future = LineCollection([], linewidths=1.6, colors=[to_rgba(INK, 0.18)])
-        self.shadow = PathPatch(Path(np.zeros((0, 2))), facecolor=SHADOW, linewidth=0)
+        self.shadow = PathPatch(Path(np.zeros((0, 2))), facecolor=to_rgba(SHADOW, SHADE), linewidth=0)
         self.body = PolyCollection([], edgecolors="none")
         self.artists = [self.grid, self.past, self.future, self.shadow, self.body]
         for artist in self.artists:
@@ -139,7 +136,7 @@ class _Pane:
         camera = Camera(focus, scene.heading, scene.tall, *self.size)
         self._draw_ground(camera)
         self._draw_trail(camera, before)
-        self._draw_body(camera, points, over=time > self.track.seconds + 0.5 / scene.fps)
+        self._draw_body(camera, points, over=time > self.track.over)
         self.clock.set_text(f"{min(time, self.track.seconds):.1f} s")
         for artist in self.artists:
             artist.draw(renderer)
@@ -156,7 +153,7 @@ class _Pane:
         lines = (np.stack([starts[near], ends[near]], axis=1) + centre) * step
         xy, size, _ = camera.project(np.stack([lines[..., 0], np.zeros(lines.shape[:-1]), lines[..., 1]], axis=-1))
         seen = np.isfinite(size).all(axis=1)
-        colours = [to_rgba(GRID, alpha) for alpha in (1 - away[near] / REACH)[seen].tolist()]
+        colours = [to_rgba(GROUND, alpha) for alpha in (1 - away[near] / REACH)[seen].tolist()]
         self.grid.set_segments(list(xy[seen]))
         self.grid.set_color(colours)
 

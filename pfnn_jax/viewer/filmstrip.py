@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
-from pfnn_jax.motion.clip import MotionClip, cut
-from pfnn_jax.viewer.drawing import GRID, INK, MUTED, SIDES, blank_figure, draw_body, draw_strip, strip_height
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.viewer.drawing import blank_figure, draw_body, draw_strip, strip_height
+from pfnn_jax.viewer.palette import GRID, INK, MUTED, SIDES
 from pfnn_jax.viewer.scene import Scene, make_scene
-from pfnn_jax.viewer.tracks import Track
+from pfnn_jax.viewer.tracks import Track, cut_frames
 
 TURN = np.deg2rad(62)  # from a body's front to its right, where the viewer stands
 BODY, MAP, NAMES = 1.75, 1.9, 0.85  # inches: height of the bodies, width of the map, names of a time line's rows
@@ -48,10 +49,13 @@ def filmstrip(
 
     Raises:
         ValueError: without clips, or fewer than one moment.
+        InputError: if the span does not lie in every clip, or a clip cannot be shown.
     """
     if not clips or moments < 1:
         raise ValueError(f"A filmstrip needs a clip and a moment, got {len(clips)} and {moments}.")
-    tracks = [_spanned(clip if isinstance(clip, Track) else Track("", clip), span) for clip in clips]
+    tracks = [clip if isinstance(clip, Track) else Track("", clip) for clip in clips]
+    if span is not None:
+        tracks = [cut_frames(track, span[0], span[1] + 1) for track in tracks]
     longest = max(track.seconds for track in tracks)
     times = np.linspace(0, longest, moments) if longest > 0 else np.zeros(1)
     rows = [_row(track, times) for track in tracks]
@@ -71,14 +75,6 @@ def filmstrip(
         _draw_row(figure, row, times, top, left, wide, with_map)
         top -= _height(row.track)
     return figure
-
-
-def _spanned(track: Track, span: tuple[int, int] | None) -> Track:
-    if span is None:
-        return track
-    part = slice(span[0], span[1] + 1)
-    phase, contacts = (None if values is None else values[part] for values in (track.phase, track.contacts))
-    return replace(track, clip=cut(track.clip, span[0], span[1] + 1), phase=phase, contacts=contacts)
 
 
 def _row(track: Track, times: np.ndarray) -> _Row:

@@ -33,7 +33,11 @@ class Shown:
 
     @property
     def html(self) -> str:
-        """A page of its own, to be written to a file."""
+        """A page of its own, to be written to a file.
+
+        Raises:
+            InputError: for clips too long for a page.
+        """
         return player_page(self.tracks, title=", ".join(track.name for track in self.tracks))
 
     def _repr_html_(self) -> str:
@@ -75,7 +79,8 @@ def show(
 
     Raises:
         ValueError: without clips; if names, phases or contacts are not one for each clip, or not its shape.
-        InputError: for clips too long for a page.
+        InputError: for clips without frames or with numbers that are not finite. Clips too long for a page are refused
+            where the page is made: by `.html`, and as the cell's result.
     """
     if not clips:
         raise ValueError("show needs at least one clip.")

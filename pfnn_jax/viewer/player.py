@@ -1,6 +1,6 @@
 """Motion that plays inside a web page: one file, no server, nothing loaded from elsewhere.
 
-The page gets quantised joint positions and a small script (`player.js`) that draws bodies of capsules on a ground grid,
+The page gets quantised joint positions and a small script (`SCRIPTS`) that draws bodies of capsules on a ground grid,
 several clips side by side and in step, with their foot contacts and phases on a time line below.
 """
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.viewer.body import Capsule
+from pfnn_jax.viewer.palette import BRIGHT, DARK, css_variables
 from pfnn_jax.viewer.scene import make_scene
 from pfnn_jax.viewer.tracks import Track, foot_bars, phase_lines
 
@@ -24,10 +25,11 @@ MILLIMETRE = 0.001  # finest step of a position; wider scenes than ±32 m get a 
 INT16 = 32767
 RATES = ("0.25", "0.5", "1", "2")
 FPS = 30.0
+SCRIPTS = ("player_scene.js", "player_strip.js", "player.js")  # what a later one uses stands in an earlier one
 MOST = 32_000_000  # characters of a page; browsers and notebooks become slow beyond
 
 
-def player_html(tracks: Sequence[Track], *, fps: float = FPS, start: float = 0.0, assets: bool = True) -> str:
+def player_html(tracks: Sequence[Track], *, fps: float = FPS, assets: bool = True) -> str:
     """A piece of HTML that plays clips side by side, in step.
 
     A second of one clip of 28 points takes about 7 kB at 30 frames per second.
@@ -35,7 +37,6 @@ def player_html(tracks: Sequence[Track], *, fps: float = FPS, start: float = 0.0
     Args:
         tracks: clips to show; shorter ones hold their last frame.
         fps: frames per second kept, as near as whole steps of the clip's rate allow; the page interpolates.
-        start: second at which it stands before it plays.
         assets: include style and script. They are needed once in a page: `player_assets`.
 
     Returns:
@@ -49,8 +50,9 @@ def player_html(tracks: Sequence[Track], *, fps: float = FPS, start: float = 0.0
         raise ValueError("A player needs at least one track.")
     if not fps > 0:
         raise ValueError(f"fps must be positive, got {fps}.")
-    data = {"start": start, "tracks": [_track_data(track, fps) for track in tracks]}
-    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # a name may not end the script
+    data = {"tracks": [_track_data(track, fps) for track in tracks]}
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    text = text.replace("<", "\\u003c")  # no name may end the script
     _require_small(tracks, len(text))
     panes = "".join(_pane(number, track) for number, track in enumerate(tracks))
     options = "".join(f'<option value="{r}"{" selected" if r == "1" else ""}>{r}×</option>' for r in RATES)
@@ -88,8 +90,14 @@ def player_assets() -> str:
     """Style and script of the player, once for a page."""
     folder = files("pfnn_jax.viewer")
     style = folder.joinpath("player.css").read_text(encoding="utf-8")
-    script = folder.joinpath("player.js").read_text(encoding="utf-8")
-    return f"<style>{style}</style><script>{script}</script>"
+    script = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
+    # a function of its own: its names are not the page's
+    return f'<style>{_colours()}{style}</style><script>(() => {{\n"use strict";\n{script}}})();</script>'
+
+
+def _colours() -> str:
+    dark = f"@media (prefers-color-scheme: dark) {{ .motion-player {{ {css_variables(DARK)} }} }}"
+    return f".motion-player {{ {css_variables(BRIGHT)} }}\n{dark}\n"
 
 
 def _pane(number: int, track: Track) -> str:
@@ -116,7 +124,7 @@ def _track_data(track: Track, fps: float) -> dict[str, Any]:
     points, focus = scene.points[frames][:, used], scene.focus[frames]
     unit = max(MILLIMETRE, float(np.abs(points).max()) / INT16, float(np.abs(focus).max()) / INT16)
     return {
-        "name": track.name,
+        "over": round(track.over, 4),
         "fps": scene.fps / step,
         "count": len(used),
         "unit": unit,

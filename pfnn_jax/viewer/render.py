@@ -15,9 +15,10 @@ from PIL import Image
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.files import write_whole
-from pfnn_jax.viewer.drawing import PANEL, png_bytes
+from pfnn_jax.viewer.drawing import png_bytes
 from pfnn_jax.viewer.film import Film
 from pfnn_jax.viewer.filmstrip import filmstrip
+from pfnn_jax.viewer.palette import PANEL
 from pfnn_jax.viewer.player import FPS, player_page
 from pfnn_jax.viewer.tracks import Track
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.clip import MotionClip, cut
 from pfnn_jax.motion.contacts import foot_contacts
 from pfnn_jax.motion.end_effectors import END_EFFECTORS
 from pfnn_jax.motion.footsteps import NoGaitError
@@ -28,13 +29,14 @@ class Track:
     Attributes:
         name: caption.
         clip: the motion, T frames, Y up.
-        phase: [T] radians, NaN where there is none; or local phases [T, B, 2] as vectors (sin, cos) of any length, the
-            longer the surer; or None.
+        phase: [T] radians; or local phases [T, B, 2] as vectors (sin, cos) of any length, the longer the surer; NaN
+            where there is none; or None.
         contacts: [T, 4] bool: left heel, left toe, right heel, right toe; or [T, 2]: left and right foot; or None.
         note: small print beside the name, as why there is no phase.
 
     Raises:
         ValueError: for a phase or contacts of another shape.
+        InputError: for a clip without frames, or with positions, rotations or a rate that are not finite.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Track:
     note: str = ""
 
     def __post_init__(self) -> None:
+        require_motion(self.clip, self.name)
         frames = self.clip.num_frames
         for name, values in (("phase", self.phase), ("contacts", self.contacts)):
             if values is not None and len(values) != frames:
@@ -57,6 +60,11 @@ class Track:
     def seconds(self) -> float:
         """From the first frame to the last."""
         return (self.clip.num_frames - 1) / self.clip.fps
+
+    @property
+    def over(self) -> float:
+        """Second after which the clip has ended and waits for longer ones: half a frame behind its last."""
+        return (self.clip.num_frames - 0.5) / self.clip.fps
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +82,27 @@ class PhaseLine:
     weight: np.ndarray
 
 
+def require_motion(clip: MotionClip, name: str = "clip") -> None:
+    """Refuse what no picture can show.
+
+    Args:
+        clip: the motion.
+        name: what a message calls it where it comes from no file.
+
+    Raises:
+        InputError: for a clip without frames, or with positions, rotations or a rate that are not finite.
+    """
+    place = clip.source or name
+    if not (math.isfinite(clip.fps) and clip.fps > 0):
+        raise InputError(place, "frame rate", clip.fps, "frames per second must be positive and finite")
+    if clip.num_frames < 1:
+        raise InputError(place, "frames", 0, "a clip that is shown has at least one")
+    for part, values in (("root positions", clip.root_positions), ("rotations", clip.rotations)):
+        bad = np.flatnonzero(~np.isfinite(values).reshape(clip.num_frames, -1).all(axis=1))
+        if len(bad):
+            raise InputError(place, f"frame {bad[0]}", f"{part} not finite", "what is shown is finite")
+
+
 def label_track(clip: MotionClip, name: str, phase_file: Path | None = None) -> Track:
     """A clip with its contacts and its phase, as far as they can be told; its note says what cannot and why.
 
@@ -83,8 +112,9 @@ def label_track(clip: MotionClip, name: str, phase_file: Path | None = None) -> 
         phase_file: labels that lie beside the clip's file; without it the steps are found from the motion.
 
     Raises:
-        InputError: if the file of labels is bad.
+        InputError: if the file of labels is bad, or the clip is not to be shown.
     """
+    require_motion(clip, name)
     roles = clip.skeleton.roles
     contacts, notes = None, []
     if roles is None:
@@ -112,38 +142,46 @@ def cut_track(track: Track, start: float, seconds: float | None) -> Track:
     """The part of a track from second `start` on; phase and contacts stay those of the whole clip.
 
     Raises:
-        InputError: if nothing of the clip lies there.
+        InputError: if nothing of the clip lies there, or the seconds are not finite.
     """
     clip = track.clip
-    first = round(start * clip.fps)
-    stop = clip.num_frames if seconds is None else min(clip.num_frames, first + round(seconds * clip.fps) + 1)
-    if not (start >= 0 and (seconds is None or seconds > 0) and first < stop):
+    known = math.isfinite(start) and (seconds is None or math.isfinite(seconds))
+    if not (known and 0 <= start < track.over and (seconds is None or seconds > 0)):
         shown = f"from {start:g}" if seconds is None else f"{seconds:g} from {start:g}"
         rule = f"what is shown lies in the clip's {track.seconds:.1f} seconds"
         raise InputError(clip.source or track.name, "start and seconds", shown, rule)
-    part = slice(first, stop)
-    clip = MotionClip(
-        clip.skeleton, clip.fps, clip.root_positions[part], clip.rotations[part], clip.style, clip.content,
-        clip.mirrored, clip.source,
-    )  # fmt: skip
-    phase, contacts = (None if values is None else values[part] for values in (track.phase, track.contacts))
-    return Track(track.name, clip, phase, contacts, track.note)
+    first = min(round(start * clip.fps), clip.num_frames - 1)
+    length = track.seconds if seconds is None else min(seconds, track.seconds)
+    return cut_frames(track, first, min(clip.num_frames, first + round(length * clip.fps) + 1))
+
+
+def cut_frames(track: Track, start: int, stop: int) -> Track:
+    """Frames start to stop (exclusive) of a track; phase and contacts stay those of the whole clip.
+
+    Raises:
+        InputError: unless 0 <= start < stop <= number of frames.
+    """
+    clip = cut(track.clip, start, stop)
+    phase, contacts = (None if values is None else values[start:stop] for values in (track.phase, track.contacts))
+    return replace(track, clip=clip, phase=phase, contacts=contacts)
 
 
 def phase_lines(track: Track) -> list[PhaseLine]:
     """The phases of a track, one line each; none without a phase."""
     if track.phase is None:
         return []
-    if track.phase.ndim == 1:
-        return [PhaseLine("phase", track.phase % (2 * np.pi), np.isfinite(track.phase).astype(float))]
-    names = END_EFFECTORS if track.phase.shape[1] == len(END_EFFECTORS) else [f"{b + 1}" for b in range(99)]
-    length = np.linalg.norm(track.phase, axis=-1)
-    longest = max(float(np.nanpercentile(length, 95)), 1e-9)
-    angle = np.arctan2(track.phase[..., 0], track.phase[..., 1]) % (2 * np.pi)
-    return [
-        PhaseLine(names[bone], angle[:, bone], np.clip(length[:, bone] / longest, 0.0, 1.0))
-        for bone in range(track.phase.shape[1])
-    ]
+    finite = np.isfinite(track.phase)
+    phase = np.where(finite, track.phase, 0.0)
+    if phase.ndim == 1:
+        return [PhaseLine("phase", np.where(finite, phase % (2 * np.pi), np.nan), finite.astype(float))]
+    known = finite.all(axis=-1)  # [T, B]
+    length = np.where(known, np.linalg.norm(phase, axis=-1), 0.0)
+    longest = max(float(np.percentile(length[known], 95)), 1e-9) if known.any() else 1.0
+    angle = np.where(known, np.arctan2(phase[..., 0], phase[..., 1]) % (2 * np.pi), np.nan)
+    weight = np.clip(length / longest, 0.0, 1.0)
+    bones = phase.shape[1]
+    names = END_EFFECTORS if bones == len(END_EFFECTORS) else [str(bone + 1) for bone in range(bones)]
+    return [PhaseLine(names[bone], angle[:, bone], weight[:, bone]) for bone in range(bones)]
 
 
 def foot_bars(track: Track) -> list[tuple[str, np.ndarray]]:
@@ -162,9 +200,16 @@ def runs(on: np.ndarray) -> np.ndarray:
 
 
 def as_tracks(clips: Sequence[MotionClip], names: Sequence[str] | None = None) -> list[Track]:
-    """Upright clips with their labels, named by their style and content where no names are given."""
+    """Upright clips with their labels, named by their style and content where no names are given.
+
+    Raises:
+        ValueError: if names are not one for each clip.
+        InputError: for a clip that cannot be shown, see `require_motion`.
+    """
     if names is not None and len(names) != len(clips):
         raise ValueError(f"There are {len(clips)} clips and {len(names)} names.")
+    for number, clip in enumerate(clips):
+        require_motion(clip, caption(clip, number))
     captions = list(names) if names is not None else [caption(clip, number) for number, clip in enumerate(clips)]
     return [label_track(upright(clip), name) for clip, name in zip(clips, captions, strict=True)]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import html
 import json
 import re
 from html.parser import HTMLParser
@@ -50,6 +51,11 @@ def payload(page: str) -> dict:
     found = re.search(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     return json.loads(found[1])
+
+
+def captions(page: str) -> list[str]:
+    """What stands above the clips of a page."""
+    return [html.unescape(name) for name in re.findall(r"<figcaption>([^<]*)<", page)]
 
 
 def decoded(track: dict, of: str = "points") -> np.ndarray:

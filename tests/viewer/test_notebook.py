@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 import pfnn_jax
+from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, resample
 from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.viewer import player
 from pfnn_jax.viewer.notebook import show
-from tests.viewer.pages import check_page, make_track, payload
+from tests.viewer.pages import captions, check_page, make_track, payload
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
 browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
@@ -36,7 +38,7 @@ def test_a_show_is_a_sandboxed_frame_that_holds_its_page():
     check_page(text)  # one element, nothing loaded
     frame = re.fullmatch(r'<iframe srcdoc="([^"]*)" sandbox="allow-scripts" .*></iframe>', text, re.DOTALL)
     assert frame is not None and html.unescape(frame[1]) == shown.html
-    assert [track["name"] for track in payload(shown.html)["tracks"]] == ["zombie walk", "neutral walk"]
+    assert captions(shown.html) == ["zombie walk", "neutral walk"]
     assert repr(shown) == "Shown(zombie walk, neutral walk; 3.0 s)"
 
 
@@ -47,7 +49,7 @@ def test_what_is_given_wins_over_what_is_found():
         clip, clip, names=["a", "b"], phase=[None, given], contacts=[np.zeros((clip.num_frames, 2), bool), None]
     )
     first, second = payload(shown.html)["tracks"]
-    assert (first["name"], second["name"]) == ("a", "b")
+    assert captions(shown.html) == ["a", "b"]
     assert first["contacts"] == [[], []] and second["contacts"][0]
     assert set(second["phases"][0]["angle"]) == {1.25} and len(set(first["phases"][0]["angle"])) > 9
 
@@ -59,6 +61,14 @@ def test_show_refuses_what_does_not_fit():
         show(walk(), phase=[None, None])
     with pytest.raises(ValueError, match="has 3 frames, its clip 180"):
         show(walk(), contacts=[np.zeros((3, 4), bool)])
+
+
+def test_clips_too_long_are_refused_where_their_page_is_made(monkeypatch):
+    monkeypatch.setattr(player, "MOST", 1000)
+    shown = show(walk())
+    for make in (lambda: shown.html, shown._repr_html_):
+        with pytest.raises(InputError, match="a page holds 0 MB"):
+            make()
 
 
 def test_more_rows_need_more_height():

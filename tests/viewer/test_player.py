@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -14,10 +15,11 @@ from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.synthetic import synthesise, synthetic_skeleton
 from pfnn_jax.viewer import player
 from pfnn_jax.viewer.body import Z_TO_Y, body_capsules, body_points, capsule_ends, upright
+from pfnn_jax.viewer.palette import SIDES
 from pfnn_jax.viewer.player import player_html, player_page
 from pfnn_jax.viewer.scene import make_scene
 from pfnn_jax.viewer.tracks import Track, as_tracks, cut_track, foot_bars, label_track, phase_lines
-from tests.viewer.pages import check_page, decoded, make_track, payload
+from tests.viewer.pages import captions, check_page, decoded, make_track, payload
 
 QUANTUM = 0.00051  # metres: half a millimetre of rounding
 KILOBYTE = 1000
@@ -70,7 +72,7 @@ def test_players_are_balanced_and_names_cannot_break_out():
     page = player_page([make_track(name), make_track("plain", extras=False)], title=name)
     check_page(page.removeprefix("<!doctype html>"))
     assert name not in page
-    assert [track["name"] for track in payload(page)["tracks"]] == [name, "plain"]
+    assert captions(page) == [name, "plain"]
     assert page.count('class="scene"') == 2 and page.count('class="strip"') == 1
 
 
@@ -84,6 +86,37 @@ def test_players_refuse_nothing_and_mismatched_lengths():
         Track("x", track.clip, phase=np.zeros((120, 3)))
     with pytest.raises(ValueError, match=r"contacts of track 'x' are \[120, 3\]"):
         Track("x", track.clip, contacts=np.zeros((120, 3), bool))
+
+
+def test_the_script_is_one_function_and_the_colours_are_those_of_pictures():
+    assets = player.player_assets()
+    found = re.fullmatch(r"<style>(.*)</style><script>(.*)</script>", assets, re.DOTALL)
+    assert found is not None
+    style, script = found.groups()
+    assert script.startswith("(() => {") and script.endswith("})();")
+    assert [script.count(f"class {name} {{") for name in ("Scene", "Strip", "Player")] == [1, 1, 1]
+    bright, dark = re.findall(r"\.motion-player { (--player-[^}]*) }", style)
+    for side, colour in SIDES.items():
+        assert f"--player-{side}: {colour};" in bright and f"--player-{side}: #" in dark
+    used = set(re.findall(r"var\((--player-\w+)\)", style))
+    assert used <= set(re.findall(r"(--player-\w+):", bright)) == set(re.findall(r"(--player-\w+):", dark))
+
+
+def test_what_cannot_be_shown_is_refused_by_name():
+    clip = dataclasses.replace(make_track().clip, source="a.bvh")
+    empty = dataclasses.replace(clip, root_positions=clip.root_positions[:0], rotations=clip.rotations[:0])
+    away, turned = clip.root_positions.copy(), clip.rotations.copy()
+    away[7, 1], turned[9, 3] = np.inf, np.nan
+    bad = {
+        "frames: 0; a clip that is shown has at least one": empty,
+        "frame 7: root positions not finite": dataclasses.replace(clip, root_positions=away),
+        "frame 9: rotations not finite": dataclasses.replace(clip, rotations=turned),
+        "frame rate: nan; frames per second must be positive": dataclasses.replace(clip, fps=np.nan),
+    }
+    for message, shown in bad.items():
+        for make in (lambda c: Track("x", c), lambda c: label_track(c, "x"), lambda c: as_tracks([c])):
+            with pytest.raises(InputError, match=f"^a.bvh: {message}"):
+                make(shown)
 
 
 def test_labels_are_those_of_the_motion():
@@ -121,13 +154,46 @@ def test_local_phases_become_four_lines_as_strong_as_their_vectors():
     assert data["phases"][1]["weight"][30] == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("bones", [0, 4, 100])
+def test_frames_without_local_phases_are_gaps(bones):
+    vectors = np.ones((120, bones, 2))
+    vectors[30:60] = np.nan
+    vectors[60, :, 1] = np.inf
+    track = Track("x", make_track().clip, phase=vectors)
+    text = player_html([track], fps=60.0, assets=False)
+    lines = payload(text)["tracks"][0]["phases"]
+    assert len({line["name"] for line in lines}) == len(lines) == bones and "NaN" not in text
+    for line in lines:
+        assert [value is None for value in line["angle"]] == [30 <= t <= 60 for t in range(120)]
+        assert line["weight"] is None  # all of it or none
+    nowhere = Track("x", track.clip, phase=np.full((120, bones, 2), np.nan))
+    assert all(line.weight.max() == 0.0 and np.isnan(line.angle).all() for line in phase_lines(nowhere))
+
+
+def test_a_phase_that_is_not_finite_is_none():
+    track = make_track()
+    (line,) = phase_lines(Track("x", track.clip, phase=np.where(np.arange(120) < 9, np.inf, 1.0)))
+    assert np.isnan(line.angle[:9]).all() and (line.angle[9:] == 1.0).all() and line.weight.sum() == 111
+
+
 def test_a_part_keeps_the_labels_of_the_whole():
     track = make_track()
     part = cut_track(track, 0.5, 1.0)
     assert part.clip.num_frames == 61 and part.seconds == 1.0
     assert track.phase is not None and part.phase is not None
     np.testing.assert_array_equal(part.phase, track.phase[30:91])
-    for start, seconds in ((2.5, None), (-1.0, 1.0), (0.0, 0.0)):
+    assert cut_track(track, 1.5, 1e300).clip.num_frames == 30
+    bad = (
+        (2.5, None),
+        (-1.0, 1.0),
+        (0.0, 0.0),
+        (np.nan, 1.0),
+        (np.inf, None),
+        (0.0, np.nan),
+        (0.0, np.inf),
+        (1e307, 1),
+    )
+    for start, seconds in bad:
         with pytest.raises(InputError, match="start and seconds: .*; what is shown lies in the clip's 2.0 seconds"):
             cut_track(track, start, seconds)
 

@@ -21,10 +21,11 @@ from pfnn_jax.viewer.camera import Camera
 from pfnn_jax.viewer.drawing import body_shapes, outlines
 from pfnn_jax.viewer.film import Film
 from pfnn_jax.viewer.filmstrip import filmstrip
+from pfnn_jax.viewer.player import player_html
 from pfnn_jax.viewer.render import render
 from pfnn_jax.viewer.scene import make_scene
 from pfnn_jax.viewer.tracks import Track, label_track
-from tests.viewer.pages import check_page, make_track, payload
+from tests.viewer.pages import captions, check_page, make_track, payload
 
 EXACT = 1e-9
 FPS = 10.0  # of the films made here: few frames
@@ -85,6 +86,16 @@ def test_films_are_in_step_and_as_long_as_their_longest_clip(short):
     left = [frame[:, : film.width // 2].astype(int) for frame in frames]
     assert np.abs(left[3] - left[2]).max() > 100 and np.abs(left[-1][:200] - left[-2][:200]).max() < 100
     np.testing.assert_array_equal(film.frame_at(0.3), frames[3])  # a frame depends on its second alone
+
+
+def test_a_clip_that_has_ended_turns_pale_when_it_does_in_players(short):
+    long = make_track(frames=60, extras=False)
+    over = payload(player_html([short, long], fps=15.0))["tracks"][0]["over"]
+    assert over == pytest.approx(39.5 / 60, abs=1e-4)
+    film = Film([Track("", short.clip), long], FPS, 60)
+    before, after = (film.frame_at(over + late)[:, : film.width // 2].astype(int) for late in (-0.002, 0.002))
+    grey = (np.ptp(before, axis=-1).max(), np.ptp(after, axis=-1).max())
+    assert grey[0] > 1.5 * grey[1]  # blue and orange fade
 
 
 def test_long_films_move_their_time_line(short):
@@ -192,8 +203,9 @@ def test_the_command_labels_draws_and_tells(tmp_path: Path, capsys):
     out = tmp_path / "both.html"
     command = ["render", str(tmp_path / "a.bvh"), str(tmp_path / "b.bvh"), "--out", str(out), "--names", "one", "two"]
     main([*command, "--start", "0.5", "--seconds", "2", "--fps", "20"])
-    first, second = payload(out.read_text(encoding="utf-8"))["tracks"]
-    assert (first["name"], second["name"], first["fps"]) == ("one", "two", 20.0)
+    page = out.read_text(encoding="utf-8")
+    first, _ = payload(page)["tracks"]
+    assert captions(page) == ["one", "two"] and first["fps"] == 20.0
     shown = np.array([np.nan if value is None else value for value in first["phases"][0]["angle"]])
     want = np.where(labels.labelled, labels.phase, np.nan)[30:151:3]
     np.testing.assert_allclose(shown, want, atol=0.0051)  # two decimals
@@ -204,6 +216,8 @@ def test_the_command_labels_draws_and_tells(tmp_path: Path, capsys):
     ("args", "message"),
     [
         (["--start", "9"], "a.bvh: start and seconds: from 9; what is shown lies in the clip's 0.7 seconds"),
+        (["--start", "nan"], "a.bvh: start and seconds: from nan; what is shown lies in the clip's 0.7 seconds"),
+        (["--seconds", "inf"], "a.bvh: start and seconds: inf from 0; what is shown lies in the clip's 0.7 seconds"),
         (["--names", "x", "y"], "names: 2 for 1 clips; one a clip"),
     ],
 )

@@ -1,0 +1,96 @@
+// Contacts and phases over time: a bar while a foot stands, a line rising from 0 to 2π with every cycle.
+
+const WINDOW = 10; // seconds of a time line; of longer clips it shows the part around now
+const GUTTER = 62; // pixels for the names of its rows
+const FOOT_ROW = 11, PHASE_ROW = 30, BONE_ROW = 17, ROW_GAP = 3;
+
+class Strip {
+  constructor(canvas, track, duration) {
+    Object.assign(this, { canvas, track, duration, context: canvas.getContext("2d") });
+    const line = track.phases.length > 1 ? BONE_ROW : PHASE_ROW;
+    this.heights = [...track.contacts.map(() => FOOT_ROW), ...track.phases.map(() => line)];
+    canvas.style.height = `${this.heights.reduce((sum, height) => sum + height + ROW_GAP, 0) + 14}px`;
+  }
+
+  // First second shown, so that now is in the middle unless an end of the clip is near.
+  from(time) {
+    return Math.max(0, Math.min(time - WINDOW / 2, this.duration - WINDOW));
+  }
+
+  span() {
+    return Math.min(this.duration, WINDOW);
+  }
+
+  timeAt(x, time) {
+    const share = (x - GUTTER) / (this.canvas.clientWidth - GUTTER);
+    return Math.max(0, Math.min(this.duration, this.from(time) + share * this.span()));
+  }
+
+  draw(time, colours) {
+    const ratio = window.devicePixelRatio || 1, { canvas, context, track } = this;
+    canvas.width = Math.round(canvas.clientWidth * ratio);
+    canvas.height = Math.round(canvas.clientHeight * ratio);
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const width = canvas.clientWidth - GUTTER, from = this.from(time), span = this.span();
+    this.x = (second) => GUTTER + ((second - from) / span) * width;
+    context.font = "11px system-ui, sans-serif";
+    context.textBaseline = "middle";
+    const names = [...track.contacts.map((_, i) => (i ? "right foot" : "left foot")), ...track.phases.map((p) => p.name)];
+    let top = 0;
+    this.heights.forEach((height, row) => {
+      context.globalAlpha = 1;
+      context.fillStyle = colours.muted;
+      context.fillText(names[row], 0, top + height / 2);
+      const foot = row < track.contacts.length;
+      context.fillStyle = colours.panel;
+      context.fillRect(GUTTER, top, width, height);
+      context.save();
+      context.beginPath();
+      context.rect(GUTTER, top, width, height);
+      context.clip();
+      if (foot) this.bars(track.contacts[row], top, height, colours.tones[row ? "right" : "left"][1]);
+      else this.line(track.phases[row - track.contacts.length], top, height, from, span, colours);
+      context.restore();
+      top += height + ROW_GAP;
+    });
+    this.seconds(top, from, span, colours);
+    context.fillStyle = colours.ink;
+    context.fillRect(this.x(Math.min(time, this.duration)) - 0.75, 0, 1.5, top - ROW_GAP);
+  }
+
+  bars(runs, top, height, colour) {
+    const { context, track } = this;
+    context.fillStyle = colour;
+    for (const [first, past] of runs) {
+      const left = this.x(first / track.fps);
+      context.fillRect(left, top, this.x(past / track.fps) - left, height);
+    }
+  }
+
+  line(phase, top, height, from, span, colours) {
+    const { context, track } = this, { angle, weight } = phase;
+    const first = Math.max(0, Math.floor(from * track.fps)), last = Math.min(angle.length - 2, Math.ceil((from + span) * track.fps));
+    const y = (value) => top + height - 1.5 - (value / TAU) * (height - 3);
+    context.strokeStyle = colours.phase;
+    context.lineWidth = 1.6;
+    for (let t = first; t <= last; t++) {
+      if (angle[t] === null || angle[t + 1] === null || Math.abs(angle[t + 1] - angle[t]) > TAU / 2) continue;
+      context.globalAlpha = weight ? weight[t] : 1;
+      context.beginPath();
+      context.moveTo(this.x(t / track.fps), y(angle[t]));
+      context.lineTo(this.x((t + 1) / track.fps), y(angle[t + 1]));
+      context.stroke();
+    }
+  }
+
+  seconds(top, from, span, colours) {
+    const { context } = this, every = span > 5 ? 2 : span > 2 ? 1 : span > 1 ? 0.5 : 0.2;
+    context.globalAlpha = 1;
+    context.fillStyle = colours.muted;
+    for (let k = Math.ceil(from / every - 1e-9); k * every <= from + span + 1e-9; k++) {
+      const text = `${Number((k * every).toFixed(1))} s`, half = context.measureText(text).width / 2;
+      const x = Math.max(GUTTER + half, this.x(k * every));
+      if (x + half <= this.canvas.clientWidth) context.fillText(text, x - half, top + 6);
+    }
+  }
+}
