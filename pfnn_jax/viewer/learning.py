@@ -7,7 +7,9 @@ is left as it was.
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -22,7 +24,7 @@ from pfnn_jax.runtime.learn import learn_style, rehearse
 from pfnn_jax.training.few_shot import FILM, FewShotConfig
 from pfnn_jax.training.run import Run, list_styles
 from pfnn_jax.viewer import background
-from pfnn_jax.viewer.stage import Stage, rehearse_walks
+from pfnn_jax.viewer.stage import Cast, Stage, rehearse_walks
 
 MOST_BYTES = 10_000_000
 """Size of the largest file taken."""
@@ -105,7 +107,8 @@ def learn_upload(
 
     Raises:
         InputError: for an unknown run; for a file that is too large, no text, no BVH, of too many joints or frames, too
-            short or long, without steps where the run needs them, or of another skeleton. Then nothing has changed.
+            short or long, without steps where the run needs them, or of another skeleton; for a run's folder that
+            cannot be written to. Then nothing has changed.
         GivenUp: if the page ends meanwhile.
     """
     name = style_name(filename)
@@ -121,10 +124,12 @@ def learn_upload(
         progress(share, what)
 
     try:
-        with _kept_upload(loaded.path, name, data) as clip, stage.preparation(run):
-            style, work = clip.style, partial(_learn, loaded, clip, told)
-            background.do(work, niceness=NICENESS)
-        background.do(partial(stage.add_style, run, style))
+        with _naming_files(loaded.path), _kept_upload(stage.cast(run), name, data) as clip:
+            style = clip.style
+            with stage.preparation(run):
+                background.do(partial(_learn, loaded, clip, told), niceness=NICENESS)
+            with _saved_style(loaded.path, clip):
+                background.do(partial(stage.add_style, run, style))
     except InputError as error:
         if stage.ended.is_set():  # its clip has been taken away
             raise GivenUp from error
@@ -185,13 +190,27 @@ def _learn(run: Run, clip: ClipFile, progress: Progress) -> None:
 
 
 @contextmanager
-def _kept_upload(run: Path, name: str, data: bytes) -> Iterator[ClipFile]:
+def _naming_files(run: Path) -> Iterator[None]:
+    """Turns the system's errors, as of a run that may not be written to, into ones that a page can tell."""
+    try:
+        yield
+    except OSError as error:
+        file = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else run
+        shown = Path(run.name) / file.relative_to(run) if file.is_relative_to(run) else file
+        rule = "a run that learns must be readable and writable, and its uploads a folder"
+        raise InputError(shown, "file", (error.strerror or type(error).__name__).lower(), rule) from error
+
+
+@contextmanager
+def _kept_upload(cast: Cast, name: str, data: bytes) -> Iterator[ClipFile]:
     """The clip in RUN/uploads/ under a name that is free there and among the styles; removed if the block fails."""
+    run = cast.run.path
     folder = run / "uploads"
     new = not folder.exists()
     if folder.resolve() != run.resolve() / "uploads":
         raise InputError(folder, "folder", "leads elsewhere", "must be a folder of the run itself")
-    taken = {style.lower() for style in list_styles(run)}
+    # What is played need not be on disk: of a run without styles, the network as it is.
+    taken = {style.lower() for style in (*list_styles(run), *cast.styles)}
     taken |= set() if new else {path.stem.lower() for path in folder.iterdir()}
     free = next(free for free in _numbered(name) if free.lower() not in taken)
     path = folder / f"{free}.bvh"
@@ -207,10 +226,28 @@ def _kept_upload(run: Path, name: str, data: bytes) -> Iterator[ClipFile]:
         _unfinished.discard(path)
 
 
+@contextmanager
+def _saved_style(run: Path, clip: ClipFile) -> Iterator[None]:
+    """A block in which a style that has been learned is taken on stage: it is removed again if that fails.
+
+    If the page ends in the midst of it, style and clip stay: the next one has them.
+    """
+    _unfinished.discard(clip.path)
+    try:
+        yield
+    except BaseException:
+        folder = run / "styles" / clip.style
+        aside = folder.with_name(f".{clip.style}.removed")  # a style half removed would still be listed
+        with suppress(OSError):
+            folder.rename(aside)
+            shutil.rmtree(aside)
+        raise
+
+
 def _remove(upload: Path) -> None:
-    """An upload, and its folder if nothing else is in it."""
-    upload.unlink(missing_ok=True)
+    """An upload, and its folder if nothing else is in it; where neither can be removed, neither was written."""
     with suppress(OSError):
+        upload.unlink(missing_ok=True)
         upload.parent.rmdir()
 
 

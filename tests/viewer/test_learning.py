@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -11,15 +13,19 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.sources import ClipFile, check_style_name
 from pfnn_jax.runtime import turning
 from pfnn_jax.runtime.learn import learn_style
 from pfnn_jax.training.few_shot import FewShotConfig
-from pfnn_jax.training.run import load_run, load_style
+from pfnn_jax.training.run import list_styles, load_run, load_style
 from pfnn_jax.viewer import learning
 from pfnn_jax.viewer.actor import Actor
 from pfnn_jax.viewer.learning import (
+    LONGEST,
     MOST_BYTES,
+    MOST_FRAMES,
+    MOST_JOINTS,
     GivenUp,
     check_upload,
     give_up,
@@ -85,21 +91,56 @@ def test_an_upload_becomes_a_style_as_few_shot_learns_it(stage, run_path, zombie
 
 
 BAD = {
-    "nothing": b"",
-    "no text": b"HIERARCHY\0ROOT",
-    "a pickle": b"\x80\x04\x95cposix\nsystem\n(S'true'\ntR.",
-    "no motion": b"HIERARCHY\nROOT Hips\n{\n",
-    "too large": b" " * (MOST_BYTES + 1),
-    "too many joints": b"HIERARCHY\n" + b"JOINT a\n{\n" * 300,
-    "too many frames": b"HIERARCHY\nMOTION\nFrames: 999999\nFrame Time: 0.0166\n",
-    "too long": b"HIERARCHY\nMOTION\nFrames: 6000\nFrame Time: 0.0166\n",
+    "nothing": (b"", "must be the text of a BVH file"),
+    "no text": (b"HIERARCHY\0ROOT", "must be the text of a BVH file"),
+    "a pickle": (b"\x80\x04\x95cposix\nsystem\n(S'true'\ntR.", "bad.bvh: line 1"),
+    "no motion": (b"HIERARCHY\nROOT Hips\n{\n", "bad.bvh: "),
 }
 
 
-@pytest.mark.parametrize("data", BAD.values(), ids=BAD)
-def test_a_bad_upload_changes_nothing(stage, run_path, data):
+def chain(joints: int = 2, frames: int = 2, frame_time: float = 1 / 60, size: int = 0) -> bytes:
+    """A sound BVH file of so many joints, one below the other; spaces after its last row fill it up to `size` bytes."""
+    opened = "".join(
+        f"{'JOINT' if joint else 'ROOT'} a{joint}\n{{\nOFFSET 0 1 0\nCHANNELS 3 Zrotation Yrotation Xrotation\n"
+        for joint in range(joints)
+    )
+    head = f"HIERARCHY\n{opened}End Site\n{{\nOFFSET 0 1 0\n}}\n{'}' * joints}\nMOTION\n"
+    rows = ("0 0 0 " * joints + "\n") * frames
+    return f"{head}Frames: {frames}\nFrame Time: {frame_time:.7f}\n{rows}".encode().ljust(size)
+
+
+LIMITS = {
+    "bytes": (partial(chain, size=MOST_BYTES), partial(chain, size=MOST_BYTES + 1), "size: .* MB; must be at most"),
+    "joints": (partial(chain, MOST_JOINTS), partial(chain, MOST_JOINTS + 1), "joints; must have at most"),
+    "frames": (
+        partial(chain, frames=MOST_FRAMES, frame_time=0.001),
+        partial(chain, frames=MOST_FRAMES + 1, frame_time=0.001),
+        "frames: .*; must be at most",
+    ),
+    "seconds": (
+        partial(chain, frames=round(LONGEST), frame_time=1.0),
+        partial(chain, frames=round(LONGEST) + 1, frame_time=1.0),
+        "length: .* s; must be at most .* cut the clip",
+    ),
+}
+
+
+@pytest.mark.parametrize(("within", "beyond", "rule"), LIMITS.values(), ids=LIMITS)
+def test_sound_clips_are_refused_by_their_size_alone(stage, run_path, tmp_path, within, beyond, rule):
+    before = contents(run_path)
+    check_upload("walk", within())
+    with pytest.raises(InputError, match=rf"walk\.bvh: .*{rule}"):
+        learn_upload(stage, "run", "walk.bvh", beyond())
+    assert contents(run_path) == before
+    path = tmp_path / "walk.bvh"
+    path.write_bytes(beyond())
+    assert read_bvh(path).num_frames > 1  # nothing else is wrong with it
+
+
+@pytest.mark.parametrize(("data", "rule"), BAD.values(), ids=BAD)
+def test_a_bad_upload_changes_nothing(stage, run_path, data, rule):
     before, styles = contents(run_path), stage.styles
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError, match=rule) as refused:
         learn_upload(stage, "run", "bad.bvh", data)
     assert str(run_path) not in str(refused.value)
     assert contents(run_path) == before and stage.styles == styles
@@ -146,6 +187,60 @@ def test_a_page_that_ends_leaves_no_trace_of_what_it_learns(played_run, zombie_b
 
     with pytest.raises(GivenUp):
         learn_upload(ending, "run", "walk.bvh", zombie_bvh.read_bytes(), end)
+    assert contents(path) == before
+
+
+def test_a_style_that_cannot_be_taken_on_stage_is_left_out(stage, run_path, zombie_bvh, monkeypatch):
+    before, styles = contents(run_path), stage.styles
+
+    def refused(run: str, style: str) -> None:
+        assert style in list_styles(run_path)
+        raise InputError(run_path, "style", style, "must be of the kind of the run's other styles to be played")
+
+    monkeypatch.setattr(stage, "add_style", refused)
+    with pytest.raises(InputError, match="must be of the kind"):
+        learn_upload(stage, "run", "odd.bvh", zombie_bvh.read_bytes())
+    assert contents(run_path) == before and stage.styles == styles
+
+
+def test_a_style_that_is_saved_outlives_the_page(played_run, zombie_bvh, tmp_path, monkeypatch):
+    path = tmp_path / "run"
+    shutil.copytree(played_run, path)
+    ending = Stage([path])
+    monkeypatch.setattr(ending, "add_style", lambda run, style: give_up(ending, wait=0.0))
+    assert learn_upload(ending, "run", "walk.bvh", zombie_bvh.read_bytes()) == "walk"
+    assert "walk" in list_styles(path) and (path / "uploads" / "walk.bvh").is_file()
+
+
+def test_what_is_played_is_never_overwritten(played_run, zombie_bvh, tmp_path, monkeypatch):
+    path = tmp_path / "bare"
+    shutil.copytree(played_run, path)
+    for style in list_styles(path):
+        shutil.rmtree(path / "styles" / style)
+    bare = Stage([path])
+    monkeypatch.setattr(bare, "add_style", lambda run, style: None)
+    assert bare.styles == [("bare", "agnostic")]
+    assert learn_upload(bare, "bare", "Agnostic.bvh", zombie_bvh.read_bytes()) == "Agnostic 2"
+    assert list_styles(path) == ("Agnostic 2",)
+
+
+def test_the_systems_refusals_are_told_by_name(played_run, zombie_bvh, tmp_path, monkeypatch):
+    path = tmp_path / "run"
+    shutil.copytree(played_run, path)
+    (path / "uploads").write_text("no folder")
+    before, closed = contents(path), Stage([path])
+    with pytest.raises(InputError, match="^run/uploads: file: not a directory; a run that learns must be"):
+        learn_upload(closed, "run", "walk.bvh", zombie_bvh.read_bytes())
+    assert contents(path) == before
+
+    def denied(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied", str(path / "styles" / ".walk.new"))
+
+    (path / "uploads").unlink()
+    before = contents(path)
+    monkeypatch.setattr(learning, "learn_style", denied)
+    with pytest.raises(InputError, match=r"^run/styles/\.walk\.new: file: permission denied; "):
+        learn_upload(closed, "run", "walk.bvh", zombie_bvh.read_bytes())
     assert contents(path) == before
 
 
