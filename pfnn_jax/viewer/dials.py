@@ -7,18 +7,32 @@ import math
 from collections.abc import Mapping, Sequence
 from importlib import resources
 
+from pfnn_jax.viewer.page_colours import (
+    ACCENT,
+    FACE,
+    FAINT,
+    INK,
+    LEFT,
+    LETTER,
+    LINE,
+    MESSAGES,
+    MUTED,
+    PALE_LEFT,
+    PALE_RIGHT,
+    PASSIVE,
+    RIGHT,
+)
 from pfnn_jax.viewer.view import Dial, View
 
 TRIANGLE = ((120.0, 16.0), (26.0, 150.0), (214.0, 150.0))
 """Corners of the styles' triangle in the units of its picture."""
 
-_LEFT, _RIGHT, _ACCENT, _INK, _MUTED, _LINE = "#3b7ae6", "#e8743b", "#18a078", "#1f2733", "#667082", "#d5dbe4"
 _DIAL_COLOURS = {
-    "gait": _ACCENT,
-    "left hand": "#7ba6f0",
-    "right hand": "#f2a77f",
-    "left toe": _LEFT,
-    "right toe": _RIGHT,
+    "gait": ACCENT,
+    "left hand": PALE_LEFT,
+    "right hand": PALE_RIGHT,
+    "left toe": LEFT,
+    "right toe": RIGHT,
 }
 _FONT = "font-family:system-ui,-apple-system,'Segoe UI',Roboto,sans-serif"
 
@@ -78,16 +92,16 @@ def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str
     x, y = (sum(share * corner[axis] for share, corner in zip(shares, TRIANGLE, strict=True)) for axis in (0, 1))
     places = ((120.0, 11.0, "middle"), (4.0, 165.0, "start"), (236.0, 165.0, "end"))
     labels = "".join(
-        _text(*place[:2], f"{_short(name)} {share:.0%}", 11.0, place[2], _INK if active else _MUTED)
+        _text(*place[:2], f"{_short(name)} {share:.0%}", 11.0, place[2], INK if active else MUTED)
         for name, share, place in zip(names, shares, places, strict=True)
     )
     thirds = "".join(
-        f'<line x1="{a[0]:g}" y1="{a[1]:g}" x2="{(b[0] + c[0]) / 2:g}" y2="{(b[1] + c[1]) / 2:g}" stroke="{_LINE}"/>'
+        f'<line x1="{a[0]:g}" y1="{a[1]:g}" x2="{(b[0] + c[0]) / 2:g}" y2="{(b[1] + c[1]) / 2:g}" stroke="{LINE}"/>'
         for a, b, c in (TRIANGLE[i:] + TRIANGLE[:i] for i in range(3))
     )
-    colour = _ACCENT if active else "#9aa5b4"
+    colour = ACCENT if active else PASSIVE
     shape = (
-        f'<polygon points="{corners}" fill="{_ACCENT if active else "#eef1f5"}" fill-opacity="{0.1 if active else 1}" '
+        f'<polygon points="{corners}" fill="{ACCENT if active else FAINT}" fill-opacity="{0.1 if active else 1}" '
         f'stroke="{colour}" stroke-width="1.6" stroke-linejoin="round"/>{thirds}'
         f'<circle data-dot="" cx="{x:.2f}" cy="{y:.2f}" r="7.5" fill="{colour}" stroke="white" stroke-width="2"/>'
     )
@@ -110,14 +124,14 @@ def readout(view: View, drawn: float, browser: float) -> str:
     rows = {
         "Style": styles,
         "Root": f"x {view.root[0]:+.2f} m, z {view.root[1]:+.2f} m",
-        "Heading": f"{math.degrees(math.atan2(view.facing[0], view.facing[1])):+.0f}&deg;",
-        "Speed": f"{view.speed:.2f} m/s <span style='color:{_MUTED}'>of {view.wanted_speed:.2f} wanted</span>",
+        "Heading": f"{math.degrees(math.atan2(view.facing[0], view.facing[1])):+.0f}°",
+        "Speed": f"{view.speed:.2f} m/s <span style='color:{MUTED}'>of {view.wanted_speed:.2f} wanted</span>",
         "Steps": f"{view.steps_per_second:.0f} per s",
         "Pictures": f"{drawn:.0f} per s" + (f", browser {browser:.0f}" if browser else ""),
         "Inference": f"{view.step_milliseconds:.2f} ms per step",
     }
     cells = "".join(
-        f'<div style="color:{_MUTED}">{name}</div><div data-readout="{name.lower()}">{value}</div>'
+        f'<div style="color:{MUTED}">{name}</div><div data-readout="{name.lower()}">{value}</div>'
         for name, value in rows.items()
     )
     grid = "display:grid;grid-template-columns:68px 1fr;gap:1px 6px;font-variant-numeric:tabular-nums"
@@ -126,7 +140,7 @@ def readout(view: View, drawn: float, browser: float) -> str:
 
 def message(kind: str, text: str) -> str:
     """One line in a box: `good`, `bad` or `plain`."""
-    colour, back = {"good": ("#0b6b4d", "#e3f5ee"), "bad": ("#9b2c14", "#fdebe5"), "plain": (_MUTED, "#f1f3f7")}[kind]
+    colour, back = MESSAGES[kind]
     style = f"{_FONT};font-size:12.5px;line-height:1.4;color:{colour};background:{back};overflow-wrap:anywhere"
     box = "border-radius:7px;padding:7px 10px;margin:2px 12px 9px"
     return f'<div data-message="{kind}" style="{style};{box}">{html.escape(text)}</div>'
@@ -155,20 +169,20 @@ def legend(colours: Mapping[str, str], note: str = "") -> str:
         f'background:{colour};margin-right:5px"></i>{html.escape(name)}</span>'
         for name, colour in colours.items()
     )
-    return f'<div style="{_FONT};font-size:11.5px;color:{_MUTED};padding:0 12px 8px">{items}{html.escape(note)}</div>'
+    return f'<div style="{_FONT};font-size:11.5px;color:{MUTED};padding:0 12px 8px">{items}{html.escape(note)}</div>'
 
 
 def _clock(dial: Dial, x: float, y: float, radius: float, ticks: bool = False) -> str:
-    colour = _DIAL_COLOURS.get(dial.name, _ACCENT)
+    colour = _DIAL_COLOURS.get(dial.name, ACCENT)
     length = radius * min(max(dial.amplitude, 0.0), 1.0)
     tip = x + length * math.sin(dial.angle), y - length * math.cos(dial.angle)
-    face = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="#f6f8fa" stroke="{_LINE}" stroke-width="1.5"/>'
+    face = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{FACE}" stroke="{LINE}" stroke-width="1.5"/>'
     if ticks:
-        face += f'<circle cx="{x}" cy="{y - radius}" r="4" fill="{_RIGHT}"/>'
-        face += f'<circle cx="{x}" cy="{y + radius}" r="4" fill="{_LEFT}"/>'
-        face += _text(x + radius + 12, y - radius + 8, "right foot", 10.5, "start", _RIGHT)
-        face += _text(x + radius + 12, y + radius, "left foot", 10.5, "start", _LEFT)
-        face += _text(x - radius - 12, y + 4, f"{math.degrees(dial.angle):.0f}&deg;", 15.0, "end", _INK)
+        face += f'<circle cx="{x}" cy="{y - radius}" r="4" fill="{RIGHT}"/>'
+        face += f'<circle cx="{x}" cy="{y + radius}" r="4" fill="{LEFT}"/>'
+        face += _text(x + radius + 12, y - radius + 8, "right foot", 10.5, "start", RIGHT)
+        face += _text(x + radius + 12, y + radius, "left foot", 10.5, "start", LEFT)
+        face += _text(x - radius - 12, y + 4, f"{math.degrees(dial.angle):.0f}°", 15.0, "end", INK)
     hand = (
         f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{tip[0]:.2f}" y2="{tip[1]:.2f}" stroke="{colour}" stroke-width="3" '
         f'stroke-linecap="round"/><circle cx="{tip[0]:.2f}" cy="{tip[1]:.2f}" r="4.5" fill="{colour}"/>'
@@ -181,33 +195,34 @@ def _svg(width: int, height: int, content: str, attributes: str = "") -> str:
     return f'<div style="padding:0 12px 6px"><svg {size} {attributes}>{content}</svg></div>'
 
 
-def _text(x: float, y: float, text: str, size: float, anchor: str = "middle", colour: str = _MUTED) -> str:
-    safe = text if "&deg;" in text else html.escape(text)
+def _text(x: float, y: float, text: str, size: float, anchor: str = "middle", colour: str = MUTED) -> str:
     return (
         f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}" fill="{colour}" '
-        f'style="{_FONT};font-size:{size}px;font-variant-numeric:tabular-nums">{safe}</text>'
+        f'style="{_FONT};font-size:{size}px;font-variant-numeric:tabular-nums">{html.escape(text)}</text>'
     )
 
 
 def _note(text: str) -> str:
-    return f'<div style="{_FONT};font-size:12px;color:{_MUTED};padding:2px 12px 8px">{html.escape(text)}</div>'
+    return f'<div style="{_FONT};font-size:12px;color:{MUTED};padding:2px 12px 8px">{html.escape(text)}</div>'
 
 
 def _short(name: str, length: int = 15) -> str:
     return name if len(name) <= length else name[: length - 1] + "…"
 
 
-_PAD_STYLE = """
-.pfnn-pad { display: flex; gap: 14px; align-items: center; padding: 4px 12px 10px; user-select: none; }
-.pfnn-stick { position: relative; width: 104px; height: 104px; border-radius: 50%; flex: none; cursor: grab;
-  background: radial-gradient(circle at 50% 40%, #ffffff, #e7ebf1); border: 1px solid #d5dbe4; touch-action: none; }
-.pfnn-knob { position: absolute; left: 34px; top: 34px; width: 34px; height: 34px; border-radius: 50%;
-  background: #18a078; box-shadow: 0 1px 4px rgba(20, 30, 50, 0.35); pointer-events: none; }
-.pfnn-letter { color: #8b96a6; } .pfnn-letter.on { color: #18a078; }
-.pfnn-keys { display: grid; grid-template-columns: 1fr 1fr; gap: 7px; flex: 1; }
-.pfnn-key { border: 1px solid #d5dbe4; border-radius: 8px; background: #fff; text-align: center; padding: 6px 2px 4px;
-  font-size: 17px; line-height: 1.05; cursor: pointer; color: #1f2733; touch-action: none; }
-.pfnn-key small { display: block; font-size: 11px; color: #667082; margin-top: 2px; }
-.pfnn-key:last-child { grid-column: 1 / 3; } .pfnn-key.on { background: #18a078; color: #fff; border-color: #18a078; }
-.pfnn-key.on small { color: #fff; }
+_PAD_STYLE = f"""
+.pfnn-pad {{ display: flex; gap: 14px; align-items: center; padding: 4px 12px 10px; user-select: none;
+  -webkit-user-select: none; }}
+.pfnn-stick {{ position: relative; width: 104px; height: 104px; border-radius: 50%; flex: none; cursor: grab;
+  background: radial-gradient(circle at 50% 40%, #ffffff, #e7ebf1); border: 1px solid {LINE}; touch-action: none; }}
+.pfnn-knob {{ position: absolute; left: 34px; top: 34px; width: 34px; height: 34px; border-radius: 50%;
+  background: {ACCENT}; box-shadow: 0 1px 4px rgba(20, 30, 50, 0.35); pointer-events: none; }}
+.pfnn-letter {{ color: {LETTER}; }} .pfnn-letter.on {{ color: {ACCENT}; }}
+.pfnn-keys {{ display: grid; grid-template-columns: 1fr 1fr; gap: 7px; flex: 1; }}
+.pfnn-key {{ border: 1px solid {LINE}; border-radius: 8px; background: #fff; text-align: center; padding: 6px 2px 4px;
+  font-size: 17px; line-height: 1.05; cursor: pointer; color: {INK}; touch-action: none; }}
+.pfnn-key small {{ display: block; font-size: 11px; color: {MUTED}; margin-top: 2px; }}
+.pfnn-key:last-child {{ grid-column: 1 / 3; }}
+.pfnn-key.on {{ background: {ACCENT}; color: #fff; border-color: {ACCENT}; }}
+.pfnn-key.on small {{ color: #fff; }}
 """

@@ -14,18 +14,12 @@ import numpy as np
 
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply
 from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.viewer.page_colours import BODY, CELL, FUTURE, GROUND, HORIZON, PAST, SECTION, SKY
 from pfnn_jax.viewer.solids import TAPER, Body, Mesh, frustum, sphere
 from pfnn_jax.viewer.view import View
 
 if TYPE_CHECKING:
     import viser
-
-COLOURS = {"left": (38, 96, 226), "right": (238, 92, 28), "middle": (222, 226, 232)}
-"""Of the body's sides; the players' as well."""
-
-PAST, FUTURE = (112, 124, 144), (10, 150, 105)
-SKY, HORIZON = (198, 212, 230), (238, 241, 245)
-GROUND, CELL, SECTION = (226, 231, 237), (203, 211, 221), (170, 181, 196)
 
 CELL_SIZE, SECTION_SIZE = 0.5, 2.0  # metres
 EASE = 0.18  # seconds in which a following camera comes up with its character
@@ -84,7 +78,7 @@ class PageScene:
         for part in self._parts:
             part.remove()
         self._skeleton, self._body = skeleton, Body(skeleton)
-        colours = np.array([COLOURS[capsule.side] for capsule in self._body.capsules], np.uint8)
+        colours = np.array([BODY[capsule.side] for capsule in self._body.capsules], np.uint8)
         self._limbs = [
             (chosen, self._batch(name, frustum(ratio), colours[chosen], self._body.limb_scales[chosen]))
             for name, ratio, chosen in (
@@ -160,7 +154,7 @@ class PageScene:
         if skeleton.roles is None:
             return parts
         self._feet = np.array([*skeleton.roles.left_foot, *skeleton.roles.right_foot])
-        sides = np.array([COLOURS["left"]] * 2 + [COLOURS["right"]] * 2, np.uint8)
+        sides = np.array([BODY["left"]] * 2 + [BODY["right"]] * 2, np.uint8)
         self._marks = self._batch("/contacts", _disc(), sides, np.full((4, 3), MARK))
         return [*parts, self._marks]
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pfnn_jax.viewer.page_colours import LEFT, RIGHT, see_through
+
 if TYPE_CHECKING:
     import viser
 
@@ -13,7 +15,7 @@ SECONDS = 4.0
 SAMPLES = 120
 LANES = ("right toe", "right heel", "left toe", "left heel")  # from the bottom
 _ORDER = (3, 2, 1, 0)  # of a view's contacts
-_FILL = ("rgba(232,116,59,0.55)", "rgba(232,116,59,0.9)", "rgba(59,122,230,0.55)", "rgba(59,122,230,0.9)")
+_FILL = tuple(see_through(colour, opacity) for colour in (RIGHT, LEFT) for opacity in (0.55, 0.9))
 _GAP = 0.18  # of a lane's height
 
 
@@ -57,10 +59,6 @@ class Timeline:
         index = np.searchsorted(clock, self._times, side="right") - 1
         known = (index >= 0)[:, None]
         self._chart.data = self._lanes(np.where(known, values[np.maximum(index, 0)], 0.0))
-
-    def clear(self) -> None:
-        """Forgets everything."""
-        self._seen.clear()
 
     def _lanes(self, contacts: np.ndarray) -> tuple[np.ndarray, ...]:
         arrays = [self._times]
