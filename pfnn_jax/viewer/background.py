@@ -49,16 +49,20 @@ def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
     return results[0]
 
 
-def leave_work() -> None:
+def leave_work(code: int = 0) -> None:
     """Lets the program end although work is going on, once its other parts have ended.
 
     A thread that compiles cannot be stopped, and one that still does when Python is taken down aborts the process.
+
+    Args:
+        code: with which the program ends if work is going on then; without work its own counts.
     """
-    atexit.register(_end_at_once)
+    atexit.unregister(_end_at_once)
+    atexit.register(_end_at_once, code)
 
 
-def _end_at_once() -> None:
+def _end_at_once(code: int) -> None:
     if _working:
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(0)
+        os._exit(code)

@@ -18,6 +18,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.viewer import background
 from pfnn_jax.viewer.guard import guarded
 from pfnn_jax.viewer.learning import give_up, prepare_learning
+from pfnn_jax.viewer.page_colours import ACCENT, rgb
 from pfnn_jax.viewer.page_scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
 from pfnn_jax.viewer.stage import Stage
 from pfnn_jax.viewer.tab import Tab
@@ -30,6 +31,10 @@ LOCAL = "127.0.0.1"
 
 LONGEST_END = 1.5
 """Seconds for which the end of a server is waited for: a tab that does not answer would hold it up for longer."""
+
+EXPECTED = ("Queued a .* on a closed connection", r"\[viser\] Dropping upload")
+"""Warnings of viser that mean no harm: a tab may close while its picture is being sent, its thread ends a moment later;
+and of a file that is far too large only the length is kept."""
 
 
 class Page:
@@ -47,6 +52,7 @@ class Page:
         self._stage = stage
         self._tabs: dict[int, Tab] = {}
         self._lock = threading.Lock()
+        self._closed = False
         self._server = _serve(host, port)
         self.host, self.port = host, self._server.get_port()
         self._server.gui.configure_theme(
@@ -54,7 +60,7 @@ class Page:
             control_width="medium",
             show_logo=False,
             show_share_button=False,
-            brand_color=(24, 160, 120),
+            brand_color=rgb(ACCENT),
         )
         self._server.gui.set_panel_label("pfnn_jax")
         self._server.scene.set_up_direction("+y")
@@ -78,6 +84,7 @@ class Page:
     def close(self) -> None:
         """Ends all tabs and the server."""
         with self._lock:
+            self._closed = True
             tabs, self._tabs = list(self._tabs.values()), {}
         for tab in tabs:
             tab.close(wait=0.0)
@@ -94,17 +101,21 @@ class Page:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _open(self, client: viser.ClientHandle) -> None:
+    # Viser awaits these one after the other; others it would run in threads, a tab's end before its beginning.
+
+    async def _open(self, client: viser.ClientHandle) -> None:
         tab = Tab(client, self._stage)
         with self._lock:
+            if self._closed:
+                return
             self._tabs[client.client_id] = tab
         tab.start()
 
-    def _close(self, client: viser.ClientHandle) -> None:
+    async def _close(self, client: viser.ClientHandle) -> None:
         with self._lock:
             tab = self._tabs.pop(client.client_id, None)
         if tab is not None:
-            tab.close()
+            tab.close(wait=0.0)
 
 
 def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080, open_browser: bool = False) -> None:
@@ -119,24 +130,38 @@ def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080
         open_browser: whether to open the page here.
 
     Raises:
-        InputError: for a folder that is no run, or if nobody can listen at the address.
+        InputError: for a folder that is no run, if nobody can listen at the address, or if viser is missing.
     """
-    check_address(host, port)  # before runs are loaded and compiled
-    with _ended_by_signals() as ending, contextlib.suppress(KeyboardInterrupt):
-        stage = background.do(partial(Stage, run_paths))
-        print(f"{', '.join(stage.runs)}: {len(stage.styles)} styles; compiling", flush=True)
-        threading.Thread(target=_rehearse, args=(stage,), name="rehearsal", daemon=True).start()
-        background.do(stage.warm_up)
-        with Page(stage, host, port) as page:
-            print(f"{page.url}  (Ctrl-C ends)", flush=True)
-            if open_browser:
-                webbrowser.open(page.url)
-            with contextlib.suppress(KeyboardInterrupt):
-                threading.Event().wait()
-            ending()
-            give_up(stage)
-    print("Ended.", flush=True)
-    background.leave_work()
+    code = 1
+    try:
+        with _ended_by_signals() as ending, contextlib.suppress(KeyboardInterrupt):
+            _play(run_paths, host, port, open_browser, ending)
+        print("Ended.", flush=True)
+        code = 0
+    except InputError:
+        code = 2  # of the command, for bad input
+        raise
+    finally:
+        background.leave_work(code)
+
+
+def _play(
+    run_paths: Sequence[str | Path], host: str, port: int, open_browser: bool, ending: Callable[[], None]
+) -> None:
+    background.do(check_viser)  # before runs are loaded and compiled
+    check_address(host, port)
+    stage = background.do(partial(Stage, run_paths))
+    print(f"{', '.join(stage.runs)}: {len(stage.styles)} styles; compiling", flush=True)
+    threading.Thread(target=_rehearse, args=(stage,), name="rehearsal", daemon=True).start()
+    background.do(stage.warm_up)
+    with Page(stage, host, port) as page:
+        print(f"{page.url}  (Ctrl-C ends)", flush=True)
+        if open_browser:
+            webbrowser.open(page.url)
+        with contextlib.suppress(KeyboardInterrupt):
+            threading.Event().wait()
+        ending()
+        give_up(stage)
 
 
 @contextlib.contextmanager
@@ -166,6 +191,19 @@ def _rehearse(stage: Stage) -> None:
         prepare_learning(stage, run)
 
 
+def check_viser() -> None:
+    """Makes sure that what serves the page is there.
+
+    Raises:
+        InputError: if it is not installed.
+    """
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        rule = "needed for the page: pip install pfnn-jax[viewer]"
+        raise InputError("environment", "viser", "not installed", rule) from None
+
+
 def check_address(host: str, port: int) -> None:
     """Makes sure that one can listen at an address.
 
@@ -179,7 +217,7 @@ def check_address(host: str, port: int) -> None:
         with socket.socket(family, socket.SOCK_STREAM) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-    except socket.gaierror:
+    except (socket.gaierror, ValueError):  # the latter of names that no network knows: too long, or with empty parts
         raise InputError("page", "host", ascii(host)[:80], "must be an address of this machine") from None
     except OSError as error:
         reason = error.strerror or "cannot be used"
@@ -187,19 +225,16 @@ def check_address(host: str, port: int) -> None:
 
 
 def _serve(host: str, port: int) -> viser.ViserServer:
-    try:
-        import viser
-    except ImportError:
-        rule = "needed for the page: pip install pfnn-jax[viewer]"
-        raise InputError("environment", "viser", "not installed", rule) from None
+    check_viser()
+    import viser
 
     class Server(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> None:
             """Any page can ask for a public address; none is given."""
 
     check_address(host, port)
-    # A tab may close while its picture is being sent; its thread ends a moment later.
-    warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
+    for expected in EXPECTED:
+        warnings.filterwarnings("ignore", expected, UserWarning)
     with contextlib.redirect_stdout(io.StringIO()), guarded(host) as started:  # its banner; `play` prints the address
         server = Server(host=host, port=port, verbose=False)
     if not started:
