@@ -4,30 +4,28 @@ from __future__ import annotations
 
 import math
 import queue
+import threading
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.viewer import dials
 from pfnn_jax.viewer.actor import Actor
+from pfnn_jax.viewer.page_colours import HEEL, LEFT, PLAIN, RIGHT, TOE, rgb
 from pfnn_jax.viewer.page_scene import PageScene, camera_yaw, look
 from pfnn_jax.viewer.recording import bvh_bytes
 from pfnn_jax.viewer.stage import Stage
+from pfnn_jax.viewer.style_picker import StylePicker
 from pfnn_jax.viewer.timeline import SECONDS, Timeline
 from pfnn_jax.viewer.view import View
+from pfnn_jax.viewer.words import Values, word_of
 
 if TYPE_CHECKING:
     import viser
 
 DRIVE = "Stick and keys"
 """Label of the text field through which the page's script tells what is held; the script hides it."""
-
-SHARES = "Shares"
-"""Label of the text field with the mixture's shares, in percent."""
-
-MIXTURE = "mixture of three"
-"""What the list of styles shows while the point in the triangle decides."""
 
 SILENCE = 1.0
 """Seconds after which a stick or key held counts as let go: the script repeats itself five times a second."""
@@ -41,9 +39,8 @@ KEYS = {
     "q": "Turn left",
     "e": "Turn right",
 }
-FEET = {"left": "#3b7ae6", "right": "#e8743b", "heel": "#667082", "toe": "#b4bcc8"}
+FEET = {"left": LEFT, "right": RIGHT, "heel": HEEL, "toe": TOE}
 READOUT_WIDTH = 282.0  # CSS pixels
-PLAIN = (84, 97, 117)  # of buttons
 TURNED = math.radians(0.5)  # of a camera: less is no one's wish
 QUEUED = 64  # presses and clicks that may wait
 
@@ -71,14 +68,12 @@ class Panel:
         self.clicks: queue.Queue[Any] = queue.Queue(QUEUED)
         self.rate = 0.0
         self._held, self._heard = "", -math.inf
-        self._seen_version = stage.version
-        self._recording = False
-        self._mixing, self._shares, self._shares_text = False, (1 / 3, 1 / 3, 1 / 3), "34 33 33"
-        self._redraw_at = math.inf
-        self._values: dict[str, Any] = {}
+        self._look: float | None = None
+        self._values = Values()
         self._character()
         self._drive()
-        self._styles()
+        with self._gui.add_folder("Style"):
+            self._picker = StylePicker(self._gui, stage, actor)
         self._files()
         self._camera()
         self._commands()
@@ -86,7 +81,7 @@ class Panel:
 
     def serve(self, now: float) -> None:
         """Carries out what has been pressed and chosen since the last call; `now` in seconds of the actor's clock."""
-        self._refresh_styles()
+        self._picker.refresh()
         for _ in range(QUEUED):
             try:
                 self.clicks.get_nowait()()
@@ -122,6 +117,10 @@ class Panel:
         """A message under the upload button: `good`, `bad` or `plain`."""
         self._message.content = dials.message(kind, text)
 
+    def notify(self, title: str, text: str) -> None:
+        """A message above everything that stays until it is closed."""
+        self._client.add_notification(title, text, color="red")
+
     def progress(self, share: float, text: str) -> None:
         """How far learning has come, 0 to 1; from any thread."""
         self._bar.value = 100.0 * min(max(share, 0.0), 1.0)
@@ -132,10 +131,13 @@ class Panel:
         self._bar.visible = active
         self.upload.disabled = active
 
-    def chosen(self, run: str, style: str) -> None:
-        """Puts the character, and the list, into a style."""
-        self._refresh_styles(force=True)
-        self._select(run, style)
+    def learned(self, run: str, style: str) -> None:
+        """Puts the character into a style that it has waited for, unless it has gone on to another run meanwhile."""
+        stays = self._actor.run == self._picker.run == run
+        self._picker.refresh()
+        if stays:
+            self._picker.select(run, style)
+        self.tell("good", f"{style} is learned and among the styles of {run}{'' if stays else ': choose that run'}.")
 
     # Building
 
@@ -146,23 +148,7 @@ class Panel:
             self._own = self._gui.add_checkbox("Own speed", True, hint="Walk as fast as the style does.")
             self._speed = self._gui.add_slider("Speed", *SPEEDS, step=0.05, initial_value=1.2, disabled=True)
             self._strafe = self._gui.add_checkbox("Sidestep", False, hint="Face ahead while stepping aside or back.")
-            self._gui.add_button("Reset", color=PLAIN).on_click(self._later(self._reset))
-
-    def _styles(self) -> None:
-        runs, actor = self._stage.runs, self._actor
-        names = self._names(actor.run)
-        with self._gui.add_folder("Style"):
-            self._run = self._gui.add_dropdown("Run", runs, initial_value=actor.run, visible=len(runs) > 1)
-            self._style = self._gui.add_dropdown("Style", (*names, MIXTURE), initial_value=next(iter(actor.shares)))
-            with self._gui.add_folder("Mix three", expand_by_default=len(names) > 2):
-                self._triangle = self._gui.add_html("")
-                first = [names[i % len(names)] for i in range(3)]
-                self._corners = [
-                    self._gui.add_dropdown(label, names, initial_value=name)
-                    for label, name in zip(("Top", "Left", "Right"), first, strict=True)
-                ]
-                self._share_field = self._gui.add_text(SHARES, self._shares_text)
-        self._draw_triangle()
+            self._gui.add_button("Reset", color=rgb(PLAIN)).on_click(self._later(self._reset))
 
     def _character(self) -> None:
         """A panel of its own for everything that is only read."""
@@ -176,7 +162,7 @@ class Panel:
 
     def _files(self) -> None:
         with self._gui.add_folder("Record"):
-            self._record = self._gui.add_button("Record", color=PLAIN)
+            self._record = self._gui.add_button("Record", color=rgb(PLAIN))
             self._record.on_click(self._later(self._record_or_stop))
         with self._gui.add_folder("New style from a clip"):
             self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
@@ -188,7 +174,7 @@ class Panel:
         with self._gui.add_folder("Camera", expand_by_default=False):
             self._follow = self._gui.add_checkbox("Follow", True)
             self._turn = self._gui.add_checkbox("Turn along", True, hint="Else W leads where you look.")
-            self._gui.add_button("Behind the character", color=PLAIN).on_click(self._later(self._look_again))
+            self._gui.add_button("Behind the character", color=rgb(PLAIN)).on_click(self._later(self._look_again))
 
     def _commands(self) -> None:
         """Keys for pages whose script is not at work; they know of presses only."""
@@ -225,126 +211,45 @@ class Panel:
             self._actor.set_stick(0.0, 0.0)
 
     def _hear_values(self, now: float) -> None:
-        if self._changed("own", self._own.value) or self._changed("speed", self._speed.value):
-            self._speed.disabled = self._own.value
-            self._actor.set_speed(None if self._own.value else float(self._speed.value))
-        if self._changed("strafe", self._strafe.value):
+        own, speed = self._own.value, float(self._speed.value)
+        if self._values.changed("speed", (own, speed)):
+            self._speed.disabled = own
+            self._actor.set_speed(None if own else speed)
+        if self._values.changed("strafe", self._strafe.value):
             self._actor.set_strafe(self._strafe.value)
         self._scene.follow, self._scene.turn = self._follow.value, self._turn.value
         self._hear_camera()
-        if self._changed("run", self._run.value):
-            self._select(self._run.value, self._names(self._run.value)[0])
-        corners = tuple(corner.value for corner in self._corners)
-        chosen = self._changed("style", self._style.value)
-        if chosen and self._style.value != MIXTURE:
-            self._select(self._run.value, self._style.value)
-        moved = self._changed("corners", corners) | self._changed("shares", self._share_field.value)
-        if moved or (chosen and self._style.value == MIXTURE):
-            self._mix(corners, now)
-        if now >= self._redraw_at:
-            self._draw_triangle()
+        self._picker.hear(now)
 
     def _hear_camera(self) -> None:
         """A camera that does not turn with the heading leads instead, whenever it is turned by hand."""
         if self._follow.value and self._turn.value:
-            self._values.pop("look", None)
+            self._look = None
             return
         camera = self._client.camera
-        yaw = camera_yaw(camera.position, camera.look_at)
-        before = self._values.get("look")
+        yaw, before = camera_yaw(camera.position, camera.look_at), self._look
         if yaw is not None and (before is None or abs(math.remainder(yaw - before, 2.0 * math.pi)) > TURNED):
-            self._values["look"] = yaw
+            self._look = yaw
             self._actor.set_heading(math.remainder(yaw + self._scene.yaw, 2.0 * math.pi))
-
-    def _changed(self, name: str, value: Any) -> bool:
-        """Whether a value differs from the last time; the first time it does not."""
-        before = self._values.setdefault(name, value)
-        self._values[name] = value
-        return before != value
-
-    def _mix(self, corners: tuple[str, ...], now: float) -> None:
-        shares = dials.shares_of(self._share_field.value)
-        if shares is None:
-            return  # half typed
-        self._shares, self._mixing = shares, True
-        self._actor.mix(corners, shares)
-        self._style.value = self._values["style"] = MIXTURE
-        self._redraw_at = now + 0.3  # not while the point is being dragged
-
-    def _select(self, run: str, style: str) -> None:
-        self._actor.choose(run, style)
-        self._mixing = False
-        self._show_options(run, style)
-        self._draw_triangle()
-
-    def _show_options(self, run: str, style: str) -> None:
-        names = self._names(run)
-        for place, field in enumerate((*self._corners, self._style)):
-            options = names if field is not self._style else (*names, MIXTURE)
-            if tuple(field.options) != options:
-                kept = field.value
-                field.options = options
-                field.value = kept if kept in options else names[place % len(names)]
-        self._run.value, self._style.value = run, style
-        self._values.update(run=run, style=style, corners=tuple(corner.value for corner in self._corners))
-
-    def _refresh_styles(self, force: bool = False) -> None:
-        """Another tab may have learned a style."""
-        if force or self._stage.version != self._seen_version:
-            self._seen_version = self._stage.version
-            self._show_options(self._actor.run, self._style.value)
-
-    def _names(self, run: str) -> tuple[str, ...]:
-        return tuple(self._stage.cast(run).styles)
-
-    def _draw_triangle(self) -> None:
-        self._redraw_at = math.inf
-        names = [corner.value for corner in self._corners]
-        self._triangle.content = dials.triangle(names, self._shares, self._mixing)
 
     def _reset(self) -> None:
         self._actor.reset()
         self._scene.settle(self._actor.advance(time.monotonic()))
 
     def _record_or_stop(self) -> None:
-        if not self._recording:
-            self._actor.start_recording()
-            self._recording = True
-            return
-        self._recording = False
         clip = self._actor.stop_recording()
-        if clip is not None:
-            name = f"{'_'.join(self._actor.shares)[:60]}_{clip.num_frames}.bvh"
+        if clip is None:
+            self._actor.start_recording()
+            return
+        name = f"{'_'.join(self._actor.shares)[:60]}_{clip.num_frames}.bvh"
+        # Ten minutes take seconds to write, during which the character would stand still.
+        threading.Thread(target=self._send, args=(name, clip), name="download", daemon=True).start()
+
+    def _send(self, name: str, clip: MotionClip) -> None:
+        try:
             self._client.send_file_download(name, bvh_bytes(clip), save_immediately=True)
+        except (InputError, OSError) as error:
+            self.tell("bad", f"{name}: {error}")
 
     def _look_again(self) -> None:
         look(self._client)
-
-
-@dataclass(frozen=True)
-class Word:
-    """What the page's script says.
-
-    Attributes:
-        stick: ahead, left and turn in -1..1, and whether to run.
-        rate: pictures per second that the browser manages, 0 before it knows.
-    """
-
-    stick: tuple[float, float, float, bool]
-    rate: float
-
-
-def word_of(text: str) -> Word | None:
-    """Reads a count and five numbers: ahead, left, turn, run, pictures per second; None for anything else."""
-    parts = text.split()
-    if len(parts) != 6 or len(text) > 100:
-        return None
-    try:
-        ahead, left, turn, run, rate = (float(part) for part in parts[1:])
-    except ValueError:
-        return None
-    if not all(math.isfinite(value) and abs(value) <= 1.0 for value in (ahead, left, turn, run)):
-        return None
-    if not 0.0 <= rate < 1e4:
-        return None
-    return Word((ahead, left, turn, run > 0.0), rate)

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError, TrainingError
 from pfnn_jax.viewer.actor import Actor
-from pfnn_jax.viewer.learning import MOST_BYTES, GivenUp, learn_upload
+from pfnn_jax.viewer.learning import GivenUp, learn_upload
 from pfnn_jax.viewer.page_scene import PageScene
 from pfnn_jax.viewer.panel import Panel
 from pfnn_jax.viewer.stage import Stage
+from pfnn_jax.viewer.uploads import drop_large
 
 if TYPE_CHECKING:
     import viser
@@ -27,11 +28,11 @@ SLOWEST = 1.0 / 5.0
 READOUT = 1.0 / 8.0
 """Seconds between new numbers, dials and charts."""
 
+MOST_TOLD = 300
+"""Characters of an error that nobody has expected."""
+
 BUSY = 0.7
 """Share of a frame that work may take before pictures become rarer, so that steps come first."""
-
-FAR_TOO_LARGE = 4 * MOST_BYTES
-"""Bytes of an upload that are not even gathered; files between this and `MOST_BYTES` are refused with their name."""
 
 
 class Tab:
@@ -65,6 +66,16 @@ class Tab:
         return self._thread.is_alive()
 
     def _live(self) -> None:
+        try:
+            self._play()
+        except Exception as error:
+            if self._closed.is_set():  # nobody is there to be told
+                return
+            text = f"{type(error).__name__}: {error}"[:MOST_TOLD]
+            self._client.add_notification("The character has stopped: load the page anew", text, color="red")
+            raise
+
+    def _play(self) -> None:
         actor, scene = Actor(self._stage), PageScene(self._client.scene)
         panel = Panel(self._client, self._stage, actor, scene)
 
@@ -79,14 +90,15 @@ class Tab:
         cost = 0.0
         while not self._closed.is_set():
             now = time.monotonic()
-            self._refuse_large_uploads(panel)
+            for refusal in drop_large(self._client.gui._current_file_upload_states):
+                panel.tell("bad", refusal)
             panel.serve(now)
             view = actor.advance(now)
             panel.add_contacts(view, now)
             stepped = time.monotonic() - now
             if now - drawn_at >= self._interval(stepped + cost, panel.rate):
-                if view.skeleton_key != worn:
-                    worn = view.skeleton_key
+                if view.run != worn:
+                    worn = view.run
                     scene.wear(self._stage.cast(view.run).run.skeleton)
                     scene.settle(view)
                 before = time.monotonic()
@@ -114,25 +126,22 @@ class Tab:
     def _learn(self, actor: Actor, panel: Panel, file: viser.UploadedFile) -> None:
         """Learns the style of an uploaded clip and puts the character into it; runs beside the tab's thread."""
         if not self._learning.acquire(blocking=False):
+            panel.notify(
+                f"{file.name[:80]} is not learned", "Another file is being learned: upload it again after that."
+            )
             return
         run = actor.run
         try:
             panel.learning(True)
             style = learn_upload(self._stage, run, file.name, file.content, panel.progress)
-            panel.clicks.put(lambda: panel.chosen(run, style), timeout=10.0)
-            panel.tell("good", f"{style} is learned and among the styles of {run}.")
+            panel.clicks.put(lambda: panel.learned(run, style), timeout=10.0)
         except (InputError, TrainingError) as error:
             panel.tell("bad", str(error))
         except GivenUp:
             pass  # nobody is there to be told
+        except Exception as error:  # whoever waits for a style must hear that it does not come
+            panel.tell("bad", f"{file.name[:80]}: {type(error).__name__}: {error}"[:MOST_TOLD])
+            raise
         finally:
             panel.learning(False)
             self._learning.release()
-
-    def _refuse_large_uploads(self, panel: Panel) -> None:
-        """Viser gathers a file in memory before anybody sees it; what is far too large is dropped while it comes."""
-        transfers = self._client.gui._current_file_upload_states
-        for key, state in list(transfers.items()):
-            if max(state["total_bytes"], state["transferred_bytes"]) > FAR_TOO_LARGE:
-                transfers.pop(key, None)
-                panel.tell("bad", f"{state['filename'][:80]}: the file is far larger than {MOST_BYTES / 1e6:g} MB")

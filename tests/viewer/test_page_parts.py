@@ -15,11 +15,11 @@ from pfnn_jax.viewer import background, dials
 from pfnn_jax.viewer.body import capsule_ends
 from pfnn_jax.viewer.guard import names_of, objection
 from pfnn_jax.viewer.page_scene import camera_yaw
-from pfnn_jax.viewer.panel import word_of
 from pfnn_jax.viewer.play import check_address, play
 from pfnn_jax.viewer.solids import TAPER, Body, Mesh, frustum, sphere
 from pfnn_jax.viewer.timeline import SAMPLES, Timeline
 from pfnn_jax.viewer.view import Dial
+from pfnn_jax.viewer.words import Values, word_of
 
 EXACT = 1e-9  # float64 over a few products
 ROUND = 0.05  # share of a sphere's volume that its flat faces cut off
@@ -86,13 +86,15 @@ def test_shares_sum_to_one_whatever_is_typed():
 
 def test_names_cannot_break_out_of_pictures():
     evil = '</svg><img src=x onerror="alert(1)">'
-    shown = dials.triangle([evil, "b", "c"], (0.2, 0.3, 0.5), True) + dials.message("bad", evil)
-    assert "<img" not in shown and "&lt;" in shown
+    for name in (evil, f"&deg;{evil}", "<img>&deg;"):
+        shown = dials.triangle([name, "b", "c"], (0.2, 0.3, 0.5), True)
+        shown += dials.message("bad", name) + dials.phase_dial([Dial(name, 0.0)] * 2) + dials.legend({name: "#000000"})
+        assert "<img" not in shown and "&lt;" in shown
 
 
 def test_dials_of_every_kind_of_phase():
     assert "velocities" in dials.phase_dial(())
-    assert "90&deg;" in dials.phase_dial((Dial("gait", np.pi / 2),))
+    assert "90°" in dials.phase_dial((Dial("gait", np.pi / 2),))
     local = dials.phase_dial(
         tuple(Dial(name, 0.0, 0.5) for name in ("left hand", "right hand", "left toe", "right toe"))
     )
@@ -121,7 +123,12 @@ def test_an_address_that_cannot_be_used_is_named():
             check_address("127.0.0.1", port)
         with pytest.raises(InputError, match=str(port)):  # before anything is loaded
             play(["no such run"], port=port)
-    for host, port, message in (("127.0.0.1", 70000, "between 0 and 65535"), ("no.such.host.invalid", 0, "address")):
+    for host, port, message in (
+        ("127.0.0.1", 70000, "between 0 and 65535"),
+        ("no.such.host.invalid", 0, "address"),
+        ("a" * 70, 0, "address"),  # no name of the internet's: beyond 63 letters
+        ("a..b", 0, "address"),
+    ):
         with pytest.raises(InputError, match=message):
             check_address(host, port)
     check_address("127.0.0.1", 0)
@@ -162,6 +169,13 @@ def test_a_camera_looks_along_a_yaw():
     assert camera_yaw([0.0, 1.0, -4.0], [0.0, 0.0, 0.0]) == 0.0
     assert camera_yaw([-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]) == pytest.approx(np.pi / 2)
     assert camera_yaw([0.0, 3.0, 0.0], [0.0, 0.0, 0.0]) is None
+
+
+def test_values_given_here_are_no_changes():
+    values = Values()
+    assert not values.changed("style", "proud") and values.changed("style", "neutral")
+    values.set(style="angry")
+    assert not values.changed("style", "angry") and values.changed("style", "neutral")
 
 
 def test_work_beside_a_page_returns_or_raises():

@@ -1,0 +1,271 @@
+"""The panel without a browser: what is chosen, learned, recorded and uploaded, on a server that nobody looks at."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.sources import check_style_name
+from pfnn_jax.motion.synthetic import synthesise
+
+viser = pytest.importorskip("viser", reason="viser is not installed")
+
+from viser import _messages as messages  # noqa: E402
+
+from pfnn_jax.viewer import panel as panel_module  # noqa: E402
+from pfnn_jax.viewer import play as play_module  # noqa: E402
+from pfnn_jax.viewer import tab as tab_module  # noqa: E402
+from pfnn_jax.viewer.panel import Panel  # noqa: E402
+from pfnn_jax.viewer.style_picker import MIXTURE, StylePicker  # noqa: E402
+from pfnn_jax.viewer.tab import Tab  # noqa: E402
+from pfnn_jax.viewer.uploads import MOST_GATHERED, drop_large  # noqa: E402
+
+SOON = 20.0  # seconds: a thread's beginning and end, on a machine with other work
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Any]:
+    served = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield served
+    served.stop()
+
+
+class Cast:
+    """A stage of names alone."""
+
+    def __init__(self) -> None:
+        self.styles = {"run": ("angry", "neutral", "proud"), "two": ("neutral", "old")}
+        self.runs, self.version = tuple(self.styles), 0
+
+    def cast(self, run: str) -> SimpleNamespace:
+        if run not in self.styles:
+            raise InputError("stage", "run", run, "must be known")
+        return SimpleNamespace(styles=self.styles[run])
+
+    def join(self, run: str, style: str) -> None:
+        self.styles[run] += (style,)
+        self.version += 1
+
+
+class Puppet:
+    """A character that only notes what it is asked for."""
+
+    def __init__(self) -> None:
+        self.run, self.shares = "run", {"angry": 1.0}
+        self.clip: Any = None
+        self.recording = False
+
+    def choose(self, run: str, style: str) -> None:
+        self.run, self.shares = run, {style: 1.0}
+
+    def mix(self, names: tuple[str, ...], weights: tuple[float, ...]) -> None:
+        self.shares = dict(zip(names, weights, strict=True))
+
+    def start_recording(self) -> None:
+        self.recording = True
+
+    def stop_recording(self) -> Any:
+        clip, self.clip = self.clip, None
+        return clip
+
+    def set_stick(self, *_: float) -> None:
+        pass
+
+
+class Client:
+    """What a tab needs of a browser; downloads and notifications are kept."""
+
+    client_id = 7
+
+    def __init__(self, server: Any) -> None:
+        self.gui, self.scene = server.gui, server.scene
+        self.told: list[tuple[str, ...]] = []
+
+    def send_file_download(self, name: str, content: bytes, save_immediately: bool) -> None:
+        self.told.append((name, content[:9].decode()))
+
+    def add_notification(self, title: str, body: str, **_: Any) -> None:
+        self.told.append((title, body))
+
+
+@pytest.fixture
+def client(server) -> Iterator[Client]:
+    yield Client(server)
+    server.gui.reset()
+
+
+@pytest.fixture
+def panel(client) -> Any:
+    return Panel(client, any_of(Cast()), any_of(Puppet()), any_of(SimpleNamespace(yaw=0.0)))
+
+
+def any_of(stand_in: object) -> Any:
+    """A stand-in where the real thing is asked for."""
+    return stand_in
+
+
+def soon(what: Callable[[], Any]) -> Any:
+    end = time.monotonic() + SOON
+    while not (found := what()):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    return found
+
+
+def test_no_style_can_be_called_as_the_mixture_is():
+    with pytest.raises(InputError, match="style name"):
+        check_style_name(MIXTURE)
+
+
+def test_a_choice_beside_a_style_that_arrives_is_heard(server):
+    stage, actor = any_of(Cast()), any_of(Puppet())
+    picker = StylePicker(server.gui, stage, actor)
+    picker.hear(0.0)
+    stage.join("run", "zombie")
+    picker._style.value = "proud"
+    picker.refresh()
+    assert picker._style.options == ("angry", "neutral", "proud", "zombie", MIXTURE)
+    picker.hear(0.1)
+    assert actor.shares == {"proud": 1.0}
+    stage.join("run", "weary")
+    picker._corners[0].value = "zombie"
+    picker.refresh()
+    picker.hear(0.2)
+    assert set(actor.shares) == {"zombie", "neutral", "proud"} and picker._style.value == MIXTURE
+    server.gui.reset()
+
+
+def test_a_style_learned_does_not_call_back_who_has_gone_on(panel):
+    stage, actor = panel._stage, panel._actor
+    panel.serve(0.0)
+    stage.join("run", "zombie")
+    panel.learned("run", "zombie")
+    panel.serve(0.1)
+    assert actor.shares == {"zombie": 1.0} and "zombie is learned" in panel._message.content
+    panel._picker._run.value = "two"
+    panel.serve(0.2)
+    stage.join("run", "weary")
+    panel.learned("run", "weary")
+    panel.serve(0.3)
+    assert (actor.run, actor.shares) == ("two", {"neutral": 1.0})
+    assert "weary" in panel._message.content and "choose that run" in panel._message.content
+
+
+def test_a_download_is_written_beside_the_character(panel, client, monkeypatch):
+    written, free = panel_module.bvh_bytes, threading.Event()
+    monkeypatch.setattr(panel_module, "bvh_bytes", lambda clip: free.wait(SOON) and written(clip))
+    panel._record_or_stop()
+    assert panel._actor.recording and not client.told
+    panel._actor.clip = synthesise("zombie", np.zeros(30), np.ones(30))[0]
+    panel._record_or_stop()  # would wait for the writing
+    assert not client.told
+    free.set()
+    assert soon(lambda: client.told) == [("angry_30.bvh", "HIERARCHY")]
+
+
+def tab_of(client: Any) -> Tab:
+    return Tab(client, any_of(Cast()))
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_an_upload_that_fails_as_nobody_expected_is_told(panel, client, monkeypatch):
+    def fail(*_: Any) -> str:
+        raise RuntimeError("out of paper")
+
+    monkeypatch.setattr(tab_module, "learn_upload", fail)
+    tab, file = tab_of(client), any_of(SimpleNamespace(name="walk.bvh", content=b""))
+    with pytest.raises(RuntimeError):
+        tab._learn(panel._actor, panel, file)
+    assert "walk.bvh: RuntimeError: out of paper" in panel._message.content
+    assert not panel.upload.disabled
+
+
+def test_a_second_file_meanwhile_is_not_dropped_without_a_word(panel, client, monkeypatch):
+    tab, begun, free = tab_of(client), threading.Event(), threading.Event()
+
+    def learn(*_: Any) -> str:
+        begun.set()
+        free.wait(SOON)
+        return "walk"
+
+    monkeypatch.setattr(tab_module, "learn_upload", learn)
+    files = [any_of(SimpleNamespace(name=name, content=b"")) for name in ("walk.bvh", "second.bvh")]
+    first = threading.Thread(target=tab._learn, args=(panel._actor, panel, files[0]))
+    first.start()
+    assert begun.wait(SOON)
+    tab._learn(panel._actor, panel, files[1])
+    free.set()
+    first.join(SOON)
+    assert client.told == [("second.bvh is not learned", "Another file is being learned: upload it again after that.")]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_character_that_stops_says_so(client, monkeypatch):
+    def fail(_: Any) -> None:
+        raise RuntimeError("no legs")
+
+    monkeypatch.setattr(tab_module, "Actor", fail)
+    tab = tab_of(client)
+    tab.start()
+    soon(lambda: not tab.alive)
+    assert client.told == [("The character has stopped: load the page anew", "RuntimeError: no legs")]
+
+
+def send(gui: Any, button: Any, transfer: str, size: int, parts: int, name: str = "walk.bvh") -> None:
+    """The beginning of a file, as a browser tells it."""
+    start = messages.FileTransferStartUpload(button._impl.uuid, transfer, name, "", parts, size)
+    gui._handle_file_transfer_start(7, start)
+
+
+@pytest.mark.filterwarnings(r"ignore:\[viser\] Dropping upload:UserWarning")
+def test_files_too_large_are_not_gathered_but_come_to_their_end(server, monkeypatch):
+    """Until a page has been told of all parts of a file it takes no other."""
+    gui, told = server.gui, []
+    monkeypatch.setattr(gui._websock_interface, "queue_message", told.append)
+    button = gui.add_upload_button("Upload")
+    send(gui, button, "large", MOST_GATHERED + 3, 2, "large.bvh")
+    part = lambda index, content: messages.FileTransferPart(button._impl.uuid, "large", index, content)  # noqa: E731
+    gui._handle_file_transfer_part(7, part(0, bytes(MOST_GATHERED)))
+    transfers = gui._current_file_upload_states
+    assert drop_large(transfers) == ["large.bvh: the file is far larger than 10 MB"]
+    assert drop_large(transfers) == [], "each is told of once"
+    assert set(transfers["large"]["parts"].values()) == {b""}
+    gui._handle_file_transfer_part(7, part(1, b"abc"))
+    acks = [message.transferred_bytes for message in told if isinstance(message, messages.FileTransferPartAck)]
+    assert acks == [MOST_GATHERED, MOST_GATHERED + 3] and not transfers
+    for transfer in "abc":
+        send(gui, button, transfer, MOST_GATHERED // 2, 1, f"{transfer}.bvh")
+    assert drop_large(transfers) == ["c.bvh: the file comes with too many others"]
+    transfers.clear()
+
+
+def test_a_tab_that_closes_while_it_opens_leaves_nothing(monkeypatch):
+    class Slow:
+        def __init__(self, *_: Any) -> None:
+            time.sleep(0.2)
+
+        def start(self) -> None:
+            pass
+
+        def close(self, wait: float = 0.0) -> None:
+            pass
+
+    monkeypatch.setattr(play_module, "Tab", Slow)
+    with play_module.Page(any_of(Cast()), port=0) as page:
+
+        async def come_and_go() -> None:
+            client, server = any_of(SimpleNamespace(client_id=7)), page._server
+            await server._dispatch_client_callbacks(tuple(server._client_connect_cb), client)
+            await server._dispatch_client_callbacks(tuple(server._client_disconnect_cb), client)
+
+        asyncio.run(come_and_go())
+        time.sleep(0.4)
+        assert page.tabs == ()
