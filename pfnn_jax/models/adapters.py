@@ -6,10 +6,20 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import jax
+import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.models.film import Film, identity_film
-from pfnn_jax.models.layers import BiasLayer, Layer, init_bias, init_blended, init_cp, init_dense, init_diagonal
+from pfnn_jax.models.film import Film, identity_film, mix
+from pfnn_jax.models.layers import (
+    BiasLayer,
+    CPLayer,
+    Layer,
+    init_bias,
+    init_blended,
+    init_cp,
+    init_dense,
+    init_diagonal,
+)
 
 AdapterKind = Literal["cp", "full", "diagonal", "bias", "dense", "one_hot", "film"]
 
@@ -72,3 +82,21 @@ def init_adapter(config: AdapterConfig, hidden: int, num_control_points: int, ke
             return OneHot(shift=init_bias(num_control_points, hidden))
         case "film":
             return identity_film(hidden)
+
+
+def mix_styles(bank: Style, weights: jax.Array) -> Style:
+    """The style that adds to the network the weighted sum of what S styles of one kind add.
+
+    All kinds but one are linear in their parameters. The factors of a CP layer multiply each other, so that their
+    weighted sum would be another motion: S layers of rank R stand beside each other as one of rank S R instead, the
+    weights in its diagonal, which says exactly what `MixedLayer` says.
+
+    Args:
+        bank: any kind, with leaves [S, ...].
+        weights: [S], usually with sum one; a vertex gives that style.
+    """
+    if not isinstance(bank, CPLayer):
+        return mix(bank, weights)
+    scaled = weights[:, None, None] * bank.d
+    a, b, d = (jnp.concatenate(list(factor), axis=-1) for factor in (bank.a, bank.b, scaled))
+    return CPLayer(a=a, b=b, d=d, bias=mix(bank.bias, weights))

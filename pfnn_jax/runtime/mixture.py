@@ -1,4 +1,8 @@
-"""Mixtures: styles of one run by barycentric weights, combined before modulation (Mason 2022 §5.1)."""
+"""Mixtures: styles of one run by barycentric weights, combined before modulation (Mason 2022 §5.1).
+
+A mixture adds to the network the weighted sum of what its styles add, wherever it is asked for: here as parameters of
+one style (`models.adapters.mix_styles`), in a controller, whose weights change from frame to frame, as a `MixedLayer`.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.models.adapters import Style
-from pfnn_jax.models.film import Film, mix
+from pfnn_jax.models.adapters import Style, mix_styles
+from pfnn_jax.models.film import Film
 from pfnn_jax.training.run import Run, list_styles, load_style
 
 StyleChoice: TypeAlias = str | Mapping[str, float] | None
@@ -62,7 +66,7 @@ def check_weights(weights: Sequence[float] | np.ndarray, source: str | Path, pla
 
 
 def load_choice(run: Run, choice: StyleChoice) -> Style | None:
-    """The parameters of a choice of style.
+    """The parameters of a choice of style; a mixture of CP styles has the sum of their ranks.
 
     Args:
         run: as `load_run` returns it.
@@ -83,7 +87,7 @@ def load_choice(run: Run, choice: StyleChoice) -> Style | None:
         return load_style(run, choice)
     check_weights(tuple(choice.values()), run.path, "style weights")
     weights = jnp.asarray(list(choice.values()), jnp.float32)
-    return mix(load_bank(run, tuple(choice)), weights)
+    return mix_styles(load_bank(run, tuple(choice)), weights)
 
 
 def load_bank(run: Run, names: Sequence[str]) -> Style:

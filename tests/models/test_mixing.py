@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.models.layers import MixedLayer, linear
+from pfnn_jax.models.adapters import OneHot, mix_styles
+from pfnn_jax.models.layers import CPLayer, MixedLayer, linear
 from tests.models.helpers import random_layer, randomise
 
 FLOAT64 = 1e-12  # a few small products in double precision
@@ -29,6 +30,29 @@ def test_a_mixture_is_the_weighted_sum_of_outputs(kind: str, weights: list[float
     mixed = linear(MixedLayer(layers=layers, weights=shares), jnp.asarray(COEFFICIENTS), jnp.asarray(X))
     each = jax.vmap(lambda layer: linear(layer, jnp.asarray(COEFFICIENTS), jnp.asarray(X)))(layers)
     np.testing.assert_allclose(mixed, shares @ each, atol=FLOAT64)
+
+
+@pytest.mark.parametrize("kind", ["cp", "blended", "diagonal", "bias", "dense"])
+@pytest.mark.parametrize("weights", [[0.0, 1.0, 0.0], [0.5, 0.2, 0.3], [0.0, 1.5, -0.5]])
+def test_mixed_parameters_say_what_mixed_outputs_say(kind: str, weights: list[float], float64: None):
+    layers, shares = bank(kind), jnp.asarray(weights)
+    one = mix_styles(layers, shares)
+    expected = linear(MixedLayer(layers=layers, weights=shares), jnp.asarray(COEFFICIENTS), jnp.asarray(X))
+    assert type(one) is type(layers)
+    np.testing.assert_allclose(linear(one, jnp.asarray(COEFFICIENTS), jnp.asarray(X)), expected, atol=FLOAT64)
+
+
+def test_ranks_of_mixed_cp_layers_add_up():
+    one = mix_styles(bank("cp"), jnp.ones(3))
+    assert isinstance(one, CPLayer)
+    assert (one.a.shape, one.b.shape, one.d.shape) == ((HIDDEN, 3 * RANK), (HIDDEN, 3 * RANK), (POINTS, 3 * RANK))
+
+
+def test_shifts_of_the_first_layer_are_mixed_by_parameters(float64: None):
+    shifts, weights = bank("bias"), jnp.asarray([0.5, 0.2, 0.3])
+    one = mix_styles(OneHot(shift=shifts), weights)
+    assert isinstance(one, OneHot)
+    np.testing.assert_allclose(one.shift.biases, jnp.tensordot(weights, shifts.biases, 1), atol=FLOAT64)
 
 
 def test_a_mixture_at_a_vertex_is_that_layer():
