@@ -156,11 +156,13 @@ def draw_strip(axes: Axes, track: Track) -> None:
     names = [*(f"{name} foot" for name, _ in bars), *(line.name for line in lines)]
     for row, (name, height) in enumerate(zip(names, heights, strict=True)):
         top -= height
-        axes.axhspan(top, top + height, color=PANEL, linewidth=0, zorder=0)
-        place = {"xytext": (-6, 0), "textcoords": "offset points", "ha": "right", "va": "center"}
-        axes.annotate(
-            name, (0, top + height / 2), xycoords=("axes fraction", "data"), fontsize=7.5, color=MUTED, **place
-        )
+        # as long as the clip: nothing is known of what comes after
+        axes.broken_barh([(0.0, track.clip.num_frames / track.clip.fps)], (top, height), color=PANEL, lw=0, zorder=0)
+        scaled = height == PHASE_ROW
+        _beside(axes, name, top + height / 2, -14 if scaled else -6, 7.5)
+        if scaled:
+            _beside(axes, "2π", top + 0.84 * height, -3, 6)
+            _beside(axes, "0", top + 0.16 * height, -3, 6)
         if row < len(bars):
             spans = [(first / track.clip.fps, (past - first) / track.clip.fps) for first, past in bars[row][1]]
             axes.broken_barh(spans, (top, height), facecolors=SIDES[bars[row][0]], linewidth=0, zorder=1)
@@ -172,6 +174,12 @@ def draw_strip(axes: Axes, track: Track) -> None:
     axes.set_frame_on(False)
     axes.tick_params(colors=MUTED, labelsize=7.5, length=0, pad=2)
     axes.xaxis.set_major_formatter(lambda second, _: f"{second:g} s")
+
+
+def _beside(axes: Axes, text: str, y: float, points: float, size: float) -> None:
+    """Text that ends so many points left of the axes."""
+    place = {"xytext": (points, 0), "textcoords": "offset points", "ha": "right", "va": "center"}
+    axes.annotate(text, (0, y), xycoords=("axes fraction", "data"), fontsize=size, color=MUTED, **place)
 
 
 def draw_phase(

@@ -134,10 +134,11 @@ class _Pane:
         after, share = min(before + 1, len(scene.points) - 1), frame - before
         points, focus = ((1 - share) * values[before] + share * values[after] for values in (scene.points, scene.focus))
         camera = Camera(focus, scene.heading, scene.tall, *self.size)
+        over = time > self.track.over
         self._draw_ground(camera)
         self._draw_trail(camera, before)
-        self._draw_body(camera, points, over=time > self.track.over)
-        self.clock.set_text(f"{min(time, self.track.seconds):.1f} s")
+        self._draw_body(camera, points, over)
+        self.clock.set_text(f"ended at {self.track.seconds:.1f} s" if over else f"{time:.1f} s")
         for artist in self.artists:
             artist.draw(renderer)
 

@@ -110,10 +110,11 @@ def _draw_row(
     if with_map:
         _draw_path(place(left + wide + APART, top - BODY - LABELS, MAP, BODY + LABELS), row)
     if strip := strip_height(row.track):
-        line = place(left, top - BODY - LABELS - strip - 0.06, wide, strip)
+        before = wide * pad / (span + 2 * pad)  # so that the rows' names stand beside their first second
+        line = place(left + before, top - BODY - LABELS - strip - 0.06, wide - before, strip)
         draw_strip(line, row.track)
         line.vlines(row.seconds, *line.get_ylim(), color=INK, alpha=0.25, linewidth=0.8)
-        line.set_xlim(times[0] - pad, times[-1] + pad)
+        line.set_xlim(times[0], times[0] + span + pad)
         line.set_xticks([])
 
 

@@ -1,5 +1,5 @@
 // Plays motion clips side by side, in step. Joined behind player_scene.js and player_strip.js; no outside resources.
-// Drag to orbit, Ctrl + wheel to zoom, space to pause, press on a time line to go there.
+// Drag to orbit, Ctrl + wheel to zoom, space to pause, arrow keys for single frames, press on a time line to go there.
 
 const DEFAULT_VIEW = { yaw: 0.75, pitch: 0.28, distance: 4.6 };
 
@@ -34,9 +34,11 @@ class Player {
       this.draw();
     });
     this.root.addEventListener("keydown", (event) => {
-      if (event.key !== " " || event.target !== this.root) return;
+      const direction = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+      if (event.target !== this.root || (event.key !== " " && !direction)) return;
       event.preventDefault();
-      this.play(!this.playing);
+      if (direction) this.step(direction);
+      else this.play(!this.playing);
     });
     for (const scene of this.scenes) this.orbit(scene.canvas);
     for (const strip of this.strips) this.seek(strip);
@@ -86,6 +88,16 @@ class Player {
     });
   }
 
+  // To the next frame or the one before, of the clip with most of them in a second.
+  step(direction) {
+    this.play(false);
+    const fps = Math.max(...this.tracks.map((track) => track.fps));
+    const now = this.time * fps, near = 1e-3; // of a frame: this near to one it stands on it
+    const frame = direction > 0 ? Math.floor(now + near) + 1 : Math.ceil(now - near) - 1;
+    this.time = Math.max(0, Math.min(this.duration, frame / fps));
+    this.draw();
+  }
+
   recolour() {
     this.colours = palette(this.root);
     this.draw();
@@ -111,7 +123,7 @@ class Player {
     for (const scene of this.scenes) scene.draw(this.time, this.camera, this.colours);
     for (const strip of this.strips) strip.draw(this.time, this.colours);
     this.slider.value = (1000 * this.time) / this.duration;
-    this.clock.textContent = `${this.time.toFixed(1)} / ${this.duration.toFixed(1)} s`;
+    this.clock.textContent = `${this.time.toFixed(2)} / ${this.duration.toFixed(2)} s`;
   }
 }
 

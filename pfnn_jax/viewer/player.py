@@ -26,6 +26,7 @@ INT16 = 32767
 RATES = ("0.25", "0.5", "1", "2")
 FPS = 30.0
 SCRIPTS = ("player_scene.js", "player_strip.js", "player.js")  # what a later one uses stands in an earlier one
+HINT = "Drag to look around, Ctrl + wheel to come nearer; space pauses, arrow keys step through frames"
 MOST = 32_000_000  # characters of a page; browsers and notebooks become slow beyond
 
 
@@ -102,10 +103,17 @@ def _colours() -> str:
 
 def _pane(number: int, track: Track) -> str:
     feet, lines = len(foot_bars(track)), len(phase_lines(track))
-    strip = f'<canvas class="strip" data-track="{number}"></canvas>' if feet or lines else ""
+    name = html.escape(track.name, quote=True)
+    strip = (
+        f'<canvas class="strip" data-track="{number}" role="img" aria-label="contacts and phase of {name}" '
+        'title="Press to go there"></canvas>'
+        if feet or lines
+        else ""
+    )
     note = f"<small>{html.escape(track.note)}</small>" if track.note else ""
-    caption = f"<figcaption>{html.escape(track.name)}{note}</figcaption>"
-    return f'<figure>{caption}<canvas class="scene"></canvas>{strip}</figure>'
+    caption = f"<figcaption>{name}{note}</figcaption>"
+    scene = f'<canvas class="scene" role="img" aria-label="{name}" title="{HINT}"></canvas>'
+    return f"<figure>{caption}{scene}{strip}</figure>"
 
 
 def _require_small(tracks: Sequence[Track], size: int) -> None:

@@ -68,8 +68,10 @@ class Scene {
     this.grid(colours);
     this.trail(before, colours);
     this.shadow(points, colours);
-    this.body(points, time > track.over ? colours.pale : colours.tones); // one that has ended waits for the others
-    if (track.phases.length === 1 && track.phases[0].angle[before] !== null) {
+    const over = time > track.over; // it has ended and waits for the others
+    this.body(points, over ? colours.pale : colours.tones);
+    if (over) this.ended(colours);
+    else if (track.phases.length === 1 && track.phases[0].angle[before] !== null) {
       this.dial(track.phases[0].angle[before], colours);
     }
   }
@@ -210,10 +212,27 @@ class Scene {
     context.closePath();
   }
 
+  ended(colours) {
+    const { context, canvas } = this, ratio = window.devicePixelRatio || 1;
+    context.font = `${12 * ratio}px system-ui, sans-serif`;
+    context.textAlign = "right";
+    context.textBaseline = "bottom";
+    context.fillStyle = colours.muted;
+    const last = (this.track.frames - 1) / this.track.fps;
+    context.fillText(`ended at ${last.toFixed(1)} s`, canvas.width - 10 * ratio, canvas.height - 8 * ratio);
+  }
+
   // The phase as a clock hand: up is right contact, down left contact.
   dial(phase, colours) {
     const { context } = this, ratio = window.devicePixelRatio || 1;
-    const r = 13 * ratio, x = this.canvas.width - r - 10 * ratio, y = r + 10 * ratio;
+    const r = 13 * ratio, x = this.canvas.width - r - 10 * ratio, y = r + 22 * ratio;
+    context.font = `600 ${11 * ratio}px system-ui, sans-serif`;
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    for (const [side, up] of [["right", 1], ["left", -1]]) {
+      context.fillStyle = colours.tones[side][1];
+      context.fillText(side[0].toUpperCase(), x, y - up * (r + 8 * ratio));
+    }
     context.lineWidth = 1.5 * ratio;
     context.strokeStyle = colours.grid;
     context.beginPath();

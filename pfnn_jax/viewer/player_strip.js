@@ -35,6 +35,7 @@ class Strip {
     this.x = (second) => GUTTER + ((second - from) / span) * width;
     context.font = "11px system-ui, sans-serif";
     context.textBaseline = "middle";
+    const ends = Math.max(0, Math.min(this.x(track.over) - GUTTER, width)); // nothing is known of what comes after
     const names = [...track.contacts.map((_, i) => (i ? "right foot" : "left foot")), ...track.phases.map((p) => p.name)];
     let top = 0;
     this.heights.forEach((height, row) => {
@@ -42,11 +43,12 @@ class Strip {
       context.fillStyle = colours.muted;
       context.fillText(names[row], 0, top + height / 2);
       const foot = row < track.contacts.length;
+      if (!foot && height === PHASE_ROW) this.scale(top, height);
       context.fillStyle = colours.panel;
-      context.fillRect(GUTTER, top, width, height);
+      context.fillRect(GUTTER, top, ends, height);
       context.save();
       context.beginPath();
-      context.rect(GUTTER, top, width, height);
+      context.rect(GUTTER, top, ends, height);
       context.clip();
       if (foot) this.bars(track.contacts[row], top, height, colours.tones[row ? "right" : "left"][1]);
       else this.line(track.phases[row - track.contacts.length], top, height, from, span, colours);
@@ -56,6 +58,17 @@ class Strip {
     this.seconds(top, from, span, colours);
     context.fillStyle = colours.ink;
     context.fillRect(this.x(Math.min(time, this.duration)) - 0.75, 0, 1.5, top - ROW_GAP);
+  }
+
+  // What the lower and the upper edge of a phase's row mean.
+  scale(top, height) {
+    const { context } = this;
+    context.font = "9px system-ui, sans-serif";
+    context.textAlign = "right";
+    context.fillText("2π", GUTTER - 4, top + 5);
+    context.fillText("0", GUTTER - 4, top + height - 4);
+    context.font = "11px system-ui, sans-serif";
+    context.textAlign = "left";
   }
 
   bars(runs, top, height, colour) {

@@ -22,10 +22,11 @@ from pfnn_jax.viewer.palette import PANEL
 from pfnn_jax.viewer.player import FPS, player_page
 from pfnn_jax.viewer.tracks import Track
 
-GIF_FPS, GIF_DPI, GIF_COLOURS, GIF_SAMPLES = 20.0, 80, 64, 8
+GIF_FPS, GIF_DPI, GIF_COLOURS, GIF_SAMPLES = 20.0, 80, 128, 8
 MP4_FPS, MP4_DPI, MP4_QUALITY = 30.0, 150, 6
 MOMENTS, MOST_MOMENTS, MOST_FPS = 8, 40, 240
 MOST_GIF = 1200  # frames; they are kept in memory, and a minute takes 18 MB
+OFF = 8  # of 255: how far a colour of a GIF lies from those of the areas behind at least
 CENTISECOND = 0.01  # times in a GIF are whole ones
 
 Progress = Callable[[int, int], None]
@@ -114,10 +115,13 @@ def _palette(film: Film) -> Image.Image:
     some = [film.frame_at(second) for second in np.linspace(0, film.seconds, GIF_SAMPLES)]
     colours, counts = np.unique(np.concatenate(some).reshape(-1, 3), axis=0, return_counts=True)
     weighted = np.repeat(colours, np.ceil(np.sqrt(counts)).astype(int), axis=0)  # thin lines count, not only areas
-    chosen = Image.fromarray(weighted[None]).quantize(GIF_COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or []
-    exact = (np.array([to_rgb("white"), to_rgb(PANEL)]) * 255).round().astype(int).ravel().tolist()
+    cut = Image.fromarray(weighted[None]).quantize(GIF_COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or []
+    exact = (np.array([to_rgb("white"), to_rgb(PANEL)]) * 255).round().astype(int)
+    chosen = np.array(cut[: 3 * GIF_COLOURS]).reshape(-1, 3)
+    # Pillow's search is a few levels off: beside the areas' own colours there may be none that it takes for them
+    apart = np.abs(chosen[:, None] - exact).max(axis=-1).min(axis=1) > OFF
     palette = Image.new("P", (1, 1))
-    palette.putpalette(exact + chosen[: 3 * GIF_COLOURS])
+    palette.putpalette(np.concatenate([exact, chosen[apart]]).ravel().tolist())
     return palette
 
 

@@ -22,6 +22,16 @@ from tests.viewer.pages import captions, check_page, make_track, payload
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
 browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 SECOND = 1000  # milliseconds
+STRONGEST = """canvas => {  // colour of a scene: 0 for greys, 255 for a pure one
+    const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+    let most = 0;
+    for (let i = 0; i < data.length; i += 4) {
+        if (data[i + 3] < 255) continue;
+        const [r, g, b] = data.slice(i, i + 3);
+        most = Math.max(most, Math.max(r, g, b) - Math.min(r, g, b));
+    }
+    return most;
+}"""
 
 
 def walk(style: str = "zombie", frames: int = 180) -> MotionClip:
@@ -107,7 +117,17 @@ def test_two_shows_in_one_page_play_apart_and_in_step(tmp_path: Path):
         box = strip.bounding_box()
         assert box is not None
         strip.click(position={"x": 62 + (box["width"] - 62) / 2, "y": 10})
-        assert first.locator("output").inner_text() == "1.5 / 3.0 s"
+        assert first.locator("output").inner_text() == "1.48 / 2.97 s"
+        for key, stands in (("ArrowRight", "1.50"), ("ArrowRight", "1.53"), ("ArrowLeft", "1.50")):
+            page.keyboard.press(key)
+            assert first.locator("output").inner_text() == f"{stands} / 2.97 s"
+        seen = {}
+        for moment in (1.97, 1.99):  # less and more than half a frame behind the last of the shorter clip
+            go = "(s, t) => { s.value = t / 2.967 * 1000; s.dispatchEvent(new Event('input')) }"
+            first.locator("input").evaluate(go, moment)
+            seen[moment] = [first.locator("canvas.scene").nth(i).evaluate(STRONGEST) for i in (0, 1)]
+        (longer, shorter), (still_longer, over) = seen.values()
+        assert min(longer, shorter, still_longer) > 130 > 100 > over  # one that has ended turns pale
         drawn = "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some(v => v > 0)"
         for frame in frames:
             assert all(frame.locator("canvas").nth(i).evaluate(drawn) for i in range(frame.locator("canvas").count()))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Annotation
 from PIL import Image
 
 from pfnn_jax.cli import main
@@ -123,6 +124,8 @@ def test_every_format(short, tmp_path: Path, monkeypatch):
     assert payload(page)["tracks"][0]["fps"] == FPS
     with Image.open(tmp_path / "walk.gif") as gif:
         assert (getattr(gif, "n_frames", 1), gif.info["duration"], gif.info["loop"]) == (7, 100, 0)
+        colours = {colour for _, colour in gif.convert("RGB").getcolors(1 << 16) or []}
+        assert {(255, 255, 255), (243, 245, 248)} <= colours  # what lies behind keeps its colours
     assert (tmp_path / "walk.mp4").read_bytes()[4:8] == b"ftyp"
     with Image.open(tmp_path / "walk.png") as png:
         assert png.width > png.height
@@ -191,6 +194,27 @@ def test_filmstrips_have_a_row_for_each_clip(short):
     assert alone.get_size_inches()[0] < one.get_size_inches()[0]
     with pytest.raises(ValueError, match="needs a clip and a moment"):
         filmstrip()
+
+
+@pytest.mark.parametrize("moments", [1, 3])
+def test_every_figure_stands_above_its_moment(short, moments):
+    figure = filmstrip(short, moments=moments)
+    bodies, line = figure.axes[0], figure.axes[-1]
+    moment = line.transData.transform([(x, 0.0) for x in np.linspace(0, short.seconds, moments)])[:, 0]
+    numbers = [text for text in bodies.texts if isinstance(text, Annotation) and text.get_text().isdigit()]
+    labels = [bodies.transData.transform(number.xy)[0] for number in numbers]
+    np.testing.assert_allclose(moment, labels, atol=1e-6)
+    assert line.get_xlim()[0] == 0.0  # names of rows stand beside their first second
+
+
+def test_time_lines_end_with_their_clips(short):
+    long = make_track(frames=120)
+    figure = filmstrip(short, long, moments=3)
+    lines = [axes for axes in figure.axes if any(text.get_text() == "phase" for text in axes.texts)]
+    for axes, track in zip(lines, (short, long), strict=True):
+        behind = axes.collections[0].get_paths()[0].get_extents()
+        assert (behind.x0, behind.x1) == pytest.approx((0.0, track.clip.num_frames / 60))
+        assert [text.get_text() for text in axes.texts] == ["left foot", "right foot", "phase", "2π", "0"]
 
 
 def test_the_command_labels_draws_and_tells(tmp_path: Path, capsys):
