@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.runtime.character import ControllerParams
 from pfnn_jax.runtime.controller import Command, Controller, make_controller, with_walks
 from pfnn_jax.runtime.generate import default_speed
 from pfnn_jax.training.run import Run, list_styles, load_run, load_style
@@ -51,7 +52,6 @@ class Stage:
 
     Args:
         run_paths: folders of runs, at least one; loaded by `load_run`, which unpickles nothing.
-        foot_ik: whether feet are locked and arms reach, as the controller's.
 
     Raises:
         InputError: for a folder that is no run, a run given twice, or one whose styles cannot be loaded.
@@ -60,13 +60,12 @@ class Stage:
         ended: set when nothing shall be learned any more.
     """
 
-    def __init__(self, run_paths: Sequence[str | Path], *, foot_ik: bool = True) -> None:
+    def __init__(self, run_paths: Sequence[str | Path]) -> None:
         if not run_paths:
             raise InputError("stage", "runs", "none", "there must be at least one run to play")
         paths = [Path(path) for path in run_paths]
         self._lock = threading.RLock()
-        self._foot_ik = foot_ik
-        self._casts = {name: load_cast(name, path, foot_ik) for name, path in zip(_names(paths), paths, strict=True)}
+        self._casts = {name: load_cast(name, path) for name, path in zip(_names(paths), paths, strict=True)}
         self._preparations = {name: threading.Lock() for name in self._casts}
         self._version = 0
         self.ended = threading.Event()
@@ -118,7 +117,7 @@ class Stage:
         parameters = load_style(self.cast(run).run, style)
         with self._lock:
             cast = self.cast(run)
-            controller = joined(cast.run, cast.controller, style, parameters, foot_ik=self._foot_ik)
+            controller = joined(cast.run, cast.controller, style, parameters)
             if controller.capacity != cast.controller.capacity:
                 try_out(controller)  # before characters have to wait for its compilation
             self._casts = {**self._casts, run: replace(cast, controller=controller, speeds=_speeds(controller))}
@@ -146,51 +145,54 @@ def make_command(speed: float, going: float, facing: float, weights: np.ndarray)
     return Command(**arrays)
 
 
-def load_cast(name: str, path: Path, foot_ik: bool = True) -> Cast:
+def load_cast(name: str, path: Path) -> Cast:
     """A run with the controller of all of its styles."""
     run = load_run(path)
     styles = list_styles(run.path)
-    controller = _bound(make_controller(run, styles, capacity=len(styles) + SPARE, foot_ik=foot_ik))
+    controller = _bound(make_controller(run, styles, capacity=len(styles) + SPARE))
     return Cast(name, run, controller, _speeds(controller), phase_scale(run.normaliser))
 
 
-def joined(run: Run, controller: Controller, style: str, parameters: object, *, foot_ik: bool = True) -> Controller:
+def joined(run: Run, controller: Controller, style: str, parameters: object) -> Controller:
     """A controller with one more style, in a spare row where there is one, else in a larger bank.
 
-    Where the run had no styles, its network as it is stays the first: a row of zeros, which adds nothing.
+    The other styles keep their rows and what was found out of their walks. Where the run had no styles, its network as
+    it is stays the first: a row of zeros, which adds nothing.
 
     Raises:
         InputError: if the style is of another kind than those of the bank.
     """
     if controller.params.bank is None:
-        controller = _with_bank(controller, parameters)
-    count, bank = len(controller.styles), controller.params.bank
+        zeros = jax.tree.map(lambda leaf: np.zeros((controller.capacity, *np.shape(leaf)), np.float32), parameters)
+        controller = replace(controller, params=replace(controller.params, bank=zeros))
+    bank = controller.params.bank
     rows = [np.shape(leaf)[1:] for leaf in jax.tree.leaves(bank)]
     if jax.tree.structure(bank) != jax.tree.structure(parameters) or rows != [
         np.shape(leaf) for leaf in jax.tree.leaves(parameters)
     ]:
         raise InputError(run.path, "style", style, "must be of the kind of the run's other styles to be played")
-    if style in controller.styles:
-        index, styles = controller.styles.index(style), controller.styles
-    elif count < len(jax.tree.leaves(bank)[0]):
-        index, styles = count, (*controller.styles, style)
-    else:
-        more = len(styles := (*controller.styles, style)) + SPARE
-        return _bound(make_controller(run, styles, capacity=more, foot_ik=foot_ik))
-    bank = jax.tree.map(lambda rows, row: _with_row(rows, index, row), bank, parameters)
-    speeds = _with_row(controller.params.speeds, index, default_speed(run, style))
-    params = replace(controller.params, bank=bank, speeds=speeds)
+    styles = controller.styles if style in controller.styles else (*controller.styles, style)
+    params = controller.params
+    if len(styles) > controller.capacity:
+        params = _padded(params, len(styles) + SPARE)
+    index = styles.index(style)
+    bank = jax.tree.map(lambda rows, row: _with_row(rows, index, row), params.bank, parameters)
+    params = replace(params, bank=bank, speeds=_with_row(params.speeds, index, default_speed(run, style)))
     return _bound(with_walks(_bound(replace(controller, params=params, styles=styles)), [style]))
 
 
-def _with_bank(controller: Controller, parameters: object) -> Controller:
-    """The controller of a run without styles, with rows of zeros for what is like the parameters."""
-    params = controller.params
-    rows = len(controller.styles) + SPARE
-    bank = jax.tree.map(lambda leaf: np.zeros((rows, *np.shape(leaf)), np.float32), parameters)
-    speeds = np.zeros(rows, np.float32)
-    speeds[: len(params.speeds)] = params.speeds
-    return replace(controller, params=replace(params, bank=bank, speeds=speeds, shares=np.ones(rows, np.float32)))
+def _padded(params: ControllerParams, capacity: int) -> ControllerParams:
+    """The parameters with more rows for styles, as `make_controller` leaves spare ones. Nothing is read from disk:
+    what is played need not be there, as the network without a style is not."""
+    more = capacity - len(params.speeds)
+
+    def longer(rows: Any, value: float) -> np.ndarray:
+        rows = np.asarray(rows)
+        return np.concatenate([rows, np.full((more, *rows.shape[1:]), value, rows.dtype)])
+
+    bank = jax.tree.map(lambda leaf: longer(leaf, 0.0), params.bank)
+    arrays: dict[str, Any] = {"speeds": longer(params.speeds, 0.0), "shares": longer(params.shares, 1.0)}
+    return replace(params, bank=bank, **arrays)
 
 
 def _with_row(rows: Any, index: int, row: Any) -> np.ndarray:
