@@ -16,14 +16,12 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.runtime.controller import Command, ControllerState
 from pfnn_jax.runtime.mixture import SUM
-from pfnn_jax.runtime.state import ROOT, STRIDE
+from pfnn_jax.runtime.state import ROOT
+from pfnn_jax.viewer.clock import Clock
 from pfnn_jax.viewer.keys import Keys, Wish
 from pfnn_jax.viewer.recording import Recording
 from pfnn_jax.viewer.stage import Cast, Stage, make_command
-from pfnn_jax.viewer.view import View, phase_dials
-
-CATCH_UP = 6
-"""Steps made up for at once; of a longer pause, as of a busy machine, the rest is forgotten."""
+from pfnn_jax.viewer.view import View, Way, view_of
 
 RUN = 2.0
 """By what Shift multiplies the speed (the published demos' running biases are 2 to 4 times those of walking)."""
@@ -33,9 +31,6 @@ TURN_RATE = math.radians(100.0)
 
 FASTEST = 6.0
 """Metres per second: the largest speed that can be asked for."""
-
-SPEED_SPAN = 15
-"""Steps over which the shown speed is measured."""
 
 
 class Actor:
@@ -65,12 +60,9 @@ class Actor:
         self._speed: float | None = None
         self._strafe = False
         self._recording: Recording | None = None
-        self._recorded_run = ""
-        self._origin: float | None = None  # of the clock: step n is due at origin + n / fps
-        self._steps = 0
+        self._clock = Clock(cast.run.layout.fps)  # every layout's is the same
         self._frame = 0
         self._durations: deque[float] = deque(maxlen=60)
-        self._made: deque[tuple[float, int]] = deque()
         self._heading = 0.0
         self._begin(cast, np.zeros(2, np.float32), 0.0)
 
@@ -80,11 +72,6 @@ class Actor:
         """A key has gone down or repeats: w, a, s, d, q or e; `now` by default `time.monotonic()`."""
         with self._lock:
             self._presses.append((time.monotonic() if now is None else now, key, shift))
-
-    def release(self, key: str) -> None:
-        """A key is known to be up; needed by nobody who only knows of presses."""
-        with self._lock:
-            self._keys.release(key)
 
     def set_stick(self, ahead: float, left: float, turn: float = 0.0, run: bool = False) -> None:
         """On-screen controls: stays until it is set anew; keys go before it.
@@ -159,36 +146,30 @@ class Actor:
     # What it does
 
     def advance(self, now: float | None = None) -> View:
-        """As many steps of 1/60 s as are due (`CATCH_UP` at most), and what there is to see then.
+        """As many steps of 1/60 s as are due (`clock.CATCH_UP` at most), and what there is to see then.
 
         The first call starts the clock. `now` is by default `time.monotonic()`.
         """
         now = time.monotonic() if now is None else now
         with self._lock:
             cast = self._stage.cast(self._run)
-            fps = cast.run.layout.fps
-            if self._origin is None:
-                self._origin, self._steps = now, 0
-            due = math.floor((now - self._origin) * fps + 1e-6) - self._steps
-            if due > CATCH_UP:
-                self._origin += (due - CATCH_UP) / fps
-                due = CATCH_UP
-            for _ in range(due):
-                self._steps += 1
-                self._step(cast, self._origin + self._steps / fps)
-            self._count(now, max(due, 0))
+            for moment in self._clock.due(now):
+                self._step(cast, moment)
             return self._view(cast)
 
     def start_recording(self) -> None:
-        """Every step from now on is kept (10 minutes at most); a recording that runs is begun anew."""
+        """Every step from now on is kept, for 10 minutes at most, until the character is put somewhere else.
+
+        A change of run or `reset` ends the recording, which then waits for `stop_recording`. One that runs or waits is
+        dropped and begun anew.
+        """
         with self._lock:
             cast = self._stage.cast(self._run)
             label = "+".join(self._shares)
             self._recording = Recording(cast.run.skeleton, cast.run.layout.fps, label, str(cast.run.path.name))
-            self._recorded_run = self._run
 
     def stop_recording(self) -> MotionClip | None:
-        """The recorded clip, up to a change of run if there was one; None where nothing was recorded."""
+        """The recorded clip, up to a change of run or reset if there was one; None where nothing was recorded."""
         with self._lock:
             recording, self._recording = self._recording, None
             return None if recording is None else recording.clip()
@@ -217,15 +198,15 @@ class Actor:
                 self._begin(cast, self._root, math.atan2(faced[0], faced[1]))
 
     def _begin(self, cast: Cast, root: np.ndarray, yaw: float) -> None:
-        """Standing at `root` [2] facing `yaw`."""
+        """Standing at `root` [2] facing `yaw`; a recording cannot go on from there without a leap."""
+        if self._recording is not None:
+            self._recording.close()
         controller = cast.controller
         first = max(self._shares, key=lambda name: self._shares[name])
         self._state: ControllerState = controller.start(position=root, yaw=yaw, style=controller.styles.index(first))
-        self._facing_yaw, self._root = yaw, np.asarray(root, np.float32)
-        self._wanted = 0.0
-        self._roots: deque[np.ndarray] = deque(maxlen=SPEED_SPAN + 1)
-        begun = (np.array(self._state.root), np.array(self._state.facing))
-        self._trail: deque[tuple[np.ndarray, np.ndarray]] = deque([begun] * ROOT, maxlen=ROOT)
+        self._facing_yaw, self._wanted = yaw, 0.0
+        self._root = np.asarray(root, np.float32)  # as asked for: some layouts' bodies are one frame behind it
+        self._way = Way(np.array(self._state.root), np.array(self._state.facing), cast.run.layout.fps)
 
     def _step(self, cast: Cast, clock: float) -> None:
         """One step of the state, by what is held at `clock` seconds."""
@@ -239,9 +220,8 @@ class Actor:
         self._durations.append(time.perf_counter() - started)
         self._frame += 1
         self._root = np.array(self._state.root)
-        self._roots.append(self._root)
-        self._trail.append((self._root, np.array(self._state.facing)))
-        if self._recording is not None and self._recorded_run == self._run:
+        self._way.add(self._root, np.array(self._state.facing))
+        if self._recording is not None:
             self._recording.add(np.asarray(self._state.joints)[0], np.asarray(self._state.world_rotations))
 
     def _command(self, cast: Cast, clock: float) -> Command:
@@ -263,41 +243,22 @@ class Actor:
             return self._speed
         return sum(weight * cast.speeds[name] for name, weight in self._shares.items())
 
-    def _count(self, now: float, steps: int) -> None:
-        self._made.append((now, steps))
-        while self._made and self._made[0][0] <= now - 1.0:
-            self._made.popleft()
-
     def _view(self, cast: Cast) -> View:
-        state, layout = self._state, cast.run.layout
-        positions, directions = np.asarray(state.motion.positions), np.asarray(state.motion.directions)
-        # What the network remembers of its way is turned with it: behind it is drawn where it really was.
-        now = (np.array(state.root), np.array(state.facing))
-        behind = [*list(self._trail)[-1 - STRIDE :: -STRIDE][::-1], now]
-        weights = np.asarray(state.style)
-        span = len(self._roots) - 1
-        speed = float(np.linalg.norm(self._roots[-1] - self._roots[0])) * layout.fps / span if span > 0 else 0.0
-        return View(
+        recording = self._recording
+        return view_of(
+            self._state,
+            cast.run.layout,
+            cast.styles,
+            self._way,
             run=self._run,
-            skeleton_key=self._run,
             frame=self._frame,
-            joints=np.array(state.joints),
-            world_rotations=np.array(state.world_rotations),
-            root=now[0],
-            facing=now[1],
             heading=self._heading,
-            past_positions=np.stack([position for position, _ in behind]),
-            past_directions=np.stack([direction for _, direction in behind]),
-            future_positions=np.concatenate([now[0][None], positions[ROOT + STRIDE :: STRIDE]]),
-            future_directions=np.concatenate([now[1][None], directions[ROOT + STRIDE :: STRIDE]]),
-            contacts=np.array(state.contacts),
-            dials=phase_dials(layout, np.asarray(state.motion.phase), cast.phase_scale),
-            speed=speed,
             wanted_speed=self._wanted,
-            style_weights={n: float(w) for n, w in zip(cast.styles, weights, strict=False) if w >= 1e-3},
+            phase_scale=cast.phase_scale,
             step_milliseconds=1e3 * float(np.mean(self._durations)) if self._durations else 0.0,
-            steps_per_second=float(sum(steps for _, steps in self._made)),
-            recorded_seconds=None if self._recording is None else self._recording.seconds,
+            steps_per_second=self._clock.rate,
+            recorded_seconds=None if recording is None else recording.seconds,
+            recording=recording is not None and recording.open,
         )
 
 

@@ -94,10 +94,6 @@ class Keys:
         self._held[key] = _Held(began, until)
         self._run = shift
 
-    def release(self, key: str) -> None:
-        """A key is known to be up, where a page can tell; `press` alone suffices."""
-        self._held.pop(key.lower(), None)
-
     def clear(self) -> None:
         """Nothing is held."""
         self._held.clear()

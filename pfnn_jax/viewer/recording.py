@@ -17,21 +17,31 @@ LONGEST = 600.0
 
 
 class Recording:
-    """Poses of one skeleton at equal steps in time."""
+    """Poses of one skeleton at equal steps in time, from its beginning until it is closed or `LONGEST`."""
 
     def __init__(self, skeleton: Skeleton, fps: float, style: str, source: str) -> None:
         self._skeleton, self._fps, self._style, self._source = skeleton, fps, style, source
         self._hips: list[np.ndarray] = []
         self._rotations: list[np.ndarray] = []
+        self._closed = False
 
     @property
     def seconds(self) -> float:
         """Length so far."""
         return len(self._hips) / self._fps
 
+    @property
+    def open(self) -> bool:
+        """Whether it takes frames."""
+        return not self._closed and self.seconds < LONGEST
+
+    def close(self) -> None:
+        """Takes no more frames, for what comes next does not go on from the last one."""
+        self._closed = True
+
     def add(self, hips: np.ndarray, rotations: np.ndarray) -> None:
-        """One more frame: hips [3] metres and rotations [J, 4], both in the world; nothing beyond `LONGEST`."""
-        if self.seconds < LONGEST:
+        """One more frame, if it is open: hips [3] metres and rotations [J, 4], both in the world."""
+        if self.open:
             self._hips.append(np.array(hips, np.float32))
             self._rotations.append(np.array(rotations, np.float32))
 

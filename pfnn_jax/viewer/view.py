@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
+from pfnn_jax.runtime.state import ROOT, STRIDE
+
+if TYPE_CHECKING:
+    from pfnn_jax.runtime.controller import ControllerState
 
 END_NAMES = ("left hand", "right hand", "left toe", "right toe")
 """The end effectors of local phases, in the order of their numbers."""
+
+SPEED_SPAN = 15
+"""Steps over which the shown speed is measured."""
+
+SEEN_SHARE = 1e-3
+"""Of a style: smaller shares are not shown."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +46,7 @@ class View:
     """A character at one moment. Metres, seconds, radians; Y up; quaternions wxyz.
 
     Attributes:
-        run, skeleton_key: name of its run; `skeleton_key` changes when the body must be built anew.
+        run: name of its run, to which its body belongs.
         frame: steps since the actor came on stage.
         joints: [J, 3] world positions.
         world_rotations: [J, 4] of the joints' frames.
@@ -50,11 +62,11 @@ class View:
         style_weights: style -> share of those that the character is in, smoothed; shares below a thousandth left out.
         step_milliseconds: mean of the last steps' computation.
         steps_per_second: simulated in the last second.
-        recorded_seconds: length of the running recording, or None.
+        recorded_seconds: length of the recording that waits to be fetched, running or ended; None where there is none.
+        recording: whether it still grows.
     """
 
     run: str
-    skeleton_key: str
     frame: int
     joints: np.ndarray
     world_rotations: np.ndarray
@@ -73,6 +85,109 @@ class View:
     step_milliseconds: float
     steps_per_second: float
     recorded_seconds: float | None
+    recording: bool
+
+
+class Way:
+    """Where a character has been in its last steps.
+
+    What the network remembers of its way is turned with it; this is where it really was.
+
+    Args:
+        root: [2] metres on the ground, where it stands at first.
+        facing: [2] unit vector.
+        fps: steps per second.
+    """
+
+    def __init__(self, root: np.ndarray, facing: np.ndarray, fps: float) -> None:
+        self._fps, self._steps = fps, 0
+        self._roots = deque([root] * ROOT, maxlen=ROOT)
+        self._facings = deque([facing] * ROOT, maxlen=ROOT)
+
+    def add(self, root: np.ndarray, facing: np.ndarray) -> None:
+        """One step further: root [2] and facing [2]."""
+        self._roots.append(root)
+        self._facings.append(facing)
+        self._steps += 1
+
+    @property
+    def root(self) -> np.ndarray:
+        """[2] metres, now."""
+        return self._roots[-1]
+
+    @property
+    def facing(self) -> np.ndarray:
+        """[2] unit vector, now."""
+        return self._facings[-1]
+
+    @property
+    def positions(self) -> np.ndarray:
+        """[P, 2] metres, oldest first and up to now, every tenth frame."""
+        return np.stack(list(self._roots)[::-STRIDE][::-1])
+
+    @property
+    def directions(self) -> np.ndarray:
+        """[P, 2] unit vectors at `positions`."""
+        return np.stack(list(self._facings)[::-STRIDE][::-1])
+
+    @property
+    def speed(self) -> float:
+        """Metres per second over the last `SPEED_SPAN` steps; 0 before the first."""
+        span = min(self._steps, SPEED_SPAN)
+        return float(np.linalg.norm(self._roots[-1] - self._roots[-1 - span])) * self._fps / span if span else 0.0
+
+
+def view_of(
+    state: ControllerState,
+    layout: FrameLayout,
+    styles: Sequence[str],
+    way: Way,
+    *,
+    run: str,
+    frame: int,
+    heading: float,
+    wanted_speed: float,
+    phase_scale: np.ndarray | None,
+    step_milliseconds: float,
+    steps_per_second: float,
+    recorded_seconds: float | None,
+    recording: bool,
+) -> View:
+    """The view of a driven character.
+
+    Args:
+        state: of the character, after the step by which `way` ends.
+        layout: of its network.
+        styles: names of the first rows of the controller's bank.
+        way: where it has been.
+        phase_scale: [4] amplitudes of local phases that count as one, or None.
+        run, frame, heading, wanted_speed, step_milliseconds, steps_per_second, recorded_seconds, recording: as in
+            `View`.
+    """
+    positions, directions = np.asarray(state.motion.positions), np.asarray(state.motion.directions)
+    weights = np.asarray(state.style)
+    return View(
+        run=run,
+        frame=frame,
+        joints=np.array(state.joints),
+        world_rotations=np.array(state.world_rotations),
+        root=way.root,
+        facing=way.facing,
+        heading=heading,
+        past_positions=way.positions,
+        past_directions=way.directions,
+        future_positions=np.concatenate([way.root[None], positions[ROOT + STRIDE :: STRIDE]]),
+        future_directions=np.concatenate([way.facing[None], directions[ROOT + STRIDE :: STRIDE]]),
+        contacts=np.array(state.contacts),
+        dials=phase_dials(layout, np.asarray(state.motion.phase), phase_scale),
+        speed=way.speed,
+        wanted_speed=wanted_speed,
+        style_weights={n: float(w) for n, w in zip(styles, weights, strict=False) if w >= SEEN_SHARE},
+        step_milliseconds=step_milliseconds,
+        steps_per_second=steps_per_second,
+        recorded_seconds=recorded_seconds,
+        recording=recording,
+    )
 
 
 def phase_dials(layout: FrameLayout, phase: np.ndarray, scale: np.ndarray | None = None) -> tuple[Dial, ...]:

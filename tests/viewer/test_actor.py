@@ -10,11 +10,12 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.kinematics import forward_kinematics
-from pfnn_jax.viewer.actor import CATCH_UP, FASTEST, RUN, TURN_RATE, Actor
+from pfnn_jax.viewer.actor import FASTEST, RUN, TURN_RATE, Actor
+from pfnn_jax.viewer.clock import CATCH_UP
 from pfnn_jax.viewer.keys import FIRST_HOLD, HOLD, TOGETHER, Keys, Wish
 from pfnn_jax.viewer.recording import LONGEST, Recording, bvh_bytes
 from pfnn_jax.viewer.stage import Stage
-from pfnn_jax.viewer.view import View, phase_dials
+from pfnn_jax.viewer.view import SPEED_SPAN, View, Way, phase_dials
 
 FRAME = 1.0 / 60.0
 SOON = 1e-6  # seconds either side of a moment
@@ -81,7 +82,6 @@ def test_two_keys(first, second, apart, wish):
     for now in (apart, *np.arange(apart + 0.5, 2.0, 0.033)):
         keys.press(second, False, now)
     np.testing.assert_allclose(held(keys, 2.0), wish, atol=1e-12)
-    keys.release(second)
     assert keys.wish(2.0 + FIRST_HOLD) == Wish()
 
 
@@ -229,6 +229,33 @@ def test_a_recording_is_what_was_shown(stage, tmp_path):
     np.testing.assert_allclose(joints, shown, atol=WRITTEN)
 
 
+def test_a_recording_ends_where_the_character_is_put_back(stage):
+    actor = Actor(stage)
+    play(actor, 1.0, "w")
+    actor.start_recording()
+    shown = play(actor, 1.0, "w", start=1.0)[1:]
+    actor.reset()
+    after = play(actor, 0.5, "w", start=2.0)[-1]
+    assert after.recorded_seconds == shown[-1].recorded_seconds == pytest.approx(1.0)
+    assert shown[-1].recording and not after.recording
+    clip = actor.stop_recording()
+    assert clip is not None and clip.num_frames == 60
+    actor.start_recording()  # the next one knows nothing of it
+    assert play(actor, 0.1, "w", start=2.5)[-1].recording
+    clip = actor.stop_recording()
+    assert clip is not None and clip.num_frames == 6
+
+
+def test_a_recording_that_is_begun_anew_drops_the_one_that_waits(stage):
+    actor = Actor(stage)
+    actor.start_recording()
+    play(actor, 0.2, "w")
+    actor.reset()
+    actor.start_recording()
+    assert actor.advance(0.2).recorded_seconds == 0.0
+    assert actor.stop_recording() is None
+
+
 def test_a_forgotten_recording_ends(stage):
     skeleton = stage.cast(stage.runs[0]).run.skeleton
     recording = Recording(skeleton, 60.0, "style", "run")
@@ -236,7 +263,26 @@ def test_a_forgotten_recording_ends(stage):
     pose = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (skeleton.num_joints, 1))
     for _ in range(round(LONGEST * 60) + 5):
         recording.add(np.zeros(3), pose)
-    assert recording.seconds == LONGEST
+    assert recording.seconds == LONGEST and not recording.open
+
+
+# What is seen
+
+
+def test_a_way_tells_where_it_led_and_how_fast():
+    ahead, metres = np.array([0.0, 1.0]), 0.02
+    way = Way(np.zeros(2), ahead, 60.0)
+    assert way.speed == 0.0
+    np.testing.assert_array_equal(way.positions, np.zeros((6, 2)))
+    for step in range(1, 101):
+        way.add(step * metres * ahead, ahead)
+        np.testing.assert_allclose(way.speed, 60.0 * metres)
+    np.testing.assert_allclose(way.positions[:, 1], metres * np.arange(50, 101, 10))
+    np.testing.assert_array_equal(way.directions, np.tile(ahead, (6, 1)))
+    np.testing.assert_array_equal(way.root, way.positions[-1])
+    for step in range(1, SPEED_SPAN + 1):
+        way.add(way.root, ahead)
+        np.testing.assert_allclose(way.speed, 60.0 * metres * (1.0 - step / SPEED_SPAN), atol=1e-12)
 
 
 def test_phases_are_shown_as_hands_of_a_clock(stage):
