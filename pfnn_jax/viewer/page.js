@@ -2,8 +2,10 @@
 // Runs once per page. It reaches the server through two text fields of the panel, found by their labels, and only
 // ever writes numbers into them.
 (() => {
-  if (window.pfnnPage) return;
-  window.pfnnPage = true;
+  if (window.pfnnPage) { // the panel is built anew after the connection was lost
+    window.pfnnPage();
+    return;
+  }
 
   const DRIVE = "Stick and keys", SHARES = "Shares";
   const KEYS = { KeyW: "w", KeyA: "a", KeyS: "s", KeyD: "d", KeyQ: "q", KeyE: "e" };
@@ -30,15 +32,17 @@
     if (box) box.parentElement.style.display = "none";
   };
 
+  const drags = new Map(); // by pointer, for every finger is one: { key } or { move }
+  const down = (key) => held.has(key) || [...drags.values()].some((drag) => drag.key === key);
   const wish = () => {
-    const on = (key) => (held.has(key) ? 1 : 0);
+    const on = (key) => (down(key) ? 1 : 0);
     const ahead = stick ? stick[0] : on("w") - on("s"), left = stick ? stick[1] : on("a") - on("d");
     return [ahead.toFixed(3), left.toFixed(3), on("q") - on("e"), shift || latched ? 1 : 0].map(Number).join(" ");
   };
   const show = () => {
     for (const element of document.querySelectorAll("[data-drive]")) {
       const key = element.dataset.drive;
-      element.classList.toggle("on", key === "shift" ? shift || latched : held.has(key));
+      element.classList.toggle("on", key === "shift" ? shift || latched : down(key));
     }
     const knob = document.querySelector("[data-knob]");
     if (knob) {
@@ -81,7 +85,7 @@
     if (!event.isTrusted) return;
     if (event.key === "Shift") {
       shift = event.type === "keydown";
-      if (held.size) tell();
+      if (held.size || drags.size) tell();
       else show();
       return;
     }
@@ -102,8 +106,9 @@
     }
   };
   const letGo = () => {
-    const any = held.size || stick;
+    const any = held.size || drags.size;
     held.clear();
+    drags.clear();
     stick = null;
     shift = false;
     if (any) tell();
@@ -114,10 +119,11 @@
   window.addEventListener("blur", letGo);
   document.addEventListener("visibilitychange", () => document.hidden && letGo());
 
-  // Pointer: buttons, the stick, the triangle.
-  let drag = null;
+  // Pointers: buttons, the stick, the triangle.
   const toStick = (event) => {
-    const box = document.querySelector("[data-stick]").getBoundingClientRect(), r = box.width / 2;
+    const pad = document.querySelector("[data-stick]");
+    if (!pad) return;
+    const box = pad.getBoundingClientRect(), r = box.width / 2;
     const x = (event.clientX - box.left - r) / (0.72 * r), y = (event.clientY - box.top - r) / (0.72 * r);
     const length = Math.hypot(x, y), scale = length < 0.15 ? 0 : 1 / Math.max(1, length);
     stick = [-y * scale, -x * scale];
@@ -144,6 +150,7 @@
     write(SHARES, percent.join(" "));
   };
   const start = (event) => {
+    if (event.button !== 0) return;
     const target = event.target.closest?.("[data-drive], [data-stick], [data-triangle]");
     if (!target) {
       if (event.target.tagName === "CANVAS") document.activeElement?.blur();
@@ -154,28 +161,28 @@
     if ("drive" in target.dataset) {
       const key = target.dataset.drive;
       if (key === "shift") latched = !latched;
-      else {
-        held.add(key);
-        drag = () => {};
-        drag.key = key;
-      }
+      else drags.set(event.pointerId, { key });
       tell();
     } else {
-      drag = "stick" in target.dataset ? toStick : toTriangle;
-      drag.key = undefined;
-      drag(event);
+      const move = "stick" in target.dataset ? toStick : toTriangle;
+      if ([...drags].some(([id, drag]) => id !== event.pointerId && drag.move === move)) return; // another finger has it
+      drags.set(event.pointerId, { move });
+      move(event);
     }
   };
-  const end = () => {
+  const end = (event) => {
+    const drag = drags.get(event.pointerId);
     if (!drag) return;
-    if (drag.key) held.delete(drag.key);
-    if (drag === toStick) stick = null;
-    const wasTriangle = drag === toTriangle;
-    drag = null;
-    if (!wasTriangle) tell();
+    drags.delete(event.pointerId);
+    if (drag.move === toStick) stick = null;
+    if (drag.move !== toTriangle) tell();
   };
   document.addEventListener("pointerdown", start, true);
-  document.addEventListener("pointermove", (event) => drag && drag(event), true);
+  const move = (event) => {
+    if (event.buttons === 0) end(event); // it was let go where nobody could see it
+    else drags.get(event.pointerId)?.move?.(event);
+  };
+  document.addEventListener("pointermove", move, true);
   document.addEventListener("pointerup", end, true);
   document.addEventListener("pointercancel", end, true);
   // A list, a checkbox or a slider that was used keeps the focus, and with it the keys, unless it is taken away.
@@ -183,7 +190,10 @@
     if (event.target.closest?.("[role=option], input[type=checkbox], button, [role=slider]"))
       setTimeout(leave, 0);
   });
-  hide();
-  setTimeout(hide, 300);
+  window.pfnnPage = () => {
+    hide();
+    setTimeout(hide, 300);
+  };
+  window.pfnnPage();
   new MutationObserver(hide).observe(document.body, { childList: true, subtree: false });
 })();

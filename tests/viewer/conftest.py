@@ -84,6 +84,8 @@ class Visitor:
 
     def __init__(self, browser: Any, url: str) -> None:
         self.errors: list[str] = []
+        self._devtools: Any = None
+        self._touched: dict[str, tuple[float, float]] = {}
         self.page = browser.new_page(viewport=WINDOW, accept_downloads=True)
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -114,6 +116,21 @@ class Visitor:
         self.wait(lambda: np.linalg.norm(self.root() - start) > metres, f"{keys} moves the root {metres} m")
         for key in keys:
             self.page.keyboard.up(key)
+
+    def touch(self, **fingers: tuple[float, float]) -> None:
+        """Puts fingers onto the screen, each at a point in pixels."""
+        self._touched.update(fingers)
+        self._tell_touch("touchStart", self._touched)
+
+    def lift(self, finger: str) -> None:
+        """Takes a finger off it."""
+        self._tell_touch("touchEnd", {finger: self._touched.pop(finger)})
+
+    def _tell_touch(self, kind: str, fingers: dict[str, tuple[float, float]]) -> None:
+        if self._devtools is None:
+            self._devtools = self.page.context.new_cdp_session(self.page)
+        points = [{"id": ord(finger), "x": x, "y": y} for finger, (x, y) in fingers.items()]
+        self._devtools.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
     def press(self, label: str) -> None:
         """Clicks a button by its label."""

@@ -68,6 +68,36 @@ def test_stick_on_the_screen(visitor):
     visitor.wait(lambda: wanted(visitor) == 0.0, "the stick springs back")
 
 
+def test_every_finger_holds_what_it_is_on(visitor):
+    """The stick stays held while a second finger presses a key, taps Shift, and leaves; it is let go with its own."""
+    home(visitor)
+    for key in ("shift", "q"):
+        visitor.page.locator(f".pfnn-key[data-drive={key}]").scroll_into_view_if_needed()
+    x, y = middle(visitor, "[data-stick]")
+    thumb, q, shift = (x, y - 40), middle(visitor, ".pfnn-key[data-drive=q]"), middle(visitor, "[data-drive=shift]")
+    visitor.touch(a=thumb)
+    visitor.wait(lambda: wanted(visitor) > 0.0, "the stick asks for a speed")
+    walking, yaw = wanted(visitor), heading(visitor)
+    visitor.touch(b=q)
+    visitor.wait(lambda: turned(heading(visitor), yaw) > 0.3, "Q turns while the stick is held")
+    visitor.lift("b")
+    visitor.touch(b=shift)
+    visitor.lift("b")
+    visitor.wait(lambda: wanted(visitor) > 1.3 * walking, "Shift, tapped, makes the stick's walk a run")
+    visitor.touch(b=shift)
+    visitor.lift("b")
+    visitor.wait(lambda: 0.0 < wanted(visitor) < 1.3 * walking, "tapped again, it is a walk")
+    visitor.touch(b=q)
+    visitor.lift("a")
+    visitor.wait(lambda: wanted(visitor) == 0.0, "the stick springs back while Q is held")
+    visitor.page.keyboard.down("w")
+    yaw = heading(visitor)
+    visitor.wait(lambda: turned(heading(visitor), yaw) > 0.2, "which goes on turning who walks by key")
+    visitor.lift("b")
+    visitor.page.keyboard.up("w")
+    visitor.wait(lambda: wanted(visitor) == 0.0, "it stands again")
+
+
 def test_reset(visitor):
     visitor.walk(0.3)
     home(visitor)
@@ -227,6 +257,24 @@ def test_pages_of_other_sites_are_refused(served, visitor):
         f"ws://localhost:{served.port}",
     )
     assert answer == "refused"
+
+
+def test_a_page_that_was_cut_off_comes_back_whole(visitor, served):
+    before = served.tabs
+    served._server._websock_server.disconnect_all_clients()
+    visitor.wait(lambda: served.tabs and not set(served.tabs) & set(before), "the page connects anew")
+    visitor.wait(lambda: not any(tab.alive for tab in before), "nothing is left of what there was")
+    visitor.wait(lambda: np.linalg.norm(visitor.root()) < AT_HOME, "a new character stands in the middle")
+    visitor.walk(0.3)
+    wire = visitor.page.get_by_text("Stick and keys", exact=True)
+    assert wire.count() == 1 and not wire.is_visible()
+    assert not visitor.errors
+
+
+def middle(visitor, what: str) -> tuple[float, float]:
+    """Of an element, in pixels of the window."""
+    box = visitor.page.locator(what).first.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
 def wanted(visitor) -> float:
