@@ -92,7 +92,8 @@ def test_two_shows_in_one_page_play_apart_and_in_step(tmp_path: Path):
     """In a real browser, offline: as in a saved notebook or its HTML export."""
     from playwright.sync_api import sync_playwright
 
-    shows = show(walk(), resample(walk("neutral", 120), 25.0)), show(walk("old", 240))
+    names = ["a caption of two lines, which would take its scene's height " * 2, "short"]
+    shows = show(walk(), resample(walk("neutral", 120), 25.0), names=names), show(walk("old", 240))
     page_file = tmp_path / "notebook.html"
     page_file.write_text(f"<body>{''.join(shown._repr_html_() for shown in shows)}</body>", encoding="utf-8")
     with sync_playwright() as play:
@@ -131,6 +132,12 @@ def test_two_shows_in_one_page_play_apart_and_in_step(tmp_path: Path):
         drawn = "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some(v => v > 0)"
         for frame in frames:
             assert all(frame.locator("canvas").nth(i).evaluate(drawn) for i in range(frame.locator("canvas").count()))
+        scenes = [first.locator("canvas.scene").nth(i).bounding_box() for i in (0, 1)]
+        assert scenes[0] and scenes[1] and scenes[0]["height"] == scenes[1]["height"] > 200  # bodies can be compared
+        page.set_viewport_size({"width": 420, "height": 1300})
+        first.wait_for_function("innerWidth < 420")
+        buttons = [first.locator(f"button.{name}").bounding_box() for name in ("play", "reset")]
+        assert buttons[0] and buttons[1] and buttons[0]["y"] == buttons[1]["y"]  # in one line, narrow as it is
         assert errors == []
         chromium.close()
 
