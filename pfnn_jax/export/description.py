@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from pfnn_jax.export.walks import Walk, find_walks
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.layout import GAITS, TRAJECTORY_OFFSETS
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import skeleton_to_json
-from pfnn_jax.runtime.generate import controller_of, default_speed
+from pfnn_jax.runtime.generate import controller_of, starting_row
 from pfnn_jax.runtime.mixture import StyleChoice
-from pfnn_jax.runtime.state import NUM_POINTS, ROOT, straight_row
+from pfnn_jax.runtime.state import NUM_POINTS, ROOT
 from pfnn_jax.runtime.units import block_unit
 from pfnn_jax.training.run import Run
 
@@ -41,12 +41,14 @@ def describe(
         layout: of the exported network, the run's own but for `bins` of `mason2018`.
         normaliser: in that layout's units.
         network: files of the network and how they are read.
-        styles: name, speed and files of every exported style.
-        choice: the style at whose speed the start walks.
+        styles: name, kind and files of every exported style; where a choice was asked for, of that alone.
+        choice: what was asked for, in whose style the start walks.
 
     Returns:
         Numbers, strings, lists and dicts.
     """
+    exported = [style["name"] for style in styles] if choice is None else [choice] * len(styles)
+    start, *walks = find_walks(run, [choice, *exported])
     return {
         "schema": SCHEMA,
         "version": VERSION,
@@ -57,9 +59,9 @@ def describe(
         "layout": describe_layout(layout),
         "normaliser": describe_normaliser(normaliser),
         "skeleton": skeleton_to_json(run.skeleton),
-        "styles": [dict(style) for style in styles],
+        "styles": [{**style, **asdict(walk)} for style, walk in zip(styles, walks, strict=True)],
         "loop": describe_loop(run),
-        "start": describe_start(layout, normaliser, default_speed(run, choice)),
+        "start": describe_start(layout, normaliser, start),
     }
 
 
@@ -110,9 +112,7 @@ def describe_loop(run: Run) -> dict[str, Any]:
     return {**asdict(controller_of(run)), "num_points": NUM_POINTS, "root": ROOT}
 
 
-def describe_start(layout: FrameLayout, normaliser: Normaliser, speed: float) -> dict[str, Any]:
-    """A row x and a phase at which a walk along +Z may begin: the mean, and in layouts of the next frame straight."""
-    x = jnp.asarray(normaliser.inputs.mean)
-    x = straight_row(layout, x, speed) if layout.next_frame else x
-    phase = 0.0 if normaliser.phases is None else np.asarray(normaliser.phases.mean, np.float64).tolist()
-    return {"x": np.asarray(x, np.float64).tolist(), "phase": phase, "speed": speed}
+def describe_start(layout: FrameLayout, normaliser: Normaliser, walk: Walk) -> dict[str, Any]:
+    """A row x and a phase at which a walk along +Z may begin (`starting_row`), and its speeds."""
+    x, phase = (np.asarray(values, np.float64).tolist() for values in starting_row(layout, normaliser, walk.speed))
+    return {"x": x, "phase": phase, **asdict(walk)}

@@ -88,6 +88,7 @@ class Character:
         told = json.loads((Path(folder) / "description.json").read_text(encoding="utf-8"))
         self.layout, self.k, self.evaluate = told["layout"], told["loop"], load_network(folder, told, style)
         self.late, self.phase = self.layout["next_frame"], np.array(told["start"]["phase"])
+        self.asked_speed = (told["styles"] or [told["start"]])[style]["asked_speed"]  # m/s to ask for its style's walk
         x = self.read(np.array(told["start"]["x"]), "inputs")
         self.positions, self.directions, self.gait = fill(x["position"]), unit(fill(x["direction"])), fill(x["gait"])
         self.velocity, self.facing = (self.positions[110] - self.positions[60]) * 60 / 50, self.directions[60]
@@ -122,9 +123,8 @@ class Character:
         before, faced = (v[60 if self.late else 59] for v in (self.positions, self.directions))
         blocks = {name: turn(v, faced.conj()) for name, v in self.pose.items()} | {"gait": self.gait[::10].T}
         blocks["joint_position"] = turn(self.pose["joint_position"], faced.conj(), -before * faced.conj())
-        seen = {"position": (self.positions[::10] - here) / facing, "direction": self.directions[::10] / facing}
-        for name, v in seen.items():
-            blocks |= {f"trajectory_{name}_x": v.imag, f"trajectory_{name}_z": v.real}
+        for n, v in ("position", (self.positions[::10] - here) / facing), ("direction", self.directions[::10] / facing):
+            blocks |= {f"trajectory_{n}_x": v.imag, f"trajectory_{n}_z": v.real}
         x = np.zeros(self.layout["input_size"])  # the ground is flat: terrain heights stay 0
         for name in blocks.keys() & self.layout["inputs"].keys():
             x[self.layout["inputs"][name]["columns"]] = blocks[name].ravel() / self.layout["inputs"][name]["scale"]

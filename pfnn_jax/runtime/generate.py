@@ -153,6 +153,21 @@ def told_speed(run: Run, name: str) -> float | None:
     return float(speed) if usable else None
 
 
+def starting_row(layout: FrameLayout, normaliser: Normaliser, speed: float | jax.Array) -> tuple[jax.Array, jax.Array]:
+    """A row of inputs [Dx] and a phase [] or [G] from which a walk along +Z begins: the mean of a network's inputs.
+
+    Layouts of the next frame are trained on walks and runs to all sides: their mean stands still, so that the walk
+    begins with a straight trajectory at its speed and, with local phases, with their mean.
+
+    Args:
+        layout, normaliser: of the network, in the same units.
+        speed: metres per second.
+    """
+    x = jnp.asarray(normaliser.inputs.mean)
+    x = straight_row(layout, x, speed) if layout.next_frame else x
+    return x, jnp.zeros((), jnp.float32) if normaliser.phases is None else jnp.asarray(normaliser.phases.mean)
+
+
 def walking_state(
     evaluate_fn: EvaluateFn,
     params: Any,
@@ -162,20 +177,15 @@ def walking_state(
     *,
     config: ControllerConfig | None = None,
 ) -> CharacterState:
-    """A character in its stride near the origin: a second of straight walking from the mean of a network's inputs.
-
-    Layouts of the next frame are trained on walks and runs to all sides: their mean stands still, so that the walk
-    begins with a straight trajectory at its speed and, with local phases, with their mean.
+    """A character in its stride near the origin: a second of straight walking from `starting_row`.
 
     Args:
         evaluate_fn, params, layout, config: as for `rollout`.
         normaliser: of the network.
         speed: metres per second.
     """
-    zero, x = jnp.zeros((), jnp.float32), jnp.asarray(normaliser.inputs.mean)
-    x = straight_row(layout, x, speed) if layout.next_frame else x
-    phase = zero if normaliser.phases is None else jnp.asarray(normaliser.phases.mean)
-    state = initial_state(layout, x, phase, jnp.zeros(2, jnp.float32), zero)
+    x, phase = starting_row(layout, normaliser, speed)
+    state = initial_state(layout, x, phase, jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32))
     ahead = jnp.tile(jnp.asarray([[0.0, 1.0]], jnp.float32), (RUN_IN_FRAMES, 1))
     return rollout(
         evaluate_fn, params, layout, state, Command(velocity=speed * ahead, direction=ahead), config=config

@@ -1,0 +1,67 @@
+"""At what speed a style walks, and what speed to ask of its network for that, in the published loop alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.runtime.character import own_share, own_speed
+from pfnn_jax.runtime.controller import Controller, make_controller
+from pfnn_jax.runtime.generate import default_speed
+from pfnn_jax.runtime.mixture import StyleChoice
+from pfnn_jax.training.run import Run, list_styles
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A walk, in metres per second.
+
+    Attributes:
+        speed: at which the style walks.
+        asked_speed: to ask of the network for it; networks answer speeds in their own way.
+    """
+
+    speed: float
+    asked_speed: float
+
+
+def find_walks(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
+    """The walks of choices of style, found by trying (`pfnn_jax.runtime.standing.find_walks`).
+
+    Args:
+        run: a loaded run.
+        choices: as `load_choice` takes them.
+
+    Raises:
+        InputError: for an unknown style, or a FiLM run without styles.
+    """
+    weights = [_weights(run, choice) for choice in choices]
+    names = tuple(dict.fromkeys(name for each in weights for name in each))
+    styled = _controller(run, names) if names else None
+    plain = _controller(run, ()) if not all(weights) else None
+    found = []
+    for choice, each in zip(choices, weights, strict=True):
+        controller = styled if each else plain
+        assert controller is not None
+        row = jnp.asarray(controller.style_weights(each or controller.styles[0]))
+        speed = float(own_speed(controller.params, row))
+        asked = speed * float(own_share(controller.params, row))
+        if not np.isfinite([speed, asked]).all():  # a network that cannot walk; it may serve another loop than this
+            speed = asked = default_speed(run, choice)
+        found.append(Walk(speed, asked))
+    return found
+
+
+def _controller(run: Run, names: Sequence[str]) -> Controller:
+    return make_controller(run, names, foot_ik=False, regulated=False)
+
+
+def _weights(run: Run, choice: StyleChoice) -> dict[str, float]:
+    """Weights by name; none for style-agnostic motion."""
+    if choice is None and run.config.adapter.kind == "film":
+        names = [name for name in run.config.styles if name in list_styles(run.path)]
+        return dict.fromkeys(names, 1.0 / max(len(names), 1))
+    return {choice: 1.0} if isinstance(choice, str) else dict(choice or {})
