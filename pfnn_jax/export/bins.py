@@ -91,8 +91,8 @@ def _write_tables(folder: Path, run: Run, choice: StyleChoice) -> Bins:
             order = rows if n == 2 else slice(None)
             _write(folder, f"W{n}_{index:03d}", weights[order])
             _write(folder, f"b{n}_{index:03d}", biases[order])
-    told = [{"name": s.stem, "speed": s.speed, "kind": s.kind, "files": _write_cp(folder, s)} for s in beside]
-    told += [{"name": s.stem, "speed": s.speed, "kind": s.kind, "files": {}} for s in folded]
+    told = [{"name": s.name, "kind": s.kind, "files": _write_cp(folder, s)} for s in beside]
+    told += [{"name": s.name, "kind": s.kind, "files": {}} for s in folded]
     return Bins(layout, normaliser, _table_network(run), told)
 
 
@@ -205,7 +205,7 @@ def _write_film(folder: Path, index: int, style: ExportStyle) -> dict[str, Any]:
         files.append([f"Style_{index:03d}_{kind}{layer + 1}" for kind in ("scale", "shift")])
         for name, values in zip(files[-1], (film.scale[layer], film.shift[layer]), strict=True):
             _write(folder, name, values)
-    return {"name": style.stem, "speed": style.speed, "kind": style.kind, "files": {"film": files}}
+    return {"name": style.stem, "kind": style.kind, "files": {"film": files}}
 
 
 def _write_statistics(folder: Path, normaliser: Normaliser) -> None:

@@ -56,7 +56,7 @@ def export_run(
 
     Raises:
         InputError: for an unknown style or format, a layout without the format, a check that fails, a missing library,
-            or if `out` exists and is no export or must not be replaced.
+            a FiLM run without styles, or if `out` exists and is no export or must not be replaced.
     """
     run, out = load_run(run_path), Path(out)
     if format not in ("onnx", "stablehlo", "bins"):
@@ -102,6 +102,8 @@ def _write_function(
 
 def _check_place(out: Path, overwrite: bool) -> None:
     """Refuses to replace what must not be, or what is no export."""
+    if Path.cwd().is_relative_to(out.resolve()):  # it is put in place as a whole, from under who stands in it
+        raise InputError(out, "output", "holds the working folder", "must be a folder of its own")
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     if not overwrite:

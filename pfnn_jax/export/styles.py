@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,11 +10,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.film import Film, film_to_vector
 from pfnn_jax.models.layers import BiasLayer
-from pfnn_jax.runtime.generate import default_speed, style_label
-from pfnn_jax.runtime.mixture import StyleChoice, load_choice
+from pfnn_jax.runtime.generate import style_label
+from pfnn_jax.runtime.mixture import StyleChoice, file_stem, load_choice
 from pfnn_jax.training.run import Run, adapter_form, list_styles, style_note
 
 
@@ -26,13 +26,11 @@ class ExportStyle:
     Attributes:
         name: as in `style_label`.
         stem: the name as part of a file name.
-        speed: metres per second to ask for.
         parameters: of the style.
     """
 
     name: str
     stem: str
-    speed: float
     parameters: Style
 
     @property
@@ -50,7 +48,7 @@ def choose_styles(run: Run, choice: StyleChoice, kind: str | None = None) -> tup
         kind: leaves out styles of other kinds where all are taken.
 
     Raises:
-        InputError: for an unknown style or a mixture of different kinds.
+        InputError: for an unknown style, a mixture of different kinds, or a FiLM run without styles.
     """
     if choice is not None:
         return (_style(run, choice),)
@@ -58,6 +56,8 @@ def choose_styles(run: Run, choice: StyleChoice, kind: str | None = None) -> tup
     names = [name for name in run.config.styles if name in there]
     names += [name for name in there if name not in names]
     wanted = [name for name in names if kind in (None, style_note(run.path, name)["adapter"]["kind"])]
+    if not wanted and run.config.adapter.kind == "film":
+        raise InputError(run.path, "styles", "none", "a FiLM run needs at least one style to move")
     return tuple(_style(run, name) for name in wanted)
 
 
@@ -65,7 +65,7 @@ def write_style(folder: Path, style: ExportStyle) -> dict[str, Any]:
     """Writes a style's numbers, float32, into `styles/NAME.bin` of a folder.
 
     Returns:
-        What the description tells of it: name, kind, speed, file, and the arrays that stand in the file in order. A
+        What the description tells of it: name, kind, file, and the arrays that stand in the file in order. A
         Film is one array: scale 1, shift 1, scale 2, shift 2.
     """
     file = Path("styles") / f"{style.stem}.bin"
@@ -73,7 +73,7 @@ def write_style(folder: Path, style: ExportStyle) -> dict[str, Any]:
     arrays = style_arrays(style.parameters)
     (folder / file).write_bytes(b"".join(np.ascontiguousarray(array, "<f4").tobytes() for array in arrays.values()))
     told = [{"name": name, "shape": list(array.shape)} for name, array in arrays.items()]
-    return {"name": style.name, "kind": style.kind, "speed": style.speed, "file": file.as_posix(), "arrays": told}
+    return {"name": style.name, "kind": style.kind, "file": file.as_posix(), "arrays": told}
 
 
 def style_arrays(parameters: Style) -> dict[str, np.ndarray]:
@@ -90,5 +90,4 @@ def style_arrays(parameters: Style) -> dict[str, np.ndarray]:
 def _style(run: Run, choice: str | Mapping[str, float]) -> ExportStyle:
     parameters, name = load_choice(run, choice), style_label(choice)
     assert parameters is not None
-    stem = re.sub(r'[/\\<>:"|?*]', "-", name)
-    return ExportStyle(name, stem, default_speed(run, choice), jax.tree.map(np.asarray, parameters))
+    return ExportStyle(name, file_stem(name), jax.tree.map(np.asarray, parameters))

@@ -6,6 +6,7 @@ one style (`models.adapters.mix_styles`), in a controller, whose weights change 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
@@ -51,6 +52,11 @@ def parse_style(text: str, styles: Sequence[str], source: str | Path) -> str | d
         weights[name] = weight
     check_weights(tuple(weights.values()), source, "style weights")
     return weights
+
+
+def file_stem(name: str) -> str:
+    """A style's name, or a mixture as it is written, as part of a file name on every system."""
+    return re.sub(r'[/\\<>:"|?*]', "-", name)
 
 
 def check_weights(weights: Sequence[float] | np.ndarray, source: str | Path, place: str) -> None:

@@ -20,6 +20,7 @@ from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.motion.layout import mason2018
 from pfnn_jax.motion.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import skeleton_to_json
+from pfnn_jax.runtime.mixture import file_stem
 from pfnn_jax.runtime.released import NUM_TABLES, read_tables, recover_control_points
 from pfnn_jax.runtime.released_files import DESCRIPTION, read_array, read_description, read_statistics
 from pfnn_jax.runtime.units import authors2018, convert_columns
@@ -54,7 +55,7 @@ def import_released_cp(directory: str | Path, out: str | Path, overwrite: bool =
         statistics.append(Statistics(*values))
     shared, facts = read_tables(directory, theirs.input_size, theirs.output_size)
     shared = _reorder(shared, convert_columns(theirs, ours, "outputs")[0])
-    styles = {s["name"]: s for s in told["styles"] if s["files"]}
+    styles = {file_stem(s["name"]): s for s in told["styles"] if s["files"]}
     hidden = config_of(shared).hidden
     layers = {name: _read_style(directory, Path(s["files"]["cp"][1][0]).name, hidden) for name, s in styles.items()}
     rank = next((layer.d.shape[1] for layer in layers.values()), AdapterConfig().rank)
