@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import cast
@@ -18,6 +19,7 @@ from pfnn_jax.export.batch import batch_function, relative_error, sample_rows, s
 from pfnn_jax.export.bins import write_bins
 from pfnn_jax.export.onnx import TOLERANCE
 from pfnn_jax.export.run import export_run
+from pfnn_jax.export.walks import find_walks
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
 from pfnn_jax.models.film import Film, film_to_vector
 from pfnn_jax.models.network import NetworkConfig, init_network
@@ -26,13 +28,13 @@ from pfnn_jax.motion.layout import layout_for
 from pfnn_jax.motion.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.synthetic_skeleton import synthetic_skeleton
+from pfnn_jax.runtime.controller import drive, make_controller
 from pfnn_jax.runtime.frame import Command
-from pfnn_jax.runtime.generate import controller_of
+from pfnn_jax.runtime.mixture import StyleChoice, file_stem
 from pfnn_jax.runtime.predictor import evaluate, make_predictor
 from pfnn_jax.runtime.released import import_released_pfnn
 from pfnn_jax.runtime.released_cp import import_released_cp
 from pfnn_jax.runtime.released_lpn import import_released_lpn
-from pfnn_jax.runtime.rollout import rollout
 from pfnn_jax.runtime.rows import predict_rows
 from pfnn_jax.runtime.state import initial_state
 from pfnn_jax.runtime.units import authors2018, convert_columns
@@ -107,6 +109,7 @@ def test_a_batch_function_is_the_predictor(runs, name, kind):
         ("pfnn2017", "diagonal", "style1"),
         ("pfnn2017", "one_hot", {"style0": 0.25, "style1": 0.75}),
         ("mason2018", "cp", None),
+        ("mason2018", "cp", {"style0": 0.5, "style1": 0.5}),
         ("mason2018", "full", "style0"),
         ("mason2022", "film", None),
         ("mason2022", "film", {"style0": 0.5, "style1": 0.5}),
@@ -118,7 +121,7 @@ def test_bins_come_back_with_equal_predictions(runs, tmp_path, name, kind, style
     back = IMPORTS[name](tmp_path / "bins", tmp_path / "run")
     np.testing.assert_array_equal(back.skeleton.offsets, run.skeleton.offsets)
     x, phase = sample_rows(run.normaliser, run.layout, 32)
-    beside = [entry["name"] for entry in told["styles"] if entry["files"]]
+    beside = [file_stem(entry["name"]) for entry in told["styles"] if entry["files"]]
     assert beside == list(back.config.styles)
     pairs = [(style, beside[0] if beside else None)] if style else [(entry, entry) for entry in beside]
     for own, theirs in pairs or [(None, None)]:
@@ -132,38 +135,52 @@ def commands(speed: float) -> tuple[np.ndarray, np.ndarray]:
     return np.where((np.arange(FRAMES) // 40) == 5, 0.0, speed * facing), facing
 
 
-def walk(run: Run, style: str | None, description: dict) -> np.ndarray:
-    """World joints [T, J, 3] under `commands` by the package's own loop, from the description's start."""
+def walk(run: Run, choice: StyleChoice, description: dict) -> np.ndarray:
+    """World joints [T, J, 3] under `commands` by the controller's published loop, from the description's start."""
     start, layout = description["start"], run.layout
     x = np.array(start["x"])
     if layout.name == "mason2018":  # the files are in the authors' units
         columns, factors = convert_columns(authors2018(layout.num_joints), layout, "inputs")
         x = x[columns] * factors
     x, zero = jnp.asarray(x, jnp.float32), jnp.zeros((), jnp.float32)
-    state = initial_state(layout, x, jnp.asarray(start["phase"], jnp.float32), jnp.zeros(2, jnp.float32), zero)
-    pairs = [jnp.asarray(np.stack([np.imag(v), np.real(v)], -1), jnp.float32) for v in commands(start["speed"])]
-    command = Command(velocity=pairs[0], direction=pairs[1])
+    motion = initial_state(layout, x, jnp.asarray(start["phase"], jnp.float32), jnp.zeros(2, jnp.float32), zero)
+    controller = make_controller(run, foot_ik=False, regulated=False)
+    style = jnp.asarray(controller.style_weights(choice or {}))
+    velocities, directions = (
+        jnp.asarray(np.stack([np.imag(v), np.real(v)], -1), jnp.float32) for v in commands(start["asked_speed"])
+    )
+    state = replace(controller.start(), motion=motion, style=style)
     with jax.default_matmul_precision("highest"):
-        made = rollout(evaluate, make_predictor(run, style), layout, state, command, config=controller_of(run))
-    return np.asarray(made.joint_positions)
+        asked = Command(velocity=velocities, direction=directions)
+        return np.asarray(drive(controller.setup, controller.params, state, asked)[1].motion.joint_positions)
 
 
-def reference_walk(folder: Path, speed: float) -> np.ndarray:
+def reference_walk(folder: Path) -> np.ndarray:
     character, joints = reference_loop.Character(folder), []
-    for velocity, facing in zip(*commands(speed), strict=True):
+    for velocity, facing in zip(*commands(character.asked_speed), strict=True):
         character.step(velocity, facing)
         joints.append(character.pose["joint_position"])
     return np.stack(joints)
 
 
-@pytest.mark.parametrize(("name", "kind"), [("pfnn2017", "cp"), ("mason2018", "cp"), ("mason2022", "film")])
-def test_the_loop_in_numpy_walks_where_the_package_walks(runs, tmp_path, name, kind):
+@pytest.mark.parametrize(
+    ("name", "kind", "choice"),
+    [
+        ("pfnn2017", "cp", "style1"),
+        ("pfnn2017", "cp", {"style0": 0.4, "style1": 0.6}),  # added into the tables
+        ("mason2018", "cp", "style1"),
+        ("mason2018", "cp", {"style0": 1.6, "style1": -0.6}),  # beside them
+        ("mason2022", "film", "style1"),
+        ("mason2022", "film", {"style0": 0.4, "style1": 0.6}),
+    ],
+)
+def test_the_loop_in_numpy_walks_where_the_controller_walks(runs, tmp_path, name, kind, choice):
+    """Without regulation and feet held, in a style and in a mixture of two."""
     run = runs(name, kind)
-    description = export_run(run.path, "bins", tmp_path / "bins", style="style1")
-    expected = walk(run, "style1", description)
-    found = reference_walk(tmp_path / "bins", description["start"]["speed"])
+    description = export_run(run.path, "bins", tmp_path / "bins", style=choice)
+    expected = walk(run, choice, description)
     assert np.isfinite(expected).all() and np.ptp(expected, axis=0).max() > 10 * LOOP
-    np.testing.assert_allclose(found, expected, atol=LOOP)
+    np.testing.assert_allclose(reference_walk(tmp_path / "bins"), expected, atol=LOOP)
 
 
 def test_the_loop_in_numpy_stands_alone_and_is_short():
@@ -245,9 +262,52 @@ def test_description_tells_what_an_engine_needs(runs, tmp_path):
     assert scales["joint_velocity"] == pytest.approx(30.0) and scales["joint_position"] == 0.5
     assert scales["root_yaw_rate"] == pytest.approx(np.deg2rad(60.0))
     assert scales["phase_change"] == pytest.approx(120 * np.pi)
-    assert [style["speed"] for style in told["styles"]] == [1.0, 1.1]
+    assert [style["speed"] for style in told["styles"]] == pytest.approx([1.0, 1.1])
     assert told["loop"]["pose_rate"] == 0.5 and told["skeleton"]["names"] == list(run.skeleton.names)
     assert len(told["normaliser"]["y_std"]) == run.layout.output_size
+
+
+def test_description_tells_what_to_ask_for_a_walk(runs, tmp_path):
+    """The speed that the page asks of the network, which is not the speed at which the style walks."""
+    run = runs("mason2018", "cp")
+    params = make_controller(run, foot_ik=False, regulated=False).params
+    asked = np.asarray(params.speeds * params.shares)
+    assert np.abs(asked - np.asarray(params.speeds)).max() > 0.1  # or this would be no test
+    told = export_run(run.path, "bins", tmp_path / "all")
+    assert [style["asked_speed"] for style in told["styles"]] == pytest.approx(asked)
+    assert [reference_loop.Character(tmp_path / "all", n).asked_speed for n in range(2)] == pytest.approx(asked)
+    one = export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
+    assert one["styles"][0]["asked_speed"] == one["start"]["asked_speed"] == pytest.approx(asked[1])
+    assert one["start"]["speed"] == pytest.approx(1.1)
+    mixed = find_walks(run, [{"style0": 0.5, "style1": 0.5}])[0]
+    assert mixed.speed == pytest.approx(1.05)
+    assert mixed.asked_speed == pytest.approx(1.05 * np.mean(params.shares))
+
+
+def test_a_mixture_has_one_name_in_every_format(runs, tmp_path):
+    run, style = runs("mason2018", "cp"), {"style0": 0.5, "style1": 0.5}
+    names = [export_run(run.path, f, tmp_path / f, style=style)["styles"][0]["name"] for f in ("bins", "stablehlo")]
+    assert names == ["style0:0.5+style1:0.5"] * 2
+    assert (tmp_path / "bins" / "style0-0.5+style1-0.5_W0.bin").exists()
+    assert import_released_cp(tmp_path / "bins", tmp_path / "run").config.styles == ("style0-0.5+style1-0.5",)
+
+
+@pytest.mark.parametrize("settings", [{"format": "bins"}, {"format": "stablehlo", "film_input": True}])
+def test_a_film_network_without_styles_is_not_exported(tmp_path, settings):
+    run = make_run(tmp_path / "run", "mason2022", "film", 0)
+    with pytest.raises(InputError, match="styles: none; a FiLM run needs at least one style to move"):
+        export_run(run.path, out=tmp_path / "out", **settings)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.parametrize("out", [".", "..", "inner/.."])
+def test_the_folder_that_a_command_runs_in_is_not_replaced(runs, tmp_path, monkeypatch, out):
+    here = tmp_path / "above" / "here"
+    here.mkdir(parents=True)
+    monkeypatch.chdir(here)
+    with pytest.raises(InputError, match="output: holds the working folder; must be a folder of its own"):
+        export_run(runs("mason2018", "cp").path, "bins", out, overwrite=True)
+    assert not list(here.iterdir())
 
 
 @pytest.mark.parametrize(

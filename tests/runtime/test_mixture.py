@@ -48,7 +48,7 @@ def make_run(path, kind: AdapterKind) -> Run:
 def test_a_mixture_is_one_motion_on_the_page_in_rows_and_in_tables(tmp_path, kind: AdapterKind):
     run = make_run(tmp_path / kind, kind)
     generator = np.random.default_rng(0)
-    x, phase = generator.normal(size=(3, LAYOUT.input_size)).astype(np.float32), np.float32([0.2, 2.0, 5.1])
+    x, phase = generator.normal(size=(3, LAYOUT.input_size)).astype(np.float32), np.array([0.2, 2.0, 5.1], np.float32)
     bank = jax.tree.map(jnp.asarray, load_bank(run, STYLES))
     page = replace(make_predictor(run), style=mixed_style(bank, WEIGHTS))
     with jax.default_matmul_precision("highest"):
@@ -58,7 +58,7 @@ def test_a_mixture_is_one_motion_on_the_page_in_rows_and_in_tables(tmp_path, kin
     each = RowStyles(np.tile(np.arange(3), (3, 1)), np.tile(np.asarray(WEIGHTS), (3, 1)))
     np.testing.assert_allclose(predict_rows(run, x, phase, each), expected, atol=FLOAT32 * scale)
     table = make_lookup(make_predictor(run, CHOICE))
-    at = np.float32(2 * np.pi * 10 / 50)
+    at = 2 * np.pi * 10 / 50
     found, wanted = evaluate_lookup(table, jnp.asarray(x[0]), at), evaluate(page, jnp.asarray(x[0]), jnp.asarray(at))
     np.testing.assert_allclose(found, wanted, atol=FLOAT32 * scale)
 
