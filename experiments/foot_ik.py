@@ -4,10 +4,10 @@ Parent    Mason 2022 §4.4: foot contact inverse kinematics after the network, t
 Question  how much less do feet slide while they are in contact, by the network's own contacts, and do accelerations
           and jitter grow?
 Data      runs; of each its styles walk along a figure of eight.
-Expect    m/s that toes slide before and after: 0.241 and 0.010 (Bandai-Namco-2, PFNN with CP), 0.244 and 0.008 (LPN with
-          FiLM), 0.372 and 0.057 (the authors' PFNN), 0.413 and 0.108 (their LPN, 8 styles). Accelerations of toes fall
-          by 4 to 15 %; those of knees rise by 0 to 4 % on Bandai-Namco-2, 27 and 18 % on the authors'; jitter grows by
-          0 to 12 %. Bones, which the networks' positions miss by 2 to 6 mm, keep their lengths.
+Expect    toes slide, before and after, in m/s: 0.241 and 0.010 (Bandai-Namco-2, PFNN with CP), 0.244 and 0.008 (LPN
+          with FiLM), 0.372 and 0.057 (the authors' PFNN), 0.413 and 0.108 (their LPN, 8 styles). Accelerations of toes
+          fall by 4 to 15 %; those of knees rise by 0 to 4 % on Bandai-Namco-2, by 27 and 18 % on the authors'; jitter
+          grows by 0 to 12 %. Bones, which the networks' positions miss by 2 to 6 mm, keep their lengths.
 Run       python -m experiments.foot_ik --runs RUN [RUN ...] --out runs/foot_ik
 """
 
