@@ -4,12 +4,15 @@ Parent    Mason 2018 §5.1 and Mason 2022 §4.4 describe a trajectory blended wi
           whether the character obeys. The loop of their demos is the one that is compared with (`--published`).
 Question  what share of commands is reached, with the published loop and with pace and turning (`runtime.regulation`)?
 Data      the runs given. Every style walks off from its start, is told to go on, to turn by 45 or 90 degrees to either
-          side or to walk a circle of 45 degrees per second, at 0.75, 1 and 1.25 times its own speed, and to stop.
+          side or to walk a circle of 45 degrees per second, at 0.75, 1 and 1.25 times its own speed, and to stop. And,
+          at its own speed, to go to either side or back while it faces ahead.
 Measure   over the two seconds around the third after the command: speed within 20 %, the way made good and the mean
-          facing within 10 degrees; on circles the speed along the way, and the turn rate within 20 %. Two seconds after
-          it is told to stop, the root moves less than 2 cm/s and the feet less than 1 cm/s. Sliding is the speed of
-          feet in contact, before and after feet are held. Pose distance is the mean squared normalised distance of
-          joint positions from the run's mean pose, about 1 on its data.
+          facing within 10 degrees; on circles the speed along the way, and the turn rate within 20 %. Aside and back:
+          speed and way over the two seconds around the fifth, as networks that were not shown that turn about first.
+          Two seconds after it is told to stop, the root moves less than 2 cm/s and the feet less than 1 cm/s; told as
+          well are the seconds until the pace is 0, and how high the higher of its feet is then above the least that it
+          was at while walking. Sliding is the speed of feet in contact, before and after feet are held. Pose distance
+          is the mean squared normalised distance of joint positions from the run's mean pose, about 1 on its data.
 Expect    on the demo's run all commands in all 9 styles (69 % with the published loop), on Bandai-Namco-2 all with an
           LPN (14 %) and 96 % with a PFNN (13 %), on 25 of the authors' 100 styles 97 % (39 %); see docs/results.md.
           Half an hour on 2 cores.
@@ -40,14 +43,14 @@ from pfnn_jax.runtime.standing import start
 from pfnn_jax.training.run import list_styles, load_run
 
 FPS = 60
-WALK_OFF, OBEY, STOP = 3 * FPS, 4 * FPS, 3 * FPS
+WALK_OFF, OBEY, STOP = 3 * FPS, 6 * FPS, 3 * FPS
 """Frames: straight on from standing, then under the command that is judged, then told to stand."""
 
-JUDGED = slice(WALK_OFF + OBEY - 2 * FPS, WALK_OFF + OBEY)
-"""Two seconds around the third after a command: no gait's cycle is longer, so that swaying is no error."""
+JUDGED, JUDGED_ASIDE = (slice(WALK_OFF + second * FPS, WALK_OFF + (second + 2) * FPS) for second in (2, 4))
+"""Two seconds around the third, and the fifth, after a command: no gait's cycle is longer, so swaying is no error."""
 
-SPEEDS, TURNS, CIRCLES = (0.75, 1.0, 1.25), (0.0, 45.0, -45.0, 90.0, -90.0), (45.0, -45.0)
-"""Shares of the style's own speed, degrees, degrees per second."""
+SPEEDS, TURNS, CIRCLES, ASIDE = (0.75, 1.0, 1.25), (0.0, 45.0, -45.0, 90.0, -90.0), (45.0, -45.0), (90.0, -90.0, 180.0)
+"""Shares of the style's own speed, degrees, degrees per second, and degrees from the facing to the way."""
 
 HEADING, SPEED, RATE = 10.0, 0.2, 0.2
 """Degrees, share of the commanded speed, and share of the turn rate, within which a command counts as reached."""
@@ -90,13 +93,14 @@ class Track:
     distance: Any
 
 
-def commands(speed: jax.Array, turn: jax.Array, circle: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Velocities [T, 2] and directions [T, 2] of one character: m/s, radians, radians per second."""
+def commands(speed: jax.Array, turn: jax.Array, circle: jax.Array, aside: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Velocities [T, 2] and directions [T, 2] of one character: m/s, radians, radians per second, radians."""
     frame = jnp.arange(WALK_OFF + OBEY + STOP)
     since = jnp.clip(frame - WALK_OFF, 0, OBEY)
     yaw = jnp.where(frame >= WALK_OFF, turn, 0.0) + circle * since / FPS
-    direction = jnp.stack([jnp.sin(yaw), jnp.cos(yaw)], -1)
-    return direction * jnp.where(frame < WALK_OFF + OBEY, speed, 0.0)[:, None], direction
+    way = yaw + jnp.where(frame >= WALK_OFF, aside, 0.0)
+    direction, going = (jnp.stack([jnp.sin(angle), jnp.cos(angle)], -1) for angle in (yaw, way))
+    return going * jnp.where(frame < WALK_OFF + OBEY, speed, 0.0)[:, None], direction
 
 
 @partial(jax.jit, static_argnums=0)
@@ -125,19 +129,21 @@ def walk(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *as
 
 def walk_all(controller: Controller, chunk: int) -> dict[str, Any]:
     """The shares and means of all styles and commands, and those of every style."""
-    cases = [(s, v, t, 0.0) for s in range(len(controller.styles)) for v in SPEEDS for t in TURNS]
-    cases += [(s, v, 0.0, c) for s in range(len(controller.styles)) for v in SPEEDS for c in CIRCLES]
-    index, share, turn, circle = (np.array(column) for column in zip(*cases, strict=True))
+    numbers = range(len(controller.styles))
+    cases = [(s, v, t, 0.0, 0.0) for s in numbers for v in SPEEDS for t in TURNS]
+    cases += [(s, v, 0.0, c, 0.0) for s in numbers for v in SPEEDS for c in CIRCLES]
+    cases += [(s, 1.0, 0.0, 0.0, a) for s in numbers for a in ASIDE]
+    index, share, turn, circle, aside = (np.array(column) for column in zip(*cases, strict=True))
     speed = np.asarray(controller.params.speeds)[index] * share
     weights = np.eye(controller.capacity, dtype=np.float32)[index]
-    many = jax.vmap(partial(walk, controller.setup), in_axes=(None, 0, 0, 0, 0))
-    columns = [np.asarray(c, np.float32) for c in (weights, speed, np.deg2rad(turn), np.deg2rad(circle))]
+    many = jax.vmap(partial(walk, controller.setup), in_axes=(None, 0, 0, 0, 0, 0))
+    columns = [np.asarray(c, np.float32) for c in (weights, speed, *np.deg2rad([turn, circle, aside]))]
     chunk, parts = min(chunk, len(cases)), []
     for first in range(0, len(cases), chunk):
         rows = np.minimum(np.arange(first, first + chunk), len(cases) - 1)
         parts.append(jax.tree.map(np.asarray, many(controller.params, *(c[rows] for c in columns))))
     track = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(cases)], *parts)
-    judged = judge(track, speed, turn, circle)
+    judged = judge(track, speed, turn, circle, aside)
     styles = {
         name: {key: _mean(values[index == s]) for key, values in judged.items()}
         for s, name in enumerate(controller.styles)
@@ -145,40 +151,54 @@ def walk_all(controller: Controller, chunk: int) -> dict[str, Any]:
     return {"all": {key: _mean(values) for key, values in judged.items()}, "styles": styles}
 
 
-def judge(track: Track, speed: np.ndarray, turn: np.ndarray, circle: np.ndarray) -> dict[str, np.ndarray]:
+def judge(
+    track: Track, speed: np.ndarray, turn: np.ndarray, circle: np.ndarray, aside: np.ndarray
+) -> dict[str, np.ndarray]:
     """Measures [N] of N walks; NaN where one does not apply."""
+    straight, ahead = circle == 0.0, aside == 0.0
+    plain = straight & ahead
+    made, way = _made_good(track.root, JUDGED)
     seconds = (JUDGED.stop - JUDGED.start) / FPS
-    steps = np.diff(track.root[:, JUDGED.start : JUDGED.stop + 1], axis=1)
-    straight = circle == 0.0
-    made = np.where(straight, np.linalg.norm(steps.sum(1), axis=-1), np.linalg.norm(steps, axis=-1).sum(1)) / seconds
+    along = np.linalg.norm(np.diff(track.root[:, JUDGED.start : JUDGED.stop + 1], axis=1), axis=-1).sum(1) / seconds
+    made = np.where(straight, made, along)
+    made_aside, way_aside = _made_good(track.root, JUDGED_ASIDE)
     yaw = np.unwrap(np.arctan2(track.facing[..., 0], track.facing[..., 1]), axis=1)
     rate = np.rad2deg(yaw[:, JUDGED.stop] - yaw[:, JUDGED.start]) / seconds
-    way = np.rad2deg(np.arctan2(*steps.sum(1).T))
     off, faced = (np.abs(_short(value - turn)) for value in (way, np.rad2deg(yaw[:, JUDGED].mean(1))))
     obeys_speed, obeys_way = np.abs(made / speed - 1.0) <= SPEED, off <= HEADING
-    stood = slice(WALK_OFF + OBEY + 2 * FPS, None)
+    obeys_aside = (np.abs(made_aside / speed - 1.0) <= SPEED) & (np.abs(_short(way_aside - aside)) <= HEADING)
+    told = WALK_OFF + OBEY
     drift, pose_drift = (
-        np.linalg.norm(np.diff(values[:, stood], axis=1), axis=-1).reshape(len(speed), -1).max(1) * FPS
+        np.linalg.norm(np.diff(values[:, told + 2 * FPS :], axis=1), axis=-1).reshape(len(speed), -1).max(1) * FPS
         for values in (track.root, track.feet)
     )
-    moving = slice(FPS, WALK_OFF + OBEY)
-    there = straight.astype(bool)
+    raised = track.predicted[..., 1].reshape(*track.pace.shape, 2, 2).min(-1).max(-1)
+    moving = slice(FPS, told)
     return {
-        "speed": np.where(there, obeys_speed, np.nan),
-        "way": np.where(there, obeys_way, np.nan),
-        "speed and way": np.where(there, obeys_speed & obeys_way, np.nan),
-        "facing": np.where(there, faced <= HEADING, np.nan),
-        "speed on circles": np.where(there, np.nan, obeys_speed),
-        "rate on circles": np.where(there, np.nan, np.abs(rate / np.where(there, 1.0, circle) - 1.0) <= RATE),
+        "speed": np.where(plain, obeys_speed, np.nan),
+        "way": np.where(plain, obeys_way, np.nan),
+        "speed and way": np.where(plain, obeys_speed & obeys_way, np.nan),
+        "facing": np.where(plain, faced <= HEADING, np.nan),
+        "speed on circles": np.where(straight, np.nan, obeys_speed),
+        "rate on circles": np.where(straight, np.nan, np.abs(rate / np.where(straight, 1.0, circle) - 1.0) <= RATE),
+        "aside and back": np.where(ahead, np.nan, obeys_aside),
         "stops": ((drift < DRIFT) & (pose_drift < POSE_DRIFT)).astype(float),
+        "seconds to a halt": (track.pace[:, told:] > 0.0).sum(1) / FPS,
+        "feet at a halt, m": raised[:, -1] - raised[:, moving].min(1),
         "finite": np.isfinite(track.feet).all((1, 2, 3)).astype(float),
-        "degrees off": np.where(there, off, np.nan),
-        "share of speed": made / speed,
+        "degrees off": np.where(plain, off, np.nan),
+        "share of speed": np.where(ahead, made / speed, np.nan),
         "pace": track.pace[:, JUDGED].mean(1),
         "sliding, predicted": _sliding(track.predicted[:, moving], track.contacts[:, moving]),
         "sliding, drawn": _sliding(track.feet[:, moving], track.contacts[:, moving]),
         "pose distance": track.distance[:, moving].mean(1),
     }
+
+
+def _made_good(root: np.ndarray, frames: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Metres per second [N] and degrees [N] of the straight lines between the ends of tracks [N, T, 2]."""
+    line = root[:, frames.stop] - root[:, frames.start]
+    return np.linalg.norm(line, axis=-1) * FPS / (frames.stop - frames.start), np.rad2deg(np.arctan2(*line.T))
 
 
 def _sliding(feet: np.ndarray, contacts: np.ndarray) -> np.ndarray:

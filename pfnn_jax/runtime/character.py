@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -16,12 +17,12 @@ from pfnn_jax.models.layers import MixedLayer
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.runtime.embodiment import mix_rotations, predicted_contacts, predicted_rotations, turn_rotations
 from pfnn_jax.runtime.foot_lock import FootLockConfig, FootLocks, lock_feet
-from pfnn_jax.runtime.frame import ControllerConfig
+from pfnn_jax.runtime.frame import Command, ControllerConfig, published_step
 from pfnn_jax.runtime.ground import mix, turn_towards
 from pfnn_jax.runtime.limb_ik import reach_arms
 from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics, pose_from_world
-from pfnn_jax.runtime.predictor import Predictor
-from pfnn_jax.runtime.regulation import Regulated, Regulation
+from pfnn_jax.runtime.predictor import Predictor, evaluate
+from pfnn_jax.runtime.regulation import Regulated, Regulation, hold_back
 from pfnn_jax.runtime.state import CharacterState, joint_root
 
 
@@ -141,6 +142,16 @@ def own_speed(params: ControllerParams, style: jax.Array) -> jax.Array:
 def own_share(params: ControllerParams, style: jax.Array) -> jax.Array:
     """[] share of its own speed to ask of the network for a mixture of styles."""
     return jnp.dot(style, params.shares)
+
+
+def next_frame(
+    setup: ControllerSetup, predictor: Predictor, own: jax.Array, state: CharacterState, command: Command
+) -> tuple[CharacterState, jax.Array]:
+    """One frame of the published loop, held back to what a style allows that walks at `own` [] m/s: as
+    `frame.published_step`."""
+    if setup.regulation is not None:
+        state = hold_back(state, own, setup.layout.fps, setup.regulation)
+    return published_step(partial(evaluate, predictor), setup.layout, state, command, setup.config)
 
 
 def still_frame(

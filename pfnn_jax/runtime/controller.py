@@ -27,30 +27,28 @@ from pfnn_jax.runtime.character import (
     ControllerState,
     drawn,
     mixed_style,
+    next_frame,
     own_share,
     own_speed,
     still_frame,
 )
+from pfnn_jax.runtime.embodiment import feet_clearance
 from pfnn_jax.runtime.foot_lock import FootLockConfig
-from pfnn_jax.runtime.frame import Command, published_step
+from pfnn_jax.runtime.frame import Command
 from pfnn_jax.runtime.generate import controller_of, default_speed, told_speed
 from pfnn_jax.runtime.ground import mix
 from pfnn_jax.runtime.mixture import check_weights, load_bank
 from pfnn_jax.runtime.pose import make_rig
-from pfnn_jax.runtime.predictor import assemble_predictor, evaluate
+from pfnn_jax.runtime.predictor import assemble_predictor
 from pfnn_jax.runtime.regulation import (
     STANDARD,
     ask,
     keep_pace,
     observe,
-    turn_state,
     turning,
 )
 from pfnn_jax.runtime.standing import find_walks, resting_heights, start
-from pfnn_jax.runtime.state import (
-    ROOT,
-    straight_row,
-)
+from pfnn_jax.runtime.state import ROOT, straight_row, turn_state
 from pfnn_jax.training.run import Run, list_styles
 
 STYLE_RATE = 0.06
@@ -83,28 +81,33 @@ class Controller:
         return len(self.params.speeds)
 
     def start(self, position: Any = (0.0, 0.0), yaw: Any = 0.0, style: str | int = 0) -> ControllerState:
-        """A character that stands at `position` [2] metres and faces `yaw` radians, in a style by name or number."""
-        index = self.styles.index(style) if isinstance(style, str) else style
-        weights = jnp.zeros(self.capacity, jnp.float32).at[index].set(1.0)
+        """A character that stands at `position` [2] metres and faces `yaw` radians, in a style by name or number.
+
+        Raises:
+            InputError: for an unknown style.
+        """
+        weights = jnp.asarray(self.style_weights(style))
         return start(self.setup, self.params, jnp.asarray(position, jnp.float32), jnp.float32(yaw), weights)
 
     def step(self, state: ControllerState, command: Command) -> ControllerState:
         """The state one frame later."""
         return step(self.setup, self.params, state, command)
 
-    def style_weights(self, choice: str | Mapping[str, float]) -> np.ndarray:
-        """[C] weights of a style by name, or of a mixture by names and weights that sum to one.
+    def style_weights(self, choice: str | int | Mapping[str | int, float]) -> np.ndarray:
+        """[C] weights of a style by name or number, or of a mixture by names or numbers and weights that sum to one.
 
         Raises:
             InputError: for an unknown style, or weights that do not sum to one.
         """
-        chosen = {choice: 1.0} if isinstance(choice, str) else dict(choice)
+        chosen = dict(choice) if isinstance(choice, Mapping) else {choice: 1.0}
         check_weights(tuple(chosen.values()), "controller", "style weights")
         weights = np.zeros(self.capacity, np.float32)
         for name, weight in chosen.items():
-            if name not in self.styles:
-                raise InputError("controller", "style", name, f"must be one of {', '.join(self.styles)}")
-            weights[self.styles.index(name)] = weight
+            numbered = not isinstance(name, str)
+            if name not in (range(len(self.styles)) if numbered else self.styles):
+                rule = f"must be one of {', '.join(self.styles)}, or the number of one"
+                raise InputError("controller", "style", name, rule)
+            weights[name if numbered else self.styles.index(name)] += weight
         return weights
 
 
@@ -181,7 +184,7 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
     fps, config = setup.layout.fps, setup.regulation
     regulated = state.regulated
     if config is not None:
-        regulated = keep_pace(regulated, command.velocity, state.contacts, config)
+        regulated = keep_pace(regulated, command.velocity, config)
 
     def due(inner: ControllerState) -> jax.Array:
         return inner.clock > 1.0
@@ -192,10 +195,11 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
         asked = command
         if config is not None:
             asked = ask(command, own, share, before, regulated, setup.config, config)
-        motion, y = published_step(partial(evaluate, predictor), setup.layout, before, asked, setup.config)
+        motion, y = next_frame(setup, predictor, own, before, asked)
         angle = jnp.zeros((), y.dtype)
         if config is not None:
-            regulated = observe(regulated, before, motion, command, fps, config)
+            clearance = feet_clearance(motion, setup.rig, params.rest)
+            regulated = observe(regulated, before, motion, command, clearance, fps, config)
             angle = turning(regulated, command.velocity, fps, config)
             motion = turn_state(motion, angle)
         ahead = still_frame(setup, params, motion, y, before.directions[ROOT], angle)

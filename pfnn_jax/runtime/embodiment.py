@@ -36,6 +36,12 @@ def mix_rotations(old: jax.Array, new: jax.Array, share: jax.Array) -> jax.Array
     return mixed * jax.lax.rsqrt(jnp.maximum(jnp.sum(mixed * mixed, axis=-1, keepdims=True), 1e-12))
 
 
+def feet_clearance(motion: CharacterState, rig: Rig, rest: jax.Array) -> jax.Array:
+    """[] metres: how high the higher foot is, by the lower of its heel and toe, above where they stand (`rest` [4])."""
+    heights = motion.joint_positions[np.array(rig.feet), 1] - rest
+    return jnp.max(jnp.min(heights.reshape(2, 2), axis=1))
+
+
 def predicted_contacts(
     layout: FrameLayout, y: jax.Array, motion: CharacterState, rig: Rig, rest: jax.Array
 ) -> jax.Array:

@@ -18,6 +18,7 @@ import numpy as np
 from flax import struct
 
 from pfnn_jax.motion.kinematics import quat_between, quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.runtime.ground import length
 from pfnn_jax.runtime.limb_ik import bend, forward_of
 from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics
 
@@ -168,9 +169,9 @@ def _needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: Foo
     """[] metres by which the hips must sink for both heels to be within reach."""
     drops = []
     for side, (hip, knee, heel, _) in enumerate(rig.legs):
-        reach = 0.995 * (_norm(positions[knee] - positions[hip]) + _norm(positions[heel] - positions[knee]))
+        reach = 0.995 * (length(positions[knee] - positions[hip]) + length(positions[heel] - positions[knee]))
         # No further than the unheld leg is stretched: the hips sink for a target, not for a straight leg.
-        reach = jnp.maximum(reach, _norm(positions[heel] - positions[hip]))
+        reach = jnp.maximum(reach, length(positions[heel] - positions[hip]))
         to = targets[2 * side] - positions[hip]
         level = to[0] * to[0] + to[2] * to[2]
         drops.append(-to[1] - jnp.sqrt(jnp.maximum(reach * reach - level, 1e-6)))
@@ -212,10 +213,6 @@ def _solve_leg(
     place = targets[0] + toe_share * (along - quat_rotate(turn, toe - heel))
     over, under, _ = bend(hip, knee, heel, place, pole)
     return over, under, turn
-
-
-def _norm(v: jax.Array) -> jax.Array:
-    return jnp.sqrt(jnp.sum(v * v))
 
 
 def _squared(v: jax.Array) -> jax.Array:

@@ -24,7 +24,7 @@ from flax import struct
 
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.runtime import rule_2017, rule_2022
-from pfnn_jax.runtime.ground import mix, turn_towards
+from pfnn_jax.runtime.ground import length, mix, turn_towards
 from pfnn_jax.runtime.state import NUM_POINTS, ROOT, CharacterState
 
 Evaluate = Callable[[jax.Array, jax.Array], jax.Array]
@@ -173,8 +173,7 @@ def advance(layout: FrameLayout, state: CharacterState, y: jax.Array, config: Co
 
 def _wanted_gait(velocity: jax.Array, config: ControllerConfig) -> jax.Array:
     """[6] gait weights for a velocity [2]: standing below `stand_speed`, else walking or jogging."""
-    squared = jnp.sum(velocity * velocity)
-    speed = jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
+    speed = length(velocity)
     moving = jnp.clip(speed / config.stand_speed, 0.0, 1.0)
     jogging = (speed >= config.jog_speed).astype(speed.dtype)
     zero = jnp.zeros_like(speed)

@@ -9,6 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+SMALL = 1e-6
+"""Below this a length carries no direction."""
+
 
 def root_yaw(directions: jax.Array) -> jax.Array:
     """Radians about +Y of unit directions [..., 2] -> [...] (0 = +Z, π/2 = +X)."""
@@ -29,9 +32,19 @@ def to_local(v: jax.Array, facing: jax.Array) -> jax.Array:
 
 def turn_towards(directions: jax.Array, target: jax.Array, share: jax.Array | np.ndarray | float) -> jax.Array:
     """Unit directions [..., 2] turned by a share [...] of their angle to a target [..., 2], the short way round."""
-    across = directions[..., 1] * target[..., 0] - directions[..., 0] * target[..., 1]
-    along = directions[..., 0] * target[..., 0] + directions[..., 1] * target[..., 1]
-    return turn(directions, share * jnp.arctan2(across, along))
+    return turn(directions, share * angle_between(directions, target))
+
+
+def angle_between(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Radians [...] about +Y from a direction [..., 2] to another [..., 2], in (-π, π]."""
+    across = a[..., 1] * b[..., 0] - a[..., 0] * b[..., 1]
+    along = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+    return jnp.arctan2(across, along)
+
+
+def wrapped(angle: jax.Array) -> jax.Array:
+    """Radians [...], by whole turns brought to [-π, π)."""
+    return jnp.mod(angle + jnp.pi, 2.0 * jnp.pi) - jnp.pi
 
 
 def turn(directions: jax.Array, angle: jax.Array | np.ndarray) -> jax.Array:
@@ -56,10 +69,18 @@ def mix(old: jax.Array, new: jax.Array, share: jax.Array | np.ndarray | float) -
 
 
 def orthonormal(forward: jax.Array, up: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Forward [..., 3] scaled to length 1, and up [..., 3] made perpendicular to it, of length 1."""
-    forward = forward / jnp.linalg.norm(forward, axis=-1, keepdims=True)
+    """Forward [..., 3] scaled to length 1, and up [..., 3] made perpendicular to it, of length 1; zeros where there is
+    no such direction, so that one bad row of a network does not stay with its character for ever."""
+    forward = forward / jnp.maximum(length(forward)[..., None], SMALL)
     up = up - jnp.sum(up * forward, axis=-1, keepdims=True) * forward
-    return forward, up / jnp.linalg.norm(up, axis=-1, keepdims=True)
+    return forward, up / jnp.maximum(length(up)[..., None], SMALL)
+
+
+def length(v: jax.Array) -> jax.Array:
+    """Lengths [...] of vectors [..., N], with slope 0 where they are 0."""
+    squared = jnp.sum(v * v, axis=-1)
+    found = squared > 0.0
+    return jnp.where(found, jnp.sqrt(jnp.where(found, squared, 1.0)), 0.0)
 
 
 def unit(v: jax.Array) -> jax.Array:

@@ -10,7 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.motion.kinematics import quat_between, quat_from_axis_angle, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import (
+    quat_between,
+    quat_conjugate,
+    quat_from_axis_angle,
+    quat_multiply,
+    quat_rotate,
+)
+from pfnn_jax.runtime.ground import length
 from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics, turn_joint
 
 SOFT = 0.97
@@ -73,10 +80,10 @@ def bend(
     u, v = middle - upper, end - middle
     axis = _hinge(u, v, pole)
     along, aside = jnp.sum(u * v), jnp.sum(jnp.cross(axis, v) * u)
-    both = _length(jnp.stack([along, aside]))
+    both = length(jnp.stack([along, aside]))
     squares = jnp.sum(u * u) + jnp.sum(v * v)
     bent = -_angle(aside, along)
-    distance = _soft(_length(target - upper), _length(end - upper), jnp.sqrt(jnp.maximum(squares + 2.0 * both, 1e-12)))
+    distance = _soft(length(target - upper), length(end - upper), jnp.sqrt(jnp.maximum(squares + 2.0 * both, 1e-12)))
     cosine = (distance * distance - squares) / (2.0 * jnp.maximum(both, 1e-9))
     wanted = jnp.arccos(jnp.clip(cosine, STRAIGHT - 1.0, 1.0 - STRAIGHT))
     # A limb bent the wrong way, by the little that noise bends one, stays so until more bending is asked for, and then
@@ -120,14 +127,13 @@ def _turn_carried(
     if carried is None:
         return turn_joint(rig, pose, world, joint, turn), turn
     both = quat_multiply(turn, carried)
-    inverse = carried * np.array([1.0, -1.0, -1.0, -1.0], carried.dtype)
-    return turn_joint(rig, pose, world, joint, quat_multiply(inverse, both)), both
+    return turn_joint(rig, pose, world, joint, quat_multiply(quat_conjugate(carried), both)), both
 
 
 def _hinge(u: jax.Array, v: jax.Array, pole: jax.Array) -> jax.Array:
     """Unit axis [3] across u about which the limb bends: of its own plane, near straight that of the pole."""
     natural = _unit(jnp.cross(pole, u), _across(u))
-    own = jnp.cross(u, v) / jnp.maximum(_length(u) * _length(v), 1e-9)
+    own = jnp.cross(u, v) / jnp.maximum(length(u) * length(v), 1e-9)
     share = jnp.clip(jnp.sum(own * own) / BENT**2, 0.0, 1.0)
     lean = LEAN * (1.0 - share * (2.0 - share))
     return _unit(own + lean * natural, natural)
@@ -139,13 +145,6 @@ def _soft(wanted: jax.Array, now: jax.Array, longest: jax.Array) -> jax.Array:
     room = jnp.maximum(longest - start, 1e-6)
     beyond = jnp.clip((wanted - start) / room, 0.0, 50.0)
     return jnp.minimum(wanted, start) + room * (1.0 - jnp.exp(-beyond))
-
-
-def _length(v: jax.Array) -> jax.Array:
-    """Length [] of v, with slope 0 where it is 0."""
-    squared = jnp.sum(v * v)
-    found = squared > 0.0
-    return jnp.where(found, jnp.sqrt(jnp.where(found, squared, 1.0)), 0.0)
 
 
 def _angle(y: jax.Array, x: jax.Array) -> jax.Array:

@@ -8,7 +8,7 @@ import numpy as np
 from flax import struct
 
 from pfnn_jax.runtime.frame import Command, ControllerConfig
-from pfnn_jax.runtime.ground import mix, turn_towards
+from pfnn_jax.runtime.ground import angle_between, mix, turn_towards
 from pfnn_jax.runtime.paths import Path, resample_path
 from pfnn_jax.runtime.state import ROOT, CharacterState
 
@@ -90,7 +90,7 @@ def pursue(track: Track, state: CharacterState, progress: jax.Array, config: Con
     course = direction
     if config.steering < 1.0:
         facing = state.directions[ROOT]
-        off = jnp.abs(jnp.arctan2(facing[1] * direction[0] - facing[0] * direction[1], jnp.dot(facing, direction)))
+        off = jnp.abs(angle_between(facing, direction))
         direction = turn_towards(facing, direction, jnp.clip(off / FULL_STEERING, config.steering, 1.0))
         course = turn_towards(state.target_direction, direction, config.direction_rate)
     arrived = ~track.closed & (progress > track.length - ARRIVAL)

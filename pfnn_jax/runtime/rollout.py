@@ -21,7 +21,7 @@ from flax import struct
 
 from pfnn_jax.motion.layout import FrameLayout
 from pfnn_jax.runtime.frame import CONTROLLERS, Command, ControllerConfig, published_step
-from pfnn_jax.runtime.ground import lift, root_yaw, to_world, unit
+from pfnn_jax.runtime.ground import lift, root_yaw, to_world, unit, wrapped
 from pfnn_jax.runtime.pursuit import Track, advance_progress, point_at, pursue
 from pfnn_jax.runtime.state import ROOT, CharacterState
 
@@ -212,7 +212,7 @@ def stability(
     finite = finite & jnp.isfinite(frames.root_positions).all() & jnp.isfinite(frames.root_yaw).all()
     steps = jnp.linalg.norm(jnp.diff(frames.root_positions[settle:], axis=0), axis=1)
     turns = jnp.diff(frames.root_yaw[settle:])
-    turns = jnp.mod(turns + jnp.pi, 2.0 * jnp.pi) - jnp.pi
+    turns = wrapped(turns)
 
     def sound(value: jax.Array) -> jax.Array:
         return jnp.where(finite, value, jnp.inf)

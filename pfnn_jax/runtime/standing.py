@@ -9,7 +9,6 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.normaliser import Normaliser
@@ -19,23 +18,27 @@ from pfnn_jax.runtime.character import (
     ControllerState,
     drawn,
     mixed_style,
+    next_frame,
     own_share,
     own_speed,
     still_frame,
 )
+from pfnn_jax.runtime.embodiment import feet_clearance
 from pfnn_jax.runtime.foot_lock import initial_locks
-from pfnn_jax.runtime.frame import Command, published_step
+from pfnn_jax.runtime.frame import Command
 from pfnn_jax.runtime.ground import heading, root_yaw
 from pfnn_jax.runtime.pose import Pose, Rig
-from pfnn_jax.runtime.predictor import evaluate
-from pfnn_jax.runtime.regulation import Regulated
+from pfnn_jax.runtime.regulation import at_rest
 from pfnn_jax.runtime.state import ROOT, CharacterState, initial_state, place_state, standing_state
 
-SHARES = (0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4)
+SHARES = (0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0)
 """Of a style's own speed, tried by `find_walks`."""
 
 WALKS = {"pfnn2017": 1.5}
 """Metres per second that a published demo asks of its network for a walk."""
+
+UNBOUNDED = 1e3
+"""Metres per second: of a style whose own speed is being found, which is not held back."""
 
 RUN_IN_FRAMES = 90
 """Frames that a character walks unseen before it stands at its start: from a mean pose into its style."""
@@ -56,8 +59,9 @@ def find_walks(setup: ControllerSetup, params: ControllerParams, rows: Sequence[
 
     Networks answer speeds in their own way: some walk slower than they are asked to, and some that were shown walks and
     runs fall from walking into running at what is a walk's speed. Each style is tried at several speeds; taken is the
-    one that leads nearest to its own and, as commands differ by as much, whose neighbours do so too. The own speed of a
-    style that tells none is what it makes of the published demo's walk, or of the speed of the data.
+    one that leads nearest to its own and, as commands differ by as much, whose neighbours do so too; the greatest is
+    tried as a neighbour only. The own speed of a style that tells none is what it makes of the published demo's walk,
+    or of the speed of the data.
 
     Args:
         setup: of a controller.
@@ -72,32 +76,36 @@ def find_walks(setup: ControllerSetup, params: ControllerParams, rows: Sequence[
     unknown = WALKS.get(setup.layout.name, float(params.speed))
     shares = np.asarray(SHARES if np.any(told > 0.0) else (1.0,))
     asked = np.where(told[:, None] > 0.0, told[:, None] * shares, unknown).astype(np.float32)
-    found = np.asarray(settle(setup, params, np.eye(len(params.speeds), dtype=np.float32)[chosen], asked))
+    styles, most = np.eye(len(params.speeds), dtype=np.float32)[chosen], np.where(told > 0.0, told, UNBOUNDED)
+    found = np.asarray(settle(setup, params, styles, most.astype(np.float32), asked))
     found = np.maximum(found, 0.05)
     own = np.where(told > 0.0, told, found[:, 0])
     off = np.abs(np.log(found / own[:, None]))
     padded = np.pad(off, ((0, 0), (1, 1)), mode="edge")
-    best = np.argmin(np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), off), axis=1)
+    worst = np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), off)
+    best = np.argmin(worst[:, : max(len(shares) - 1, 1)], axis=1)
     return own, asked[np.arange(count), best] / own
 
 
 @partial(jax.jit, static_argnums=0)
-def settle(setup: ControllerSetup, params: ControllerParams, styles: ArrayLike, asked: ArrayLike) -> jax.Array:
-    """[S, A] metres per second at which styles [S, C] walk straight on after a while if asked for [S, A]."""
+def settle(
+    setup: ControllerSetup, params: ControllerParams, styles: np.ndarray, own: np.ndarray, asked: np.ndarray
+) -> jax.Array:
+    """[S, A] metres per second at which styles [S, C] that walk at `own` [S] go straight on if asked for [S, A]."""
     layout = setup.layout
 
-    def settled(style: jax.Array, speed: jax.Array) -> jax.Array:
+    def settled(style: jax.Array, own: jax.Array, speed: jax.Array) -> jax.Array:
         predictor, ahead = replace(params.predictor, style=mixed_style(params.bank, style)), jnp.asarray([0.0, 1.0])
         command = Command(velocity=speed * ahead, direction=ahead)
 
         def frame(state: CharacterState, _):
-            after, _ = published_step(partial(evaluate, predictor), layout, state, command, setup.config)
+            after, _ = next_frame(setup, predictor, own, state, command)
             return after, jnp.linalg.norm(after.positions[ROOT] - state.positions[ROOT]) * layout.fps
 
         state = initial_state(layout, params.row, params.phase, jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32))
         return jnp.mean(jax.lax.scan(frame, state, length=2 * RUN_IN_FRAMES)[1][RUN_IN_FRAMES:])
 
-    return jax.vmap(lambda style, row: jax.vmap(partial(settled, style))(row))(styles, asked)
+    return jax.vmap(jax.vmap(settled, in_axes=(None, None, 0)))(*map(jnp.asarray, (styles, own, asked)))
 
 
 @partial(jax.jit, static_argnums=0)
@@ -115,7 +123,7 @@ def start(
         command = Command(velocity=0.0 * ahead, direction=ahead)
 
     def frame(state: CharacterState, _):
-        after, y = published_step(partial(evaluate, predictor), layout, state, command, setup.config)
+        after, y = next_frame(setup, predictor, speed, state, command)
         return after, (after, y, state.positions[ROOT], state.directions[ROOT])
 
     _, (states, ys, roots, facings) = jax.lax.scan(frame, state, length=RUN_IN_FRAMES)
@@ -127,11 +135,8 @@ def start(
     placed = place_state(motion, position, yaw)
     angle = yaw - root_yaw(motion.directions[ROOT])
     still = still_frame(setup, params, placed, y, facing, angle)
-    regulated = Regulated(
-        pace=jnp.float32(1.0 if setup.regulation is None else 0.0),
-        velocity=speed * ahead,
-        off=zero,
-    )
+    clearance = feet_clearance(placed, setup.rig, params.rest)
+    regulated = at_rest(speed * ahead, clearance, 1.0 if setup.regulation is None else 0.0)
     pose = Pose(hips=still.joints[0], rotations=still.rotations)
     return drawn(
         setup,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -129,20 +130,31 @@ def straight_row(layout: FrameLayout, x: jax.Array, speed: float | jax.Array) ->
 
 def place_state(state: CharacterState, position: jax.Array, yaw: jax.Array) -> CharacterState:
     """The same character moved as one rigid body until its root is at `position` [2] metres facing `yaw` []."""
-    root, facing = state.positions[ROOT], state.directions[ROOT]
-    position, towards = jnp.asarray(position, root.dtype), heading(yaw)
+    facing, position = state.directions[ROOT], jnp.asarray(position, state.positions.dtype)
 
     def turned(v: jax.Array) -> jax.Array:
-        return to_world(to_local(v, facing), towards)
+        return to_world(to_local(v, facing), heading(yaw))
 
+    moved = _moved(state, turned, position)
+    target = turned(state.target_velocity), turned(state.target_direction)
+    return replace(moved, target_velocity=target[0], target_direction=target[1])
+
+
+def turn_state(state: CharacterState, angle: jax.Array) -> CharacterState:
+    """The character turned about its root by an angle [] radians, and the way behind it with it: seen from its root
+    nothing has changed. What it aims at in the world stays."""
+    return _moved(state, lambda v: to_world(v, heading(angle)), state.positions[ROOT])
+
+
+def _moved(state: CharacterState, turned: Callable[[jax.Array], jax.Array], to: jax.Array) -> CharacterState:
+    """The character turned about its root and put where that is at `to` [2]; its targets stay."""
+    root = state.positions[ROOT]
     return replace(
         state,
-        positions=turned(state.positions - root[None]) + position[None],
+        positions=turned(state.positions - root[None]) + to[None],
         directions=turned(state.directions),
-        joint_positions=turned(state.joint_positions - lift(root)[None]) + lift(position)[None],
+        joint_positions=turned(state.joint_positions - lift(root)[None]) + lift(to)[None],
         joint_velocities=turned(state.joint_velocities),
-        target_velocity=turned(state.target_velocity),
-        target_direction=turned(state.target_direction),
         joint_forward=None if state.joint_forward is None else turned(state.joint_forward),
         joint_up=None if state.joint_up is None else turned(state.joint_up),
     )

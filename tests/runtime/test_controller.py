@@ -21,9 +21,10 @@ from pfnn_jax.motion.synthetic import synthesise
 from pfnn_jax.runtime.character import mixed_style, own_speed
 from pfnn_jax.runtime.controller import Controller, drive, make_controller, step
 from pfnn_jax.runtime.frame import CONTROLLERS, Command, published_step
+from pfnn_jax.runtime.ground import angle_between, length, orthonormal
 from pfnn_jax.runtime.predictor import evaluate
-from pfnn_jax.runtime.regulation import STANDARD, Regulated, angle_between, ask, observe, turn_state, turning
-from pfnn_jax.runtime.state import ROOT, initial_state
+from pfnn_jax.runtime.regulation import STANDARD, ask, at_rest, hold_back, keep_pace, observe, turning
+from pfnn_jax.runtime.state import ROOT, initial_state, turn_state
 from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared, save_style
 from tests.runtime.walkers import LAYOUT, WALK, input_row
 
@@ -67,8 +68,10 @@ def test_spare_rows_are_zero_and_styles_have_names(controller):
     assert controller.styles == STYLES and controller.capacity == 3
     assert all(not np.asarray(leaf[2]).any() for leaf in jax.tree.leaves(controller.params.bank))
     np.testing.assert_allclose(controller.style_weights({"calm": 0.25, "wild": 0.75}), [0.25, 0.75, 0.0])
-    with pytest.raises(InputError, match="must be one of calm, wild"):
-        controller.style_weights("other")
+    np.testing.assert_array_equal(controller.style_weights(1), controller.style_weights("wild"))
+    for wrong in ("other", 2, -1):
+        with pytest.raises(InputError, match="must be one of calm, wild"):
+            controller.start(style=wrong)
     with pytest.raises(InputError, match="must sum to one"):
         controller.style_weights({"calm": 0.5, "wild": 0.6})
 
@@ -179,11 +182,12 @@ def test_regulation_of_a_mirrored_character_is_mirrored():
     before = initial_state(layout, input_row(layout, WALK), jnp.float32(0.3), jnp.asarray([0.4, 1.0]), jnp.float32(0.2))
     after = replace(before, positions=jnp.roll(before.positions, -1, 0), directions=jnp.roll(before.directions, -1, 0))
     asked = Command(velocity=jnp.asarray([0.9, 0.4]), direction=jnp.asarray([0.8, -0.6]))
-    regulated = Regulated(pace=jnp.float32(0.8), velocity=jnp.asarray([0.2, 1.1]), off=jnp.float32(0.1))
+    clearance = jnp.float32(0.02)
+    regulated = replace(at_rest(jnp.asarray([0.2, 1.1]), clearance, 0.8), off=jnp.float32(0.1), astray=jnp.float32(1.3))
 
     def all_of(before, after, asked, regulated):
         wanted = ask(asked, jnp.float32(1.0), jnp.float32(0.8), before, regulated, CONTROLLERS["mason2018"], STANDARD)
-        found = observe(regulated, before, after, asked, 60.0, STANDARD)
+        found = observe(regulated, before, after, asked, clearance, 60.0, STANDARD)
         angle = turning(found, asked.velocity, 60.0, STANDARD)
         return wanted, turn_state(after, angle), found.velocity, found.off, angle
 
@@ -198,3 +202,61 @@ def test_regulation_of_a_mirrored_character_is_mirrored():
 def test_angles_go_the_short_way():
     a, b = jnp.asarray([0.0, 1.0]), jnp.asarray([1.0, 0.0])
     assert angle_between(a, b) == pytest.approx(np.pi / 2) and angle_between(b, a) == pytest.approx(-np.pi / 2)
+
+
+def test_the_way_ahead_is_nowhere_faster_than_a_style_allows():
+    layout = LAYOUT["mason2018"]
+    state = initial_state(layout, input_row(layout, WALK), jnp.float32(0.0), jnp.asarray([0.4, 1.0]), jnp.float32(0.2))
+    steps = 60.0 * length(jnp.diff(state.positions[ROOT:], axis=0))
+    for own in (0.5 * float(steps.mean()), 2.0 * float(steps.max())):
+        held = hold_back(state, jnp.float32(own), 60.0, STANDARD)
+        found = 60.0 * length(jnp.diff(held.positions[ROOT:], axis=0))
+        np.testing.assert_allclose(found, np.minimum(steps, STANDARD.haste * own), rtol=1e-3)
+        np.testing.assert_array_equal(held.positions[: ROOT + 1], state.positions[: ROOT + 1])
+
+
+def test_who_cannot_go_aside_faces_where_it_goes_after_a_while():
+    layout = LAYOUT["mason2018"]
+    state = initial_state(layout, input_row(layout, WALK), jnp.float32(0.0), jnp.zeros(2), jnp.float32(0.0))
+    aside = Command(velocity=jnp.asarray([1.0, 0.0]), direction=jnp.asarray([0.0, 1.0]))
+    fresh = at_rest(jnp.asarray([0.0, 1.0]), jnp.float32(0.0), 1.0)
+
+    def asked_yaw(regulated) -> float:
+        found = ask(aside, jnp.float32(1.0), jnp.float32(1.0), state, regulated, CONTROLLERS["mason2018"], STANDARD)
+        return float(angle_between(state.directions[ROOT], found.direction))
+
+    def after(seconds: float, off: float):
+        regulated = replace(fresh, off=jnp.float32(off))
+        for _ in range(round(seconds * 60)):
+            regulated = observe(regulated, state, state, aside, jnp.float32(0.0), 60.0, STANDARD)
+            regulated = replace(regulated, off=jnp.float32(off))
+        return regulated
+
+    assert asked_yaw(after(0.9 * STANDARD.patience, 1.5)) == pytest.approx(0.0, abs=1e-6)
+    assert asked_yaw(after(1.2 * STANDARD.patience, 1.5)) == pytest.approx(0.2 * np.pi / 2, abs=0.06)
+    assert asked_yaw(after(2.5 * STANDARD.patience, 1.5)) == pytest.approx(STANDARD.most_asked, abs=1e-6)
+    assert asked_yaw(after(2.5 * STANDARD.patience, 0.1)) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_step_is_taken_to_its_end_before_it_halts():
+    """Told to stand with a foot in the air, it goes on until that comes down, and then slows down without a jump."""
+    layout = LAYOUT["mason2018"]
+    state = initial_state(layout, input_row(layout, WALK), jnp.float32(0.0), jnp.zeros(2), jnp.float32(0.0))
+    stand = Command(velocity=jnp.zeros(2), direction=jnp.asarray([0.0, 1.0]))
+    regulated, paces = at_rest(jnp.asarray([0.0, 1.0]), jnp.float32(0.0), 1.0), []
+    for frame in range(90):
+        clearance = jnp.float32(0.08 if frame < 30 else 0.0)
+        regulated = observe(regulated, state, state, stand, clearance, 60.0, STANDARD)
+        regulated = keep_pace(regulated, stand.velocity, STANDARD)
+        paces.append(float(regulated.pace))
+    assert min(paces[:30]) > 0.95 * STANDARD.stopping and paces[30] < paces[29] and paces[-1] == 0.0
+    assert np.abs(np.diff(paces)).max() < 1.1 * STANDARD.landing_rate * STANDARD.stopping
+    walking = keep_pace(regulated, jnp.asarray([0.0, 1.0]), STANDARD)
+    assert walking.pace > 0.0 and not walking.landing
+
+
+@pytest.mark.parametrize("up", [[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]])
+def test_a_row_without_axes_leaves_numbers(up):
+    forward, found = orthonormal(jnp.asarray([0.0, 0.0, 1.0]), jnp.asarray(up))
+    np.testing.assert_allclose(forward, [0.0, 0.0, 1.0])
+    assert np.isfinite(found).all()

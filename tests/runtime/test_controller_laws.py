@@ -7,7 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.controller_laws import CIRCLES, SPEEDS, TURNS, commands, walk, walk_all, wander_all
+from experiments.controller_laws import (
+    ASIDE,
+    CIRCLES,
+    FPS,
+    SPEEDS,
+    TURNS,
+    WALK_OFF,
+    commands,
+    walk,
+    walk_all,
+    wander_all,
+)
 from pfnn_jax.motion.dataset import prepare
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.preparation import PrepareConfig
@@ -18,7 +29,9 @@ from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.loop import pretrain
 
 STYLES = ("neutral", "old", "proud")
-MIRRORED = 12.0  # degrees by which turns to the left and to the right may differ in training data that holds both alike
+MIRRORED = 0.25  # m between a turn and the reflected one to the other side in two seconds: they begin on other feet
+DOWN = 0.03  # m above the least height that both feet come down to together, at a halt: the mean of all walks
+HALT = 1.5  # s from the command to stand to standing, the mean of all walks: no more than a step
 BODY = 2.2  # metres above which no joint of a body of 1.7 m rises
 LEAP = 12.0  # m/s, faster than any hand or foot of these walks
 
@@ -44,7 +57,9 @@ def test_commands_are_reached(judged, style):
     found = judged["styles"][style]
     assert found["speed and way"] == 1.0, found
     assert found["speed on circles"] == 1.0 and found["rate on circles"] == 1.0, found
+    assert found["facing"] == 1.0 and found["aside and back"] == 1.0, found
     assert found["finite"] == 1.0 and found["stops"] == 1.0, found
+    assert found["feet at a halt, m"] < DOWN and found["seconds to a halt"] < HALT, found
 
 
 def test_left_and_right_turns_mirror_each_other(controller):
@@ -52,9 +67,13 @@ def test_left_and_right_turns_mirror_each_other(controller):
     yaws = np.deg2rad([90.0, -90.0]).astype(np.float32)
     for index in range(len(STYLES)):
         style, speed = jnp.eye(controller.capacity)[index], controller.params.speeds[index]
-        one, other = (walk(controller.setup, controller.params, style, speed, yaw, jnp.zeros(())) for yaw in yaws)
-        ways = [np.rad2deg(np.arctan2(*(track.root[420] - track.root[300]))) for track in (one, other)]
-        assert abs(ways[0] + ways[1]) < MIRRORED
+        one, other = (
+            np.asarray(walk(controller.setup, controller.params, style, speed, yaw, *jnp.zeros(2)).root) for yaw in yaws
+        )
+        turning = slice(WALK_OFF, WALK_OFF + 2 * FPS)
+        apart = (one - one[WALK_OFF])[turning] - ((other - other[WALK_OFF]) * [-1.0, 1.0])[turning]
+        assert np.linalg.norm(apart, axis=-1).max() < MIRRORED
+        assert np.linalg.norm((one - other)[turning][-1]) > 5.0 * MIRRORED
 
 
 def test_random_commands_leave_a_body(controller):
@@ -87,9 +106,12 @@ def test_a_change_of_style_is_no_jump(controller):
 
 
 def test_the_commands_that_are_judged():
-    velocity, direction = commands(jnp.float32(1.2), jnp.float32(np.pi / 2), jnp.float32(0.0))
+    velocity, direction = commands(jnp.float32(1.2), jnp.float32(np.pi / 2), *jnp.zeros(2))
     np.testing.assert_allclose(velocity[100], [0.0, 1.2], atol=1e-6)
     np.testing.assert_allclose(velocity[300], [1.2, 0.0], atol=1e-6)
     np.testing.assert_allclose(velocity[-1], [0.0, 0.0])
     np.testing.assert_allclose(direction[-1], [1.0, 0.0], atol=1e-6)
-    assert SPEEDS == (0.75, 1.0, 1.25) and 90.0 in TURNS and 45.0 in CIRCLES
+    velocity, direction = commands(jnp.float32(1.2), *jnp.zeros(2), jnp.float32(np.pi))
+    np.testing.assert_allclose(velocity[300], [0.0, -1.2], atol=1e-6)
+    np.testing.assert_allclose(direction[300], [0.0, 1.0], atol=1e-6)
+    assert SPEEDS == (0.75, 1.0, 1.25) and 90.0 in TURNS and 45.0 in CIRCLES and 180.0 in ASIDE
