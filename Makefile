@@ -1,6 +1,7 @@
 # Everything a contributor runs. `make test`, `make demo` and `make play` need nothing but python3 (3.11 or newer) and make.
 PYTHON ?= python3
 WORKERS ?= 2
+PORT ?= 8080
 BIN := .venv/bin
 
 .PHONY: test lint types pytest docs demo play serve lock clean
@@ -23,10 +24,10 @@ docs: .venv/.installed
 demo: .venv/.installed
 	$(BIN)/pfnn-jax demo --out demo --overwrite
 
-# A character to drive in the browser: the demo's network, trained first where there is none.
+# A character to drive in the browser: the demo's network, trained first where there is none, or none to the end.
 play: .venv/.installed
-	test -d demo/run || $(MAKE) demo
-	$(BIN)/pfnn-jax play demo/run
+	test -f demo/report.html || $(MAKE) demo
+	$(BIN)/pfnn-jax play demo/run --port $(PORT)
 
 serve: .venv/.installed
 	$(BIN)/mkdocs serve

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -73,7 +74,8 @@ def _run(folder: Path, layout: str, adapter: AdapterConfig, hidden: int) -> Run:
 def _crowd(controller: Controller, number: int) -> tuple:
     """Some steps of a crowd in the midst of a walk, and their arguments: all parameters are shared, nothing else is.
 
-    Several, as a character's own time decides which of them evaluate its network.
+    Several, as a character's own time decides which of them evaluate its network; and as those of a crowd do so at
+    different times, each is at another place between two frames of its own.
     """
 
     def crowd_steps(params, states: ControllerState, commands: Command) -> ControllerState:
@@ -88,5 +90,6 @@ def _crowd(controller: Controller, number: int) -> tuple:
     states, commands = (
         jax.tree.map(lambda leaf: jnp.tile(leaf[None], (number, *(1,) * leaf.ndim)), one) for one in (alone, command)
     )
+    states = replace(states, clock=jnp.arange(1, number + 1, dtype=jnp.float32) / number)
     compiled = jax.jit(crowd_steps)
     return compiled, controller.params, states, commands

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
-from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -19,15 +16,8 @@ from pfnn_jax.export.batch import batch_function, relative_error, sample_rows, s
 from pfnn_jax.export.bins import write_bins
 from pfnn_jax.export.onnx import TOLERANCE
 from pfnn_jax.export.run import export_run
-from pfnn_jax.export.walks import find_walks
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
 from pfnn_jax.models.film import Film, film_to_vector
-from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.models.spline import catmull_rom_basis
-from pfnn_jax.motion.layout import layout_for
-from pfnn_jax.motion.normaliser import Normaliser, Statistics
-from pfnn_jax.motion.skeleton import skeleton_to_json
-from pfnn_jax.motion.synthetic_skeleton import synthetic_skeleton
 from pfnn_jax.runtime.controller import drive, make_controller
 from pfnn_jax.runtime.frame import Command
 from pfnn_jax.runtime.mixture import StyleChoice, file_stem
@@ -38,46 +28,12 @@ from pfnn_jax.runtime.released_lpn import import_released_lpn
 from pfnn_jax.runtime.rows import predict_rows
 from pfnn_jax.runtime.state import initial_state
 from pfnn_jax.runtime.units import authors2018, convert_columns
-from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+from pfnn_jax.training.run import Run
 
 FLOAT32 = 2e-5  # of an output's largest value: tables are rounded once, read back by least squares, and summed anew
 LOOP = 1e-4  # metres after 300 frames; float32 against float64 on real networks gives 2e-6
 FRAMES = 300
-HIDDEN = 12
 IMPORTS = {"pfnn2017": import_released_pfnn, "mason2018": import_released_cp, "mason2022": import_released_lpn}
-
-
-def make_run(path: Path, name: str, kind: str, num_styles: int = 2) -> Run:
-    """A small random network of a layout on the procedural skeleton, with styles; its walk is some bounded motion."""
-    skeleton, generator = synthetic_skeleton(), np.random.default_rng(7)
-    layout = layout_for(name, skeleton)
-    gated = {"phase_size": layout.phase_size, "gating_hidden": 5} if layout.phase_size else {}
-    network = NetworkConfig(layout.input_size, layout.output_size, HIDDEN, 4, **gated)
-    names = tuple(f"style{index}" for index in range(num_styles))
-    adapter = AdapterConfig(cast(AdapterKind, kind), 3)
-    config = RunConfig(network, adapter, name, layout.num_joints, names, skeleton_to_json(skeleton))
-    sizes = [layout.input_size, layout.output_size] + [layout.phase_size] * bool(layout.phase_size)
-    sides = [Statistics(*(generator.uniform(0.2, 0.8, (2, size)).astype(np.float32))) for size in sizes]
-    create_run(path, config, Normaliser(*sides))
-    save_shared(path, init_network(network, jax.random.key(1)))
-    for index, style in enumerate(names):
-        parameters = init_adapter(adapter, HIDDEN, 4, jax.random.key(10 + index))
-        noise = [0.1 * generator.normal(size=leaf.shape) for leaf in jax.tree.leaves(parameters)]
-        noise = jax.tree.unflatten(jax.tree.structure(parameters), noise)
-        parameters = jax.tree.map(lambda leaf, more: (leaf + more).astype(np.float32), parameters, noise)
-        save_style(path, style, parameters, {"speed": 1.0 + 0.1 * index})
-    return load_run(path)
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs")
-
-    @cache
-    def make(name: str, kind: str) -> Run:
-        return make_run(folder / f"{name}_{kind}", name, kind)
-
-    return make
 
 
 def test_weights_of_the_spline_without_gathering():
@@ -248,99 +204,3 @@ def test_stablehlo_comes_back_bit_for_bit(runs, tmp_path):
         with jax.default_matmul_precision("highest"):
             expected = jax.jit(batch_function(make_predictor(run, "style0")))(x, phase)
         np.testing.assert_array_equal(program.call(x, phase), expected)
-
-
-def test_description_tells_what_an_engine_needs(runs, tmp_path):
-    run = runs("mason2018", "cp")
-    export_run(run.path, "bins", tmp_path / "out")
-    told = json.loads((tmp_path / "out" / "description.json").read_text())
-    assert (told["schema"], told["version"], told["format"]) == ("pfnn_jax.export", 1, "bins")
-    columns = [column for block in told["layout"]["outputs"].values() for column in block["columns"]]
-    assert sorted(columns) == list(range(run.layout.output_size))
-    # Authors' units: half metres, frames, degrees and cycles a frame.
-    scales = {name: block["scale"] for name, block in told["layout"]["outputs"].items()}
-    assert scales["joint_velocity"] == pytest.approx(30.0) and scales["joint_position"] == 0.5
-    assert scales["root_yaw_rate"] == pytest.approx(np.deg2rad(60.0))
-    assert scales["phase_change"] == pytest.approx(120 * np.pi)
-    assert [style["speed"] for style in told["styles"]] == pytest.approx([1.0, 1.1])
-    assert told["loop"]["pose_rate"] == 0.5 and told["skeleton"]["names"] == list(run.skeleton.names)
-    assert len(told["normaliser"]["y_std"]) == run.layout.output_size
-
-
-def test_description_tells_what_to_ask_for_a_walk(runs, tmp_path):
-    """The speed that the page asks of the network, which is not the speed at which the style walks."""
-    run = runs("mason2018", "cp")
-    params = make_controller(run, foot_ik=False, regulated=False).params
-    asked = np.asarray(params.speeds * params.shares)
-    assert np.abs(asked - np.asarray(params.speeds)).max() > 0.1  # or this would be no test
-    told = export_run(run.path, "bins", tmp_path / "all")
-    assert [style["asked_speed"] for style in told["styles"]] == pytest.approx(asked)
-    assert [reference_loop.Character(tmp_path / "all", n).asked_speed for n in range(2)] == pytest.approx(asked)
-    one = export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
-    assert one["styles"][0]["asked_speed"] == one["start"]["asked_speed"] == pytest.approx(asked[1])
-    assert one["start"]["speed"] == pytest.approx(1.1)
-    mixed = find_walks(run, [{"style0": 0.5, "style1": 0.5}])[0]
-    assert mixed.speed == pytest.approx(1.05)
-    assert mixed.asked_speed == pytest.approx(1.05 * np.mean(params.shares))
-
-
-def test_a_mixture_has_one_name_in_every_format(runs, tmp_path):
-    run, style = runs("mason2018", "cp"), {"style0": 0.5, "style1": 0.5}
-    names = [export_run(run.path, f, tmp_path / f, style=style)["styles"][0]["name"] for f in ("bins", "stablehlo")]
-    assert names == ["style0:0.5+style1:0.5"] * 2
-    assert (tmp_path / "bins" / "style0-0.5+style1-0.5_W0.bin").exists()
-    assert import_released_cp(tmp_path / "bins", tmp_path / "run").config.styles == ("style0-0.5+style1-0.5",)
-
-
-@pytest.mark.parametrize("settings", [{"format": "bins"}, {"format": "stablehlo", "film_input": True}])
-def test_a_film_network_without_styles_is_not_exported(tmp_path, settings):
-    run = make_run(tmp_path / "run", "mason2022", "film", 0)
-    with pytest.raises(InputError, match="styles: none; a FiLM run needs at least one style to move"):
-        export_run(run.path, out=tmp_path / "out", **settings)
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
-
-
-@pytest.mark.parametrize("out", [".", "..", "inner/.."])
-def test_the_folder_that_a_command_runs_in_is_not_replaced(runs, tmp_path, monkeypatch, out):
-    here = tmp_path / "above" / "here"
-    here.mkdir(parents=True)
-    monkeypatch.chdir(here)
-    with pytest.raises(InputError, match="output: holds the working folder; must be a folder of its own"):
-        export_run(runs("mason2018", "cp").path, "bins", out, overwrite=True)
-    assert not list(here.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "settings", "said"),
-    [
-        ("mason2022_mann", "film", {"format": "bins"}, "mason2022_mann with film styles; only pfnn2017, mason2018"),
-        ("mason2022", "dense", {"format": "bins"}, "knows Films alone"),
-        ("mason2018", "cp", {"format": "bins", "style": "nobody"}, "nobody; must be one of style0, style1"),
-        ("mason2018", "cp", {"format": "onnx", "film_input": True}, "only a Film can be an input"),
-        ("mason2018", "cp", {"format": "fbx"}, "fbx; must be onnx, stablehlo or bins"),
-    ],
-)
-def test_what_cannot_be_is_said(runs, tmp_path, name, kind, settings, said):
-    with pytest.raises(InputError, match=said):
-        export_run(runs(name, kind).path, out=tmp_path / "out", **settings)
-    assert not list(tmp_path.iterdir())
-
-
-def test_only_an_export_is_replaced(runs, tmp_path):
-    path, out = runs("mason2018", "cp").path, tmp_path / "out"
-    out.mkdir()
-    export_run(path, "bins", out, style="style0")
-    with pytest.raises(InputError, match="--overwrite"):
-        export_run(path, "bins", out)
-    export_run(path, "bins", out, style="style1", overwrite=True)
-    assert (out / "style1_W0.bin").exists() and not (out / "style0_W0.bin").exists()
-    with pytest.raises(InputError, match="is no export"):
-        export_run(path, "bins", path, overwrite=True)
-    load_run(path)
-
-
-def test_files_of_the_2018_demo_need_their_description(runs, tmp_path):
-    export_run(runs("mason2018", "cp").path, "bins", tmp_path / "out")
-    (tmp_path / "out" / "description.json").unlink()
-    with pytest.raises(InputError, match="they do not name the joints"):
-        import_released_cp(tmp_path / "out", tmp_path / "run")
