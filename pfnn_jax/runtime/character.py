@@ -144,7 +144,7 @@ def own_share(params: ControllerParams, style: jax.Array) -> jax.Array:
     return jnp.dot(style, params.shares)
 
 
-def next_frame(
+def frame_ahead(
     setup: ControllerSetup, predictor: Predictor, own: jax.Array, state: CharacterState, command: Command
 ) -> tuple[CharacterState, jax.Array]:
     """One frame of the published loop, held back to what a style allows that walks at `own` [] m/s: as

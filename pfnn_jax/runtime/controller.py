@@ -26,8 +26,8 @@ from pfnn_jax.runtime.character import (
     ControllerSetup,
     ControllerState,
     drawn,
+    frame_ahead,
     mixed_style,
-    next_frame,
     own_share,
     own_speed,
     still_frame,
@@ -195,7 +195,7 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
         asked = command
         if config is not None:
             asked = ask(command, own, share, before, regulated, setup.config, config)
-        motion, y = next_frame(setup, predictor, own, before, asked)
+        motion, y = frame_ahead(setup, predictor, own, before, asked)
         angle = jnp.zeros((), y.dtype)
         if config is not None:
             clearance = feet_clearance(motion, setup.rig, params.rest)

@@ -17,8 +17,8 @@ from pfnn_jax.runtime.character import (
     ControllerSetup,
     ControllerState,
     drawn,
+    frame_ahead,
     mixed_style,
-    next_frame,
     own_share,
     own_speed,
     still_frame,
@@ -99,7 +99,7 @@ def settle(
         command = Command(velocity=speed * ahead, direction=ahead)
 
         def frame(state: CharacterState, _):
-            after, _ = next_frame(setup, predictor, own, state, command)
+            after, _ = frame_ahead(setup, predictor, own, state, command)
             return after, jnp.linalg.norm(after.positions[ROOT] - state.positions[ROOT]) * layout.fps
 
         state = initial_state(layout, params.row, params.phase, jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32))
@@ -123,7 +123,7 @@ def start(
         command = Command(velocity=0.0 * ahead, direction=ahead)
 
     def frame(state: CharacterState, _):
-        after, y = next_frame(setup, predictor, speed, state, command)
+        after, y = frame_ahead(setup, predictor, speed, state, command)
         return after, (after, y, state.positions[ROOT], state.directions[ROOT])
 
     _, (states, ys, roots, facings) = jax.lax.scan(frame, state, length=RUN_IN_FRAMES)
