@@ -46,7 +46,7 @@ def find_walks(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
     for choice, each in zip(choices, weights, strict=True):
         controller = styled if each else plain
         assert controller is not None
-        row = jnp.asarray(controller.style_weights(each or controller.styles[0]))
+        row = jnp.asarray(controller.style_weights({**each} if each else controller.styles[0]))
         speed = float(own_speed(controller.params, row))
         asked = speed * float(own_share(controller.params, row))
         if not np.isfinite([speed, asked]).all():  # a network that cannot walk; it may serve another loop than this

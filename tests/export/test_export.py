@@ -20,7 +20,7 @@ from pfnn_jax.models.film import Film, film_to_vector
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.runtime.controller import drive, make_controller
 from pfnn_jax.runtime.frame import Command
-from pfnn_jax.runtime.mixture import StyleChoice, file_stem
+from pfnn_jax.runtime.mixture import file_stem
 from pfnn_jax.runtime.predictor import evaluate, make_predictor
 from pfnn_jax.runtime.released import import_released_pfnn
 from pfnn_jax.runtime.released_cp import import_released_cp
@@ -91,7 +91,7 @@ def commands(speed: float) -> tuple[np.ndarray, np.ndarray]:
     return np.where((np.arange(FRAMES) // 40) == 5, 0.0, speed * facing), facing
 
 
-def walk(run: Run, choice: StyleChoice, description: dict) -> np.ndarray:
+def walk(run: Run, choice: str | dict[str, float], description: dict) -> np.ndarray:
     """World joints [T, J, 3] under `commands` by the controller's published loop, from the description's start."""
     start, layout = description["start"], run.layout
     x = np.array(start["x"])
@@ -101,7 +101,7 @@ def walk(run: Run, choice: StyleChoice, description: dict) -> np.ndarray:
     x, zero = jnp.asarray(x, jnp.float32), jnp.zeros((), jnp.float32)
     motion = initial_state(layout, x, jnp.asarray(start["phase"], jnp.float32), jnp.zeros(2, jnp.float32), zero)
     controller = make_controller(run, foot_ik=False, regulated=False)
-    style = jnp.asarray(controller.style_weights(choice or {}))
+    style = jnp.asarray(controller.style_weights(choice if isinstance(choice, str) else {**choice}))
     velocities, directions = (
         jnp.asarray(np.stack([np.imag(v), np.real(v)], -1), jnp.float32) for v in commands(start["asked_speed"])
     )
