@@ -205,7 +205,7 @@ def _write_film(folder: Path, index: int, style: ExportStyle) -> dict[str, Any]:
         files.append([f"Style_{index:03d}_{kind}{layer + 1}" for kind in ("scale", "shift")])
         for name, values in zip(files[-1], (film.scale[layer], film.shift[layer]), strict=True):
             _write(folder, name, values)
-    return {"name": style.stem, "kind": style.kind, "files": {"film": files}}
+    return {"name": style.name, "kind": style.kind, "files": {"film": files}}
 
 
 def _write_statistics(folder: Path, normaliser: Normaliser) -> None:

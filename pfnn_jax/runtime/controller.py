@@ -93,7 +93,7 @@ class Controller:
         """The state one frame later."""
         return step(self.setup, self.params, state, command)
 
-    def style_weights(self, choice: str | int | Mapping[str | int, float]) -> np.ndarray:
+    def style_weights(self, choice: str | int | Mapping[str, float] | Mapping[int, float]) -> np.ndarray:
         """[C] weights of a style by name or number, or of a mixture by names or numbers and weights that sum to one.
 
         Raises:

@@ -24,6 +24,7 @@ from pfnn_jax.motion.layout import STYLE100_ENDS, layout_for, mason2022
 from pfnn_jax.motion.normaliser import Normaliser
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_to_json
+from pfnn_jax.runtime.mixture import file_stem
 from pfnn_jax.runtime.predictor import assemble_predictor, evaluate
 from pfnn_jax.runtime.released_files import read_array, read_description, read_statistics
 from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared, save_style
@@ -92,7 +93,9 @@ def import_released_lpn(directory: str | Path, out: str | Path, overwrite: bool 
         phase_size=layout.phase_size,
         gating_hidden=sizes["gating_hidden"],
     )
-    speeds = dict.fromkeys(STYLES, SPEED) if told is None else {s["name"]: s["speed"] for s in told["styles"]}
+    speeds = (
+        dict.fromkeys(STYLES, SPEED) if told is None else {file_stem(s["name"]): s["speed"] for s in told["styles"]}
+    )
     shared = _read_network(directory, network)
     films = _read_films(directory, len(speeds), network.hidden)
     config = RunConfig(

@@ -5,11 +5,16 @@ from __future__ import annotations
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.lib.format import MAGIC_PREFIX
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.motion.files import failure
 from pfnn_jax.motion.layout import FrameLayout
+
+ZIP = b"PK"  # with which an archive begins
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +78,7 @@ def _read_arrays(file: Path, layout: FrameLayout) -> dict[str, np.ndarray]:
     rule = f"must be a NumPy .npz file with arrays x and {phase}"
     try:
         with file.open("rb") as stream:  # opened here, because NumPy leaves a damaged file open
-            arrays = np.load(stream, allow_pickle=False)
+            arrays = _load(stream)
             if not isinstance(arrays, np.lib.npyio.NpzFile):
                 raise InputError(file, "file", "a single array", rule)
             names = ("x", "phase", "gating_x", "style", "styles", "weights")
@@ -81,12 +86,24 @@ def _read_arrays(file: Path, layout: FrameLayout) -> dict[str, np.ndarray]:
     except InputError:
         raise
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise InputError(file, "file", reason, rule) from error
+        raise InputError(file, "file", failure(error), rule) from error
     for name in ("x", _phase_array(found, layout)):
         if name not in found:
             raise InputError(file, f"array {name}", "absent", rule)
     return found
+
+
+def _load(stream: BinaryIO) -> Any:
+    """What a NumPy file holds.
+
+    Raises:
+        ValueError: for any other file. NumPy itself offers to unpickle those, which none of them is to be.
+    """
+    begins = stream.read(len(MAGIC_PREFIX))
+    if begins and not begins.startswith((ZIP, MAGIC_PREFIX)):
+        raise ValueError("not a NumPy file")
+    stream.seek(0)
+    return np.load(stream, allow_pickle=False)
 
 
 def _as_indices(file: Path, name: str, values: np.ndarray, shape: tuple[int | None, ...]) -> np.ndarray:

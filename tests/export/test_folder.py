@@ -13,6 +13,7 @@ from pfnn_jax.export.run import export_run
 from pfnn_jax.export.walks import find_walks
 from pfnn_jax.runtime.controller import make_controller
 from pfnn_jax.runtime.released_cp import import_released_cp
+from pfnn_jax.runtime.released_lpn import import_released_lpn
 from pfnn_jax.training.run import load_run
 from tests.export.small_runs import make_run
 
@@ -51,12 +52,19 @@ def test_description_tells_what_to_ask_for_a_walk(runs, tmp_path):
     assert mixed.asked_speed == pytest.approx(1.05 * np.mean(params.shares))
 
 
-def test_a_mixture_has_one_name_in_every_format(runs, tmp_path):
-    run, style = runs("mason2018", "cp"), {"style0": 0.5, "style1": 0.5}
+@pytest.mark.parametrize(
+    ("layout", "kind", "import_released", "file"),
+    [
+        ("mason2018", "cp", import_released_cp, "style0-0.5+style1-0.5_W0.bin"),
+        ("mason2022", "film", import_released_lpn, "Style_000_scale1.bin"),
+    ],
+)
+def test_a_mixture_has_one_name_in_every_format(runs, tmp_path, layout, kind, import_released, file):
+    run, style = runs(layout, kind), {"style0": 0.5, "style1": 0.5}
     names = [export_run(run.path, f, tmp_path / f, style=style)["styles"][0]["name"] for f in ("bins", "stablehlo")]
     assert names == ["style0:0.5+style1:0.5"] * 2
-    assert (tmp_path / "bins" / "style0-0.5+style1-0.5_W0.bin").exists()
-    assert import_released_cp(tmp_path / "bins", tmp_path / "run").config.styles == ("style0-0.5+style1-0.5",)
+    assert (tmp_path / "bins" / file).exists()
+    assert import_released(tmp_path / "bins", tmp_path / "run").config.styles == ("style0-0.5+style1-0.5",)
 
 
 @pytest.mark.parametrize("settings", [{"format": "bins"}, {"format": "stablehlo", "film_input": True}])

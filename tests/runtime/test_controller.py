@@ -26,6 +26,7 @@ from pfnn_jax.runtime.predictor import evaluate
 from pfnn_jax.runtime.regulation import STANDARD, ask, at_rest, hold_back, keep_pace, observe, turning
 from pfnn_jax.runtime.state import ROOT, initial_state, turn_state
 from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+from tests.export.small_runs import make_run
 from tests.runtime.walkers import LAYOUT, WALK, input_row
 
 FLOAT32 = 2e-5  # metres: fused and unfused products of a walk of a few seconds
@@ -55,7 +56,13 @@ def controller(run) -> Controller:
     return make_controller(run, capacity=3, foot_ik=False)
 
 
-def command(controller: Controller, speed: float, yaw: float = 0.0, style: str = "calm") -> Command:
+@pytest.fixture(scope="module")
+def held_film_controller(tmp_path_factory) -> Controller:
+    """Of a network with local phases and Films, feet held: whatever a controller can be made of."""
+    return make_controller(make_run(tmp_path_factory.mktemp("films") / "run", "mason2022", "film"))
+
+
+def command(controller: Controller, speed: float, yaw: float = 0.0, style: str | int = "calm") -> Command:
     direction = jnp.asarray([np.sin(yaw), np.cos(yaw)], jnp.float32)
     return Command(velocity=speed * direction, direction=direction, style=jnp.asarray(controller.style_weights(style)))
 
@@ -121,8 +128,10 @@ def test_a_step_returns_what_it_takes(controller):
     assert compilations() == size
 
 
-def test_loop_scan_and_vmap_agree(controller):
-    frames, asked = 40, [command(controller, SPEED, yaw, style) for yaw, style in ((0.4, "calm"), (-0.9, "wild"))]
+@pytest.mark.parametrize("which", ["controller", "held_film_controller"])
+def test_loop_scan_and_vmap_agree(which, request):
+    controller = request.getfixturevalue(which)
+    frames, asked = 40, [command(controller, SPEED, yaw, style) for yaw, style in ((0.4, 0), (-0.9, 1))]
     begin = [controller.start(style=index) for index in range(2)]
     loops = []
     for state, one in zip(begin, asked, strict=True):
