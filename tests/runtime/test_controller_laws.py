@@ -106,12 +106,13 @@ def test_a_change_of_style_is_no_jump(controller):
 
 
 def test_the_commands_that_are_judged():
-    velocity, direction = commands(jnp.float32(1.2), jnp.float32(np.pi / 2), *jnp.zeros(2))
+    zero = jnp.float32(0.0)
+    velocity, direction = commands(jnp.float32(1.2), jnp.float32(np.pi / 2), zero, zero)
     np.testing.assert_allclose(velocity[100], [0.0, 1.2], atol=1e-6)
     np.testing.assert_allclose(velocity[300], [1.2, 0.0], atol=1e-6)
     np.testing.assert_allclose(velocity[-1], [0.0, 0.0])
     np.testing.assert_allclose(direction[-1], [1.0, 0.0], atol=1e-6)
-    velocity, direction = commands(jnp.float32(1.2), *jnp.zeros(2), jnp.float32(np.pi))
+    velocity, direction = commands(jnp.float32(1.2), zero, zero, jnp.float32(np.pi))
     np.testing.assert_allclose(velocity[300], [0.0, -1.2], atol=1e-6)
     np.testing.assert_allclose(direction[300], [0.0, 1.0], atol=1e-6)
     assert SPEEDS == (0.75, 1.0, 1.25) and 90.0 in TURNS and 45.0 in CIRCLES and 180.0 in ASIDE
