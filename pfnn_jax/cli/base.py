@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from pfnn_jax.errors import InputError
+from pfnn_jax.motion.files import refuse_existing, require_suffix
 
 FLAT = tyro.conf.arg(name="")
 """Settings appear as --hidden, not --config.hidden."""
@@ -24,11 +24,11 @@ class Command:
     json: Path | None = None
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Before long work, so that it is not done in vain.
+def check_file(path: Path, suffix: str, overwrite: bool) -> None:
+    """A file that a command is to write, before long work.
 
     Raises:
-        InputError: if the path exists and must not be overwritten.
+        InputError: for another suffix than that of its kind, or if the file exists and must not be overwritten.
     """
-    if path.exists() and not overwrite:
-        raise InputError(path, "output", "exists", "existing output is replaced only with --overwrite")
+    require_suffix(path, (suffix,))
+    refuse_existing(path, overwrite)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional as Argument
 
-from pfnn_jax.cli.base import FLAT, Command, refuse_existing
+from pfnn_jax.cli.base import FLAT, Command, check_file
 from pfnn_jax.cli.progress import clip_progress
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.phase_plot import phase_plot
@@ -19,7 +19,7 @@ from pfnn_jax.motion.dataset import Dataset, prepare
 from pfnn_jax.motion.local_phase import LocalPhaseConfig
 from pfnn_jax.motion.phase import label_phase, write_phase
 from pfnn_jax.motion.preparation import PrepareConfig
-from pfnn_jax.motion.sources import list_clips
+from pfnn_jax.motion.sources import clips_of_styles, list_clips
 from pfnn_jax.motion.splits import WINDOW
 from pfnn_jax.motion.trajectory import LAYOUT_FPS
 from pfnn_jax.viewer.drawing import save_figure
@@ -50,7 +50,8 @@ class Prepare(Command):
     config: Annotated[PrepareConfig, FLAT] = field(default_factory=PrepareConfig)
 
     def run(self) -> Any:
-        clips = [clip for clip in list_clips(self.source, self.kind) if not self.styles or clip.style in self.styles]
+        clips = list_clips(self.source, self.kind)
+        clips = clips_of_styles(clips, self.styles, self.source) if self.styles else clips
         with clip_progress() as progress:
             dataset = prepare(
                 clips,
@@ -102,7 +103,7 @@ class LabelPhase(Command):
     overwrite: bool = False
 
     def run(self) -> Any:
-        refuse_existing(self.out, self.overwrite)
+        check_file(self.out, ".phase", self.overwrite)
         labels = label_phase(read_bvh(self.clip, roles_file=self.roles))
         write_phase(self.out, labels, overwrite=self.overwrite)
         steps = len(labels.contacts_right) + len(labels.contacts_left)
@@ -133,7 +134,7 @@ class PlotPhase(Command):
     config: Annotated[LocalPhaseConfig, FLAT] = field(default_factory=LocalPhaseConfig)
 
     def run(self) -> Any:
-        refuse_existing(self.out, self.overwrite)
+        check_file(self.out, ".png", self.overwrite)
         clip = resample(read_bvh(self.clip, roles_file=self.roles), LAYOUT_FPS)
         first, last = (round(second * clip.fps) for second in (self.start, self.start + self.seconds))
         if not 0 <= first < min(last, clip.num_frames - 1):

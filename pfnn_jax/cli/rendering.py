@@ -9,10 +9,11 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional as Argument
 
-from pfnn_jax.cli.base import Command, refuse_existing
+from pfnn_jax.cli.base import Command
 from pfnn_jax.cli.progress import frame_progress
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.files import refuse_existing
 from pfnn_jax.viewer.body import Up, upright
 from pfnn_jax.viewer.render import MOMENTS, check_output, render
 from pfnn_jax.viewer.tracks import Track, cut_track, label_track

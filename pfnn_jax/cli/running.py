@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional as Argument
 
-from pfnn_jax.cli.base import Command, refuse_existing
+from pfnn_jax.cli.base import Command, check_file
 from pfnn_jax.evaluation.benchmark import print_benchmark, run_benchmark
 from pfnn_jax.evaluation.clips import evaluate_clips
 from pfnn_jax.motion.bvh import write_bvh
@@ -54,7 +54,7 @@ class Generate(Command):
     overwrite: bool = False
 
     def run(self) -> Any:
-        refuse_existing(self.out, self.overwrite)
+        check_file(self.out, ".bvh", self.overwrite)
         path, run = make_path(self.path, self.size), load_run(self.run_path)
         style = None if self.style is None else parse_style(self.style, list_styles(run.path), run.path)
         made = generate(run, style, path, speed=self.speed, seconds=self.seconds, mode=self.mode, foot_ik=self.foot_ik)
@@ -82,6 +82,7 @@ class Evaluate(Command):
 
     def run(self) -> Any:
         result = evaluate_clips(load_run(self.run_path), list_clips(self.source), self.style, self.roles)
+        print("mean squared one-step errors over the training data's variance: less is better, 1 is answering its mean")
         for style, errors in result.items():
             groups = "  ".join(f"{name} {value:.3f}" for name, value in errors.items() if isinstance(value, float))
             print(f"{style}: {groups}")
@@ -137,6 +138,7 @@ class Predict(Command):
     overwrite: bool = False
 
     def run(self) -> Any:
+        check_file(self.out, ".npz", self.overwrite)
         style = None if self.style is None else parse_style(self.style, list_styles(self.run_path), self.run_path)
         y = predict_file(
             self.run_path,

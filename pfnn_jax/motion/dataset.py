@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.files import swap_folder
+from pfnn_jax.motion.files import failure, refuse_existing, swap_folder
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.layout import layout_for
 from pfnn_jax.motion.normaliser import Normaliser, load_normaliser
@@ -115,7 +115,7 @@ class Dataset:
         try:
             array = np.load(path, mmap_mode="r" if rows else None, allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
-            raise InputError(path, "array", error, "must be as prepare wrote it") from error
+            raise InputError(path, "array", failure(error), "must be as prepare wrote it") from error
         if name != "windows" and len(array) != rows:
             raise InputError(path, "rows", len(array), f"must be {rows}, as in dataset.json")
         return array
@@ -154,8 +154,7 @@ def prepare(
             existing folder, or one that cannot be written.
     """
     out = Path(out)
-    if out.exists() and not overwrite:
-        raise InputError(out, "folder", "exists", "overwriting must be asked for")
+    refuse_existing(out, overwrite)
     if not clips:
         raise InputError(out, "clips", "none", "a dataset needs at least one clip")
     if workers is not None and workers < 1:
@@ -166,7 +165,7 @@ def prepare(
         write_dataset(clips, work, config, roles_file, progress, workers)
         swap_folder(work, out)
     except OSError as error:
-        raise InputError(out, "folder", error, "must be writable, with space for the dataset") from error
+        raise InputError(out, "folder", failure(error), "must be writable, with space for the dataset") from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
     return load_dataset(out)
@@ -183,7 +182,7 @@ def load_dataset(path: Path) -> Dataset:
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(file, "file", error, "a dataset is a folder that prepare has written") from error
+        raise InputError(file, "file", failure(error), "a dataset is a folder that prepare has written") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         found = data.get("format") if isinstance(data, dict) else type(data).__name__
         raise InputError(file, "format", found, f"this version reads format {FORMAT}")

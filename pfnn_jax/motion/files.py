@@ -4,9 +4,41 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Collection
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
+
+
+def refuse_existing(path: Path, overwrite: bool) -> None:
+    """Before long work, so that it is not done in vain.
+
+    Raises:
+        InputError: if the path exists and must not be overwritten.
+    """
+    if path.exists() and not overwrite:
+        raise InputError(path, "output", "exists", "existing output is replaced only with --overwrite")
+
+
+def require_suffix(path: Path, suffixes: Collection[str]) -> None:
+    """A file's name tells what is in it: refuse another kind's, or none, before long work.
+
+    Args:
+        path: file to write.
+        suffixes: those of the kind, in lower case with their dots; capitals in the name are taken too.
+
+    Raises:
+        InputError: for another suffix.
+    """
+    if path.suffix.lower() not in suffixes:
+        rule = f"must be {'one of ' if len(suffixes) > 1 else ''}{', '.join(suffixes)}"
+        raise InputError(path, "suffix", path.suffix or "none", rule)
+
+
+def failure(error: Exception) -> str:
+    """Why a file could not be read or written, in one line that does not repeat the path beside which it stands."""
+    reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
+    return reason or type(error).__name__
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.files import write_whole
+from pfnn_jax.motion.files import refuse_existing, write_whole
 from pfnn_jax.motion.footsteps import find_steps, half_cycles
 from pfnn_jax.motion.textfile import read_rows
 from pfnn_jax.motion.trajectory import wrap_angle
@@ -120,8 +120,7 @@ def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> Non
         InputError: if the file exists and is not to be replaced, or cannot be written.
     """
     path = Path(path)
-    if path.exists() and not overwrite:
-        raise InputError(path, "file", "exists", "overwriting must be asked for")
+    refuse_existing(path, overwrite)
     labelled = labels.labelled.copy()
     labelled[[stop for start, stop in _runs(~labels.labelled) if stop - start == 1 and stop < len(labelled)]] = False
     values = np.round(np.where(labelled, labels.phase / CYCLE, 0.0), 6)

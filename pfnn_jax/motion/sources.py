@@ -15,7 +15,7 @@ Five conventions are known, by their file names:
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -64,6 +64,25 @@ def list_clips(folder: str | Path, kind: str = "auto") -> list[ClipFile]:
     for clip in clips:
         check_style_name(clip.style, clip.path)
     return clips
+
+
+def clips_of_styles(clips: Iterable[ClipFile], styles: Collection[str], source: str | Path) -> list[ClipFile]:
+    """The clips of some styles.
+
+    Args:
+        clips: as `list_clips` returns them.
+        styles: names of the styles to keep.
+        source: where the clips come from, for messages.
+
+    Raises:
+        InputError: for a style that no clip has.
+    """
+    clips = list(clips)
+    found = sorted({clip.style for clip in clips})
+    for style in styles:
+        if style not in found:
+            raise InputError(source, "style", style, f"must be one of {', '.join(found)}")
+    return [clip for clip in clips if clip.style in styles]
 
 
 def find_kind(folder: Path) -> str:

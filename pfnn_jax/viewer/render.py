@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.files import write_whole
+from pfnn_jax.motion.files import refuse_existing, require_suffix, write_whole
 from pfnn_jax.viewer.drawing import png_bytes
 from pfnn_jax.viewer.film import Film
 from pfnn_jax.viewer.filmstrip import filmstrip
@@ -60,8 +60,7 @@ def render(
     """
     out = Path(out)
     check_output(out, fps, moments)
-    if out.exists() and not overwrite:
-        raise InputError(out, "output", "exists", "existing output is replaced only with --overwrite")
+    refuse_existing(out, overwrite)
     content = FORMATS[out.suffix.lower()](tracks, out, fps, moments, progress)
     write_whole(out, content)
     return len(content)
@@ -73,8 +72,7 @@ def check_output(out: Path, fps: float | None, moments: int) -> None:
     Raises:
         InputError: for a suffix that names no format, a folder that is absent, or a setting out of range.
     """
-    if out.suffix.lower() not in FORMATS:
-        raise InputError(out, "suffix", out.suffix or "none", f"must be one of {', '.join(FORMATS)}")
+    require_suffix(out, FORMATS)
     if not out.parent.is_dir():
         raise InputError(out, "output", "no such folder", "its folder must exist")
     if fps is not None and not 0 < fps <= MOST_FPS:

@@ -174,7 +174,7 @@ def test_an_existing_folder_is_only_replaced_when_asked(takes, tmp_path):
     out = tmp_path / "set"
     out.mkdir()
     (out / "precious").write_text("kept")
-    with pytest.raises(InputError, match="exists; overwriting must be asked for"):
+    with pytest.raises(InputError, match="exists; .*--overwrite"):
         prepare(takes, out, PrepareConfig())
     assert (out / "precious").read_text() == "kept"
     prepare(takes[:1], out, PrepareConfig(), overwrite=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.files import swap_folder, write_whole
+from pfnn_jax.motion.files import failure, require_suffix, swap_folder, write_whole
 
 
 def names(folder: Path) -> list[str]:
@@ -66,3 +66,27 @@ def test_a_folder_that_cannot_take_its_place_leaves_the_old_one(tmp_path):
     with pytest.raises(OSError):
         swap_folder(tmp_path / "absent", target)
     assert names(target) == ["b"] and names(tmp_path) == ["target"]
+
+
+@pytest.mark.parametrize("name", ["a.bvh", "A.BVH", "b.c.bvh"])
+def test_a_name_of_the_kind_passes(name):
+    require_suffix(Path(name), (".bvh",))
+
+
+@pytest.mark.parametrize(
+    ("name", "suffixes", "message"),
+    [
+        ("a.txt", (".bvh",), "a.txt: suffix: .txt; must be .bvh"),
+        ("a", (".bvh",), "a: suffix: none; must be .bvh"),
+        ("a.jpg", (".png", ".gif"), "a.jpg: suffix: .jpg; must be one of .png, .gif"),
+    ],
+)
+def test_a_name_of_another_kind_is_refused(name, suffixes, message):
+    with pytest.raises(InputError) as refused:
+        require_suffix(Path(name), suffixes)
+    assert str(refused.value) == message
+
+
+def test_a_failure_is_told_in_one_line_without_the_path():
+    assert failure(FileNotFoundError(2, "No such file or directory", "here/a")) == "No such file or directory"
+    assert failure(ValueError("one\ntwo")) == "one" and failure(EOFError()) == "EOFError"

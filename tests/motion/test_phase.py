@@ -248,7 +248,7 @@ def test_a_file_is_only_replaced_when_asked(tmp_path):
     path = tmp_path / "a.phase"
     path.write_text("kept")
     labels = PhaseLabels(np.array([0.1, 0.2]), np.array([True, True]), np.zeros(0, int), np.zeros(0, int))
-    with pytest.raises(InputError, match="exists; overwriting must be asked for"):
+    with pytest.raises(InputError, match="exists; .*--overwrite"):
         write_phase(path, labels)
     assert path.read_text() == "kept"
     write_phase(path, labels, overwrite=True)

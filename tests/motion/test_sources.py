@@ -13,7 +13,7 @@ from pfnn_jax.motion.bvh import CMU, write_bvh
 from pfnn_jax.motion.clip_file import ASYMMETRIC, ClipFile, is_symmetric
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.sources import check_style_name, find_kind, list_clips, load_clip, read_take
+from pfnn_jax.motion.sources import check_style_name, clips_of_styles, find_kind, list_clips, load_clip, read_take
 from pfnn_jax.motion.style100 import CUTS as CUTS_FILE
 from pfnn_jax.motion.style100 import STYLES as STYLES_FILE
 from pfnn_jax.motion.style100 import read_symmetric, style100_files
@@ -125,6 +125,15 @@ def test_a_single_file_is_a_list_of_one(tmp_path):
     assert list_clips(tmp_path / "angry_13_000.bvh")[0].content == "run"
     (tmp_path / "Frame_Cuts.csv").write_text(CUTS)
     assert list_clips(fill(tmp_path, "Old_FW.bvh") / "Old_FW.bvh")[0].stop == 4
+
+
+def test_styles_are_kept_and_a_misspelt_one_is_named(tmp_path):
+    for style in ("old", "normal"):
+        fill(tmp_path / style, "a.bvh")
+    clips = list_clips(tmp_path)
+    assert [clip.style for clip in clips_of_styles(clips, ["old"], tmp_path)] == ["old"]
+    with pytest.raises(InputError, match=r"style: norml; must be one of normal, old$"):
+        clips_of_styles(clips, ["old", "norml"], tmp_path)
 
 
 def test_folders_of_no_convention_are_refused(tmp_path):

@@ -108,8 +108,15 @@ def test_files_that_are_no_npz_are_refused(run, tmp_path):
     (tmp_path / "empty.npz").write_bytes(b"")
     np.savez(tmp_path / "in.npz", x=X, phase=PHASE)
     (tmp_path / "cut.npz").write_bytes((tmp_path / "in.npz").read_bytes()[:-40])
-    for name in ("one.npy", "text.npz", "empty.npz", "cut.npz", "absent.npz"):
-        with pytest.raises(InputError, match=f"{name}: file: .*must be a NumPy .npz file"):
+    found = {
+        "one.npy": "a single array",
+        "text.npz": "not a NumPy file",  # NumPy itself says that it holds pickled data, and how to load them
+        "empty.npz": "No data left in file",
+        "cut.npz": "File is not a zip file",
+        "absent.npz": "No such file or directory",
+    }
+    for name, what in found.items():
+        with pytest.raises(InputError, match=f"{name}: file: {what}; must be a NumPy .npz file"):
             predict_file(run.path, tmp_path / name, tmp_path / "out.npz")
 
 
