@@ -88,6 +88,9 @@ class PretrainConfig:
             value = getattr(self, name)
             if value is not None and value < 0:
                 raise ValueError(f"PretrainConfig.{name} must not be negative, got {value}.")
+        # a size that no layout could have; `network` and `generator` hold those for a layout to the same rules
+        NetworkConfig(1, 1, self.hidden, self._points(1), self.rank, phase_size=1, gating_hidden=self.gating_hidden)
+        self._generator(1)
         if self.adapter.kind == "film" and self.batch_size % self.clips_per_batch:
             raise ValueError(
                 f"PretrainConfig.clips_per_batch must divide batch_size {self.batch_size}, got {self.clips_per_batch}."
@@ -99,13 +102,16 @@ class PretrainConfig:
         return self.clips_per_batch if self.adapter.kind == "film" else 0
 
     def network(self, layout: FrameLayout) -> NetworkConfig:
-        """The sizes of the network for a layout's frames."""
-        points = self.num_control_points or (EXPERTS if layout.phase_size else SPLINE_POINTS)
+        """The sizes of the network for a layout's frames.
+
+        Raises:
+            ValueError: for fewer control points than the spline of the layout's phase needs.
+        """
         return NetworkConfig(
             layout.input_size,
             layout.output_size,
             self.hidden,
-            points,
+            self._points(layout.phase_size),
             self.rank,
             phase_size=layout.phase_size,
             gating_hidden=self.gating_hidden,
@@ -113,10 +119,16 @@ class PretrainConfig:
 
     def generator(self, layout: FrameLayout) -> GeneratorConfig | None:
         """The sizes of the FiLM generator for a layout's joints, or None where the adapter is no Film."""
-        if self.adapter.kind != "film":
-            return None
+        return self._generator(num_clip_columns(layout)) if self.adapter.kind == "film" else None
+
+    def _points(self, phase_size: int) -> int:
+        if self.num_control_points is None:
+            return EXPERTS if phase_size else SPLINE_POINTS
+        return self.num_control_points
+
+    def _generator(self, features: int) -> GeneratorConfig:
         return GeneratorConfig(
-            features=num_clip_columns(layout),
+            features=features,
             clip_frames=CLIP_FRAMES,
             filters=self.generator_filters,
             width=self.generator_width,

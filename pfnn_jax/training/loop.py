@@ -58,7 +58,8 @@ def pretrain(
         on_progress: called after every dispatch.
 
     Raises:
-        InputError: if `out` exists (without `resume` or `overwrite`), or holds other settings than asked.
+        InputError: if `out` exists (without `resume` or `overwrite`), or holds other settings than asked; for
+            sizes that the dataset's layout cannot have.
         TrainingError: when a loss is not finite; the last good state stays.
     """
     out = Path(out)
@@ -82,10 +83,18 @@ def pretrain(
 
 
 def run_config_of(dataset: Dataset, config: PretrainConfig) -> RunConfig:
-    """The configuration that a run of this dataset carries."""
+    """The configuration that a run of this dataset carries.
+
+    Raises:
+        InputError: for sizes that its layout cannot have.
+    """
     layout = dataset.layout
+    try:
+        network = config.network(layout)
+    except ValueError as error:
+        raise InputError(dataset.path, f"layout {layout.name}", str(error).removesuffix("."), "see --help") from error
     return RunConfig(
-        network=config.network(layout),
+        network=network,
         adapter=config.adapter,
         layout=layout.name,
         num_joints=layout.num_joints,

@@ -117,6 +117,23 @@ def test_an_existing_run_is_refused_and_left_alone(dataset, whole):
     assert (whole.path / "config.json").read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    "sizes", [{"hidden": -4}, {"rank": 0}, {"gating_hidden": 0}, {"num_control_points": 0}, {"generator_filters": 0}]
+)
+def test_sizes_that_no_network_has_are_refused_with_the_settings(sizes):
+    with pytest.raises(ValueError, match="must be at least 1, got"):
+        PretrainConfig(**sizes)
+
+
+def test_sizes_that_the_layout_cannot_have_are_refused_before_anything_is_written(dataset, tmp_path):
+    assert PretrainConfig(num_control_points=3)  # experts of a gating network may be so few
+    with pytest.raises(
+        InputError, match="layout mason2018: .*num_control_points must be at least 4, got 3; see --help"
+    ):
+        pretrain(dataset, tmp_path / "run", replace(CONFIG, num_control_points=3))
+    assert not (tmp_path / "run").exists()
+
+
 def test_training_that_turns_non_finite_keeps_the_last_good_save(dataset, tmp_path):
     out, wild = tmp_path / "run", replace(CONFIG, learning_rate=1e30, save_every=1, steps_per_dispatch=1)
     with pytest.raises(TrainingError, match=r"step \d+, style (neutral|old): loss is (nan|inf)"):
