@@ -152,11 +152,13 @@ def test_generate_follows_points_of_a_file(folder, tmp_path):
     assert read_bvh(tmp_path / "a.bvh").num_frames == 60
 
 
-def test_evaluate_gives_errors_by_style_and_group(folder, tmp_path):
+def test_evaluate_gives_errors_by_style_and_group(folder, tmp_path, capsys):
     run("evaluate", folder / "run", folder / "bvh", "--json", tmp_path / "errors.json")
     errors = json.loads((tmp_path / "errors.json").read_text())
     assert set(errors) == {"neutral", "old"}
     assert errors["old"]["pose"] > 0 and len(errors["old"]["per_take"]) == 2
+    shown = capsys.readouterr().out.splitlines()
+    assert "squared" in shown[0] and "less is better" in shown[0] and shown[1].startswith("neutral: all ")
 
 
 def test_label_phase_writes_one_value_per_frame(folder, tmp_path):
@@ -255,6 +257,16 @@ def test_a_clip_of_another_skeleton_is_one_line(refused, folder, mocap):
     assert "dataset-2_walk_normal_001.bvh" in line and "joint" in line
 
 
+def test_clips_that_cannot_be_evaluated_are_one_line_with_the_cause(refused, folder, mocap, tmp_path):
+    clip = shutil.copy(mocap / "bandai-namco-2" / "dataset-2_walk_normal_001.bvh", tmp_path / "other.bvh")
+    line = refused("evaluate", folder / "run", clip)  # its style is unknown too, but renaming would not help
+    assert "other.bvh" in line and "joint" in line and "style" not in line
+    clip = shutil.copy(folder / "zombie.bvh", tmp_path / "tired.bvh")
+    line = refused("evaluate", folder / "run", clip)
+    assert "tired.bvh: style" in line and "tired; must be" in line and "neutral, old, zombie" in line
+    assert "--style" in line
+
+
 @pytest.mark.parametrize("name", ["../escape", "a/b", ".hidden", ""])
 def test_a_style_name_that_is_no_file_name_is_one_line(refused, folder, name):
     assert "style name" in refused("few-shot", folder / "run", folder / "zombie.bvh", f"--name={name}", *QUICK)
@@ -283,6 +295,20 @@ def test_an_unknown_style_is_one_line(refused, folder, tmp_path):
     assert "sad" in line and "neutral, old, zombie" in line
 
 
+def test_a_style_that_no_clip_has_is_one_line(refused, folder, tmp_path):
+    line = refused("prepare", folder / "bvh", "--out", tmp_path / "data", "--styles", "neutrl")
+    assert "style: neutrl; must be one of neutral, old" in line
+
+
+def test_files_are_called_what_they_are(refused, folder, tmp_path):
+    run_path, clip = folder / "run", folder / "zombie.bvh"
+    assert "suffix: .txt; must be .bvh" in refused("generate", run_path, "--out", tmp_path / "a.txt")
+    assert "suffix: none; must be .phase" in refused("label-phase", clip, "--out", tmp_path / "a")
+    assert "suffix: .npy; must be .npz" in refused("predict", run_path, "rows.npz", "--out", tmp_path / "a.npy")
+    assert "suffix: .jpg; must be .png" in refused("plot-phase", clip, "--out", tmp_path / "a.jpg")
+    assert not list(tmp_path.iterdir())
+
+
 def test_existing_output_is_refused(refused, folder, tmp_path):
     assert "exists" in refused("prepare", folder / "bvh", "--out", folder / "data")
     assert "exists" in refused("pretrain", folder / "data", "--out", folder / "run", *SMALL)
@@ -293,7 +319,8 @@ def test_existing_output_is_refused(refused, folder, tmp_path):
 
 def test_a_folder_that_is_no_run_or_dataset_is_one_line(refused, tmp_path):
     assert "config.json" in refused("generate", tmp_path, "--out", tmp_path / "a.bvh")
-    assert "dataset.json" in refused("pretrain", tmp_path, "--out", tmp_path / "run")
+    line = refused("pretrain", tmp_path, "--out", tmp_path / "run")
+    assert line.count("dataset.json") == 1 and "file: No such file or directory; " in line
     assert "no BVH" in refused("prepare", tmp_path, "--out", tmp_path / "data")
 
 
@@ -308,6 +335,9 @@ def test_rows_of_another_layout_are_one_line(refused, folder, tmp_path):
 def test_settings_that_break_a_rule_are_one_line(refused, folder):
     words = ("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--held-out", "2")
     assert "held_out" in refused(*words)
+    words = ("pretrain", folder / "data", "--out", folder / "other")
+    assert "hidden must be at least 1, got -4" in refused(*words, "--hidden", "-4")
+    assert "num_control_points must be at least 4, got 3" in refused(*words, "--num-control-points", "3")
 
 
 def test_training_that_turns_non_finite_is_one_line(refused, folder, tmp_path):

@@ -10,11 +10,17 @@ from contextlib import contextmanager
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Runs a command line; bad input ends with one line on standard error and exit code 2, Ctrl-C in 130."""
+    """Runs a command line.
+
+    Bad input ends with one line on standard error and exit code 2; so do words that are no command line, with tyro's
+    own explanation, of several lines. Ctrl-C ends in 130.
+    """
     try:
         with _ended_by_interrupts():
             from pfnn_jax.cli.command_line import run  # seconds, for libraries are loaded
-        run(args)
+            from pfnn_jax.viewer.background import ends_with
+        with ends_with():
+            run(args)
     except KeyboardInterrupt:
         print("pfnn-jax: interrupted", file=sys.stderr)
         raise SystemExit(130) from None

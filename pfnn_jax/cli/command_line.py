@@ -44,6 +44,7 @@ def parse(args: Sequence[str] | None) -> Any:
 
     Raises:
         InputError: if a setting breaks a rule of its configuration.
+        SystemExit: for a command, option or choice that does not exist: tyro has explained it on standard error.
     """
     try:
         return tyro.extras.subcommand_cli_from_dict(
@@ -56,7 +57,8 @@ def parse(args: Sequence[str] | None) -> Any:
 
 
 def run(args: Sequence[str] | None) -> None:
-    """Runs a command line; bad input ends with one line on standard error and exit code 2."""
+    """Runs a command line; bad input ends with one line on standard error and exit code 2 (what `parse` cannot read at
+    all, with tyro's own message and the same code)."""
     try:
         command = parse(args)
         result = command.run()

@@ -14,8 +14,8 @@ from pfnn_jax.motion.clip_file import ClipFile
 from pfnn_jax.motion.footsteps import NoGaitError
 from pfnn_jax.motion.takes import load_take
 from pfnn_jax.runtime.learn import clip_parts
-from pfnn_jax.runtime.predictor import make_predictor
-from pfnn_jax.training.run import Run
+from pfnn_jax.runtime.predictor import Predictor, make_predictor
+from pfnn_jax.training.run import Run, list_styles
 
 
 def evaluate_clips(
@@ -39,8 +39,8 @@ def evaluate_clips(
     for clip_file in clip_files:
         by_style.setdefault(clip_file.style, []).append(clip_file)
     std, result = np.asarray(run.normaliser.outputs.std), {}
+    # clips are read first: where their skeleton is another, that is the cause to be told, and not the style's name
     for own, files in sorted(by_style.items()):
-        predictor = make_predictor(run, style or own)
         parts, names, left_out = [], [], {}
         for clip_file in files:
             try:
@@ -50,6 +50,15 @@ def evaluate_clips(
                 left_out[clip_file.path.name] = str(error)
         if not parts:
             raise InputError(files[0].path.parent, "style", own, "at least one of its clips must hold steps")
-        errors = one_step_test(predictor, join_takes(parts, names), run.layout, std)
+        errors = one_step_test(_predictor(run, style, files[0]), join_takes(parts, names), run.layout, std)
         result[own] = {**errors, "left_out": left_out}
     return result
+
+
+def _predictor(run: Run, style: str | None, clip_file: ClipFile) -> Predictor:
+    """In the style asked for, or in the one that a clip is labelled with."""
+    styles = list_styles(run.path)
+    if style is None and clip_file.style not in styles:
+        rule = f"must be a style of {run.path} ({', '.join(styles)}), or one of them chosen with --style"
+        raise InputError(clip_file.path, "style by its name and folder", clip_file.style, rule)
+    return make_predictor(run, style or clip_file.style)
