@@ -97,6 +97,8 @@ def _with(tracks: Sequence[Track], field: str, given: Sequence[np.ndarray | None
     changed: list[Track] = []
     for track, values in zip(tracks, given, strict=True):
         new: dict[str, Any] = {} if values is None else {field: np.asarray(values)}
+        if "phase" in new:  # the note is about the one that was found
+            new["note"] = ""
         changed.append(replace(track, **new))
     return changed
 

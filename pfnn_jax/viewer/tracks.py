@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from pfnn_jax.viewer.body import upright
 
 FEET = ("left", "right")
 SHORTEST = 3  # frames below which there is no speed to tell contacts by
+GAP = 0.5  # seconds without a phase that are told of: a step. The ends of a walk lack less
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,21 +118,30 @@ def label_track(clip: MotionClip, name: str, phase_file: Path | None = None) -> 
     """
     require_motion(clip, name)
     roles = clip.skeleton.roles
-    contacts, notes = None, []
-    if roles is None:
-        notes.append("no feet known: no contacts, no phase")
-    elif clip.num_frames >= SHORTEST:
+    contacts = phase = None
+    if roles is not None and clip.num_frames >= SHORTEST:
         positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
         contacts = foot_contacts(positions, roles, clip.fps)
-    phase = None
-    try:
-        if phase_file is not None:
-            phase = phase_of(read_phase(phase_file, clip.num_frames))
-        elif roles is not None:
+    if phase_file is not None:
+        phase = phase_of(read_phase(phase_file, clip.num_frames))
+    elif roles is not None:
+        with suppress(NoGaitError):
             phase = phase_of(label_phase(clip))
-    except NoGaitError:
-        notes.append("no steps: no phase")
-    return Track(name, clip, phase, contacts, "; ".join(notes))
+    note = phase_note(phase, clip.fps)
+    if roles is None:
+        note = "no feet known: no contacts" + (", no phase" if phase is None else "")
+    return Track(name, clip, phase, contacts, note)
+
+
+def phase_note(phase: np.ndarray | None, fps: float) -> str:
+    """What is to be said beside a phase that comes from steps; empty where no more than a moment lacks one."""
+    if phase is None:
+        return "no steps: no phase"
+    lacking = np.isnan(phase).any(axis=tuple(range(1, phase.ndim)))
+    if lacking.all():
+        return "no steps: no phase"
+    gaps = np.diff(runs(lacking))
+    return "phase only where there are steps" if (gaps >= GAP * fps).any() else ""
 
 
 def phase_of(labels: PhaseLabels) -> np.ndarray:
@@ -163,7 +174,10 @@ def cut_frames(track: Track, start: int, stop: int) -> Track:
     """
     clip = cut(track.clip, start, stop)
     phase, contacts = (None if values is None else values[start:stop] for values in (track.phase, track.contacts))
-    return replace(track, clip=clip, phase=phase, contacts=contacts)
+    note = track.note
+    if note and note == phase_note(track.phase, clip.fps):
+        note = phase_note(phase, clip.fps)  # of the part that is shown
+    return replace(track, clip=clip, phase=phase, contacts=contacts, note=note)
 
 
 def phase_lines(track: Track) -> list[PhaseLine]:

@@ -13,7 +13,7 @@ import pytest
 
 import pfnn_jax
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.clip import MotionClip, resample
+from pfnn_jax.motion.clip import MotionClip, cut, resample
 from pfnn_jax.motion.synthetic import synthesise
 from pfnn_jax.viewer import player
 from pfnn_jax.viewer.notebook import show
@@ -62,6 +62,12 @@ def test_what_is_given_wins_over_what_is_found():
     assert captions(shown.html) == ["a", "b"]
     assert first["contacts"] == [[], []] and second["contacts"][0]
     assert set(second["phases"][0]["angle"]) == {1.25} and len(set(first["phases"][0]["angle"])) > 9
+
+
+def test_a_note_on_the_phase_found_goes_with_it():
+    clip = cut(walk(), 0, 12)  # too short for steps
+    assert "no steps: no phase" in show(clip).html
+    assert "no steps: no phase" not in show(clip, phase=[np.zeros(12)]).html
 
 
 def test_show_refuses_what_does_not_fit():

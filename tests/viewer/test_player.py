@@ -141,6 +141,25 @@ def test_standing_has_contacts_and_no_phase_and_says_so():
     assert phase_lines(track) == []
 
 
+def test_where_steps_are_found_for_a_part_only_the_note_says_so():
+    speed = np.where(np.arange(360) < 180, 1.2, 0.0)
+    clip, _ = synthesise("neutral", np.zeros(360), speed)
+    stands = dataclasses.replace(
+        clip,
+        root_positions=np.append(clip.root_positions[:180], clip.root_positions[180:181].repeat(180, 0), 0),
+        rotations=np.append(clip.rotations[:180], clip.rotations[180:181].repeat(180, 0), 0),
+    )
+    track = label_track(stands, "stops")
+    assert track.phase is not None and np.isnan(track.phase[-30:]).all()
+    assert track.note == "phase only where there are steps"
+    assert cut_track(track, 1.0, 1.0).note == ""
+    assert cut_track(track, 5.5, None).note == "no steps: no phase"
+    told = dataclasses.replace(track, note="mine")
+    assert cut_track(told, 1.0, 1.0).note == "mine"
+    local = dataclasses.replace(told, phase=np.ones((360, 4, 2)))
+    assert cut_track(local, 1.0, 1.0).note == "mine"
+
+
 def test_local_phases_become_four_lines_as_strong_as_their_vectors():
     vectors = np.zeros((120, 4, 2))
     angle = np.linspace(0, 6, 120)
