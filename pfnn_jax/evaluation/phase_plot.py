@@ -13,6 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from pfnn_jax.evaluation.plots import SERIES
 from pfnn_jax.motion.clip import MotionClip
@@ -74,7 +76,8 @@ def phase_plot(
 
     Above, the body at several moments with the principal axes (violet arrows) of the bones that go by their movement.
     Below, for each bone: its source function, normalised and smoothed (dark curve), its phase from 0 to 2π (blue, the
-    more transparent the shorter the phase vector), and for toes the contacts (green bars).
+    more transparent the shorter the phase vector), and for toes the contacts (green bars). A line above
+    the bodies says so.
 
     Args:
         clip: the motion.
@@ -96,6 +99,7 @@ def phase_plot(
     frames = np.unique(np.linspace(shown.first, shown.last, 2 * moments + 1).round().astype(int)[1::2])
     _draw_bodies(bodies, shown, frames)
     figure.text(LEFT / WIDTH, 1 - 0.3 / height, title, color=INK, fontsize=11, fontweight="bold")
+    _draw_legend(figure, bool(shown.by_contacts.all()), (LEFT / WIDTH, 1 - 0.42 / height))
     for bone, name in enumerate(END_EFFECTORS):
         low = BOTTOM + (3 - bone) * (PANEL + GAP)
         panel = figure.add_axes((LEFT / WIDTH, low / height, inner, PANEL / height))
@@ -138,6 +142,19 @@ def _draw_bodies(axes: Axes, shown: _Shown, frames: np.ndarray) -> None:
     axes.set_xlim(0.0, across)
     axes.set_ylim(ground - 0.03 * metres, ground + 0.97 * metres)
     axes.axis("off")
+
+
+def _draw_legend(figure: Figure, no_axes: bool, corner: tuple[float, float]) -> None:
+    """What the colours mean, in one line that begins at a corner."""
+    arrow = Line2D([], [], color=AXIS, linewidth=1.4, marker=">", markersize=5, label="axis of a movement")
+    lines = [
+        Line2D([], [], color=INK, linewidth=1.3, label="movement along it, or contacts, smoothed"),
+        Line2D([], [], color=PHASE, linewidth=2.4, label="phase, fainter where there is less of a cycle"),
+        Patch(facecolor=CONTACT, alpha=0.85, label="toe on the ground"),
+    ]
+    style = {"frameon": False, "fontsize": 8, "labelcolor": MUTED, "borderaxespad": 0, "columnspacing": 1.4}
+    handles = lines if no_axes else [arrow, *lines]
+    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=len(handles), **style)
 
 
 def _facing(clip: MotionClip, points: np.ndarray) -> np.ndarray:

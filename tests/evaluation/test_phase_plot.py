@@ -48,6 +48,18 @@ def test_the_picture_has_a_panel_for_each_bone_and_arrows_for_the_hands(walk):
     assert AXIS.startswith("#")
 
 
+def test_a_legend_says_what_the_colours_mean(walk):
+    figure = phase_plot(walk, title="a walk", moments=2)
+    (legend,) = figure.legends
+    words = [text.get_text() for text in legend.get_texts()]
+    assert [word.split()[0] for word in words] == ["axis", "movement", "phase,", "toe"]
+    figure.draw_without_rendering()
+    box, title = legend.get_window_extent(), figure.texts[0].get_window_extent()
+    bodies = [c.get_window_extent() for c in figure.axes[0].collections]
+    assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1
+    assert max(body.y1 for body in bodies) < box.y0 and box.y1 < title.y0
+
+
 def test_phases_are_drawn_where_they_are_and_fade_with_their_length(walk):
     span = (30, 200)
     figure, phases = phase_plot(walk, span=span), clip_local_phases(walk)
@@ -120,6 +132,14 @@ def test_the_command_refuses_what_it_cannot_show(walk, tmp_path, capsys, options
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and what in lines[0]
     assert not (tmp_path / "walk.png").exists()
+
+
+def test_a_picture_of_another_kind_is_refused(walk, tmp_path, capsys):
+    write_bvh(tmp_path / "walk.bvh", walk)
+    with pytest.raises(SystemExit):
+        command("plot-phase", tmp_path / "walk.bvh", "--out", tmp_path / "walk.jpg")
+    assert "walk.jpg: suffix: .jpg; must be .png" in capsys.readouterr().err
+    assert not (tmp_path / "walk.jpg").exists()
 
 
 def test_an_existing_picture_is_kept(walk, tmp_path, capsys):
