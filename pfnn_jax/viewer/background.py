@@ -6,12 +6,14 @@ import atexit
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 Result = TypeVar("Result")
 
 _working: set[threading.Thread] = set()
+_left = False
 
 
 def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
@@ -55,10 +57,24 @@ def leave_work(code: int = 0) -> None:
     A thread that compiles cannot be stopped, and one that still does when Python is taken down aborts the process.
 
     Args:
-        code: with which the program ends if work is going on then; without work its own counts.
+        code: with which the program ends if work is going on then, unless `ends_with` knows better; without work its
+            own counts.
     """
+    global _left
+    _left = True
     atexit.unregister(_end_at_once)
     atexit.register(_end_at_once, code)
+
+
+@contextmanager
+def ends_with() -> Iterator[None]:
+    """The block ends the program: its exit code goes before that of `leave_work`, as what came last may fail."""
+    try:
+        yield
+    except SystemExit as end:
+        if _left and isinstance(end.code, int):
+            leave_work(end.code)
+        raise
 
 
 def _end_at_once(code: int) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -14,6 +16,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from pfnn_jax.cli import main, viewing
 from pfnn_jax.errors import InputError
 from pfnn_jax.viewer import background, play
 
@@ -26,8 +29,9 @@ from pfnn_jax.viewer import background
 threading.Thread(target=background.do, args=(lambda: time.sleep(600),), daemon=True).start()
 while not background._working:
     time.sleep(0.01)
-background.leave_work(2)
-raise SystemExit(2)
+background.leave_work({left})
+with background.ends_with():
+    raise SystemExit({ended})
 """
 
 
@@ -55,9 +59,44 @@ def test_a_signal_ends_the_page_while_it_compiles(played_run, tmp_path: Path):
     assert json.loads(told.read_text()) == {"runs": [str(played_run)]}
 
 
-def test_a_failure_keeps_its_code_while_something_compiles():
-    ended = subprocess.run([sys.executable, "-c", FAILING], capture_output=True, text=True, timeout=PATIENCE)
-    assert (ended.returncode, ended.stderr) == (2, "")
+@pytest.mark.parametrize(("left", "ended"), [(2, 2), (0, 2), (0, 0)])
+def test_a_failure_keeps_its_code_while_something_compiles(left, ended):
+    """That of the page, or of what comes after it: a result that cannot be written."""
+    program = [sys.executable, "-c", FAILING.format(left=left, ended=ended)]
+    process = subprocess.run(program, capture_output=True, text=True, timeout=PATIENCE)
+    assert (process.returncode, process.stderr) == (ended, "")
+
+
+def test_a_result_that_cannot_be_written_is_no_clean_end(monkeypatch, tmp_path: Path):
+    """A page that was ended while it compiled, and then a file in a folder that does not exist."""
+    codes = []
+    monkeypatch.setattr(background, "leave_work", codes.append)
+    monkeypatch.setattr(background, "_left", True)
+    monkeypatch.setattr(viewing, "play", lambda *_, **__: background.leave_work(0))
+    with pytest.raises(SystemExit):
+        main(["play", "run", "--json", str(tmp_path / "nowhere" / "told.json")])
+    assert codes == [0, 2]
+
+
+def test_a_port_is_held_before_anything_is_loaded(monkeypatch, capsys):
+    """Another program cannot take it meanwhile, and the address is told with what is going on."""
+    pytest.importorskip("viser", reason="viser is not installed")
+    monkeypatch.setattr(background, "leave_work", lambda code: None)
+    answers = []
+
+    def load(_: object) -> None:
+        found = re.search(r"compiling; the page opens at http://127.0.0.1:(\d+) ", capsys.readouterr().out)
+        assert found is not None
+        with socket.create_connection(("127.0.0.1", int(found[1])), timeout=AT_ONCE):
+            answers.append(found[1])
+        with pytest.raises(InputError, match="port"):
+            play.check_address("127.0.0.1", int(found[1]))
+        raise InputError("run", "config", "none", "must be there")
+
+    monkeypatch.setattr(play, "Stage", load)
+    with pytest.raises(InputError, match="config"):
+        play.play(["run"], port=0)
+    assert len(answers) == 1
 
 
 @pytest.mark.parametrize(("error", "code"), [(InputError("page", "port", 1, "is taken"), 2), (MemoryError(), 1)])
