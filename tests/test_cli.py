@@ -332,6 +332,19 @@ def test_rows_of_another_layout_are_one_line(refused, folder, tmp_path):
     assert "nan" in refused("predict", folder / "run", tmp_path / "rows.npz", "--out", tmp_path / "y.npz")
 
 
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [((), "Missing"), (("nonsense",), "nonsense"), (("export", "run", "--format", "onx", "--out", "a"), "onx")],
+)
+def test_what_is_no_command_line_is_explained(capsys, words, what):
+    """In several lines: these are the parser's, and not of bad input."""
+    with pytest.raises(SystemExit) as stopped:
+        run(*words)
+    shown = capsys.readouterr()
+    assert stopped.value.code == 2 and what in shown.err and not shown.out
+    assert "Traceback" not in shown.err
+
+
 def test_settings_that_break_a_rule_are_one_line(refused, folder):
     words = ("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--held-out", "2")
     assert "held_out" in refused(*words)
