@@ -51,6 +51,7 @@ _ROOMS = {
     "runtime.fix_feet": ("fix_feet",),
     "runtime.frame": ("Command",),
     "runtime.foot_lock": ("FootLockConfig", "initial_locks", "lock_feet"),
+    "runtime.drive_along": ("drive_along",),
     "runtime.generate": ("generate",),
     "runtime.learn": ("learn_style", "tune_style"),
     "runtime.limb_ik": ("reach_arms", "two_bone"),

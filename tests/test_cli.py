@@ -146,6 +146,20 @@ def test_generate_writes_motion_in_the_style(folder, tmp_path, mode):
     assert read_bvh(out).num_frames == 60
 
 
+def test_generate_regulated_begins_standing_at_the_beginning_of_its_path(folder, tmp_path):
+    walk = ("generate", folder / "run", "--path", "straight", "--seconds", "1", "--regulated")
+    run(*walk, "--out", tmp_path / "a.bvh")
+    clip = read_bvh(tmp_path / "a.bvh")
+    assert clip.num_frames == 60
+    first, second = clip.root_positions[:2, [0, 2]]
+    assert np.linalg.norm(first) < 0.3 and 60.0 * np.linalg.norm(second - first) < 0.5
+
+
+def test_a_regulated_walk_needs_the_network_as_it_is(folder, tmp_path, refused):
+    line = refused("generate", folder / "run", "--regulated", "--mode", "nearest50", "--out", tmp_path / "a.bvh")
+    assert "mode: nearest50; must be cubic to be regulated" in line
+
+
 def test_generate_follows_points_of_a_file(folder, tmp_path):
     (tmp_path / "points.csv").write_text("x,z\n0,0\n0,3\n2,5\n")
     run("generate", folder / "run", "--path", tmp_path / "points.csv", "--seconds", "1", "--out", tmp_path / "a.bvh")

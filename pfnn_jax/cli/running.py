@@ -10,10 +10,12 @@ import tyro
 from tyro.conf import Positional as Argument
 
 from pfnn_jax.cli.base import Command, check_file
+from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.benchmark import print_benchmark, run_benchmark
 from pfnn_jax.evaluation.clips import evaluate_clips
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.sources import list_clips
+from pfnn_jax.runtime.drive_along import drive_along
 from pfnn_jax.runtime.generate import Mode, generate
 from pfnn_jax.runtime.mixture import parse_style
 from pfnn_jax.runtime.paths import make_path
@@ -38,6 +40,8 @@ class Generate(Command):
         seconds: how long; by default as long as the path takes.
         mode: the network as it is, or a table of 50 slices of a global phase.
         foot_ik: hold feet in place while they are in contact.
+        regulated: keep to speed and way as a character on the page does, from standing on; by default the published
+            loop, which leaves both to the network.
         out: the BVH file, in centimetres.
         overwrite: replace an existing file.
     """
@@ -51,17 +55,24 @@ class Generate(Command):
     seconds: float | None = None
     mode: Mode = "cubic"
     foot_ik: bool = False
+    regulated: bool = False
     overwrite: bool = False
 
     def run(self) -> Any:
         check_file(self.out, ".bvh", self.overwrite)
+        if self.regulated and self.mode != "cubic":
+            raise InputError("command line", "mode", self.mode, "must be cubic to be regulated")
         path, run = make_path(self.path, self.size), load_run(self.run_path)
         style = None if self.style is None else parse_style(self.style, list_styles(run.path), run.path)
-        made = generate(run, style, path, speed=self.speed, seconds=self.seconds, mode=self.mode, foot_ik=self.foot_ik)
-        write_bvh(self.out, made.clip, overwrite=self.overwrite)
-        seconds = made.clip.num_frames / made.clip.fps
+        given: Any = {"speed": self.speed, "seconds": self.seconds, "foot_ik": self.foot_ik}
+        if self.regulated:
+            clip = drive_along(run, style, path, **given)
+        else:
+            clip = generate(run, style, path, mode=self.mode, **given).clip
+        write_bvh(self.out, clip, overwrite=self.overwrite)
+        seconds = clip.num_frames / clip.fps
         print(f"{self.out}: {seconds:.1f} s")
-        return {"out": self.out, "seconds": seconds, "frames": made.clip.num_frames}
+        return {"out": self.out, "seconds": seconds, "frames": clip.num_frames}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,8 +11,8 @@ import numpy as np
 from pfnn_jax.runtime.character import own_share, own_speed
 from pfnn_jax.runtime.controller import Controller, make_controller
 from pfnn_jax.runtime.generate import default_speed
-from pfnn_jax.runtime.mixture import StyleChoice
-from pfnn_jax.training.run import Run, list_styles
+from pfnn_jax.runtime.mixture import StyleChoice, choice_weights
+from pfnn_jax.training.run import Run
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def find_walks(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
     Raises:
         InputError: for an unknown style, or a FiLM run without styles.
     """
-    weights = [_weights(run, choice) for choice in choices]
+    weights = [choice_weights(run, choice) for choice in choices]
     names = tuple(dict.fromkeys(name for each in weights for name in each))
     styled = _controller(run, names) if names else None
     plain = _controller(run, ()) if not all(weights) else None
@@ -57,11 +57,3 @@ def find_walks(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
 
 def _controller(run: Run, names: Sequence[str]) -> Controller:
     return make_controller(run, names, foot_ik=False, regulated=False)
-
-
-def _weights(run: Run, choice: StyleChoice) -> dict[str, float]:
-    """Weights by name; none for style-agnostic motion."""
-    if choice is None and run.config.adapter.kind == "film":
-        names = [name for name in run.config.styles if name in list_styles(run.path)]
-        return dict.fromkeys(names, 1.0 / max(len(names), 1))
-    return {choice: 1.0} if isinstance(choice, str) else dict(choice or {})

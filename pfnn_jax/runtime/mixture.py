@@ -82,18 +82,27 @@ def load_choice(run: Run, choice: StyleChoice) -> Style | None:
     Raises:
         InputError: for an unknown style, weights that do not sum to one, or styles of different kinds.
     """
-    if choice is None:
-        if run.config.adapter.kind != "film":
-            return None
+    weights = choice_weights(run, choice)
+    if not weights:
+        return None
+    if isinstance(choice, str):
+        return load_style(run, choice)
+    check_weights(tuple(weights.values()), run.path, "style weights")
+    return mix_styles(load_bank(run, tuple(weights)), jnp.asarray(list(weights.values()), jnp.float32))
+
+
+def choice_weights(run: Run, choice: StyleChoice) -> dict[str, float]:
+    """Weights of a choice by name; of none at all where the network moves without a style.
+
+    Raises:
+        InputError: for None on a FiLM run without styles, whose network knows no motion without one.
+    """
+    if choice is None and run.config.adapter.kind == "film":
         names = [name for name in run.config.styles if name in list_styles(run.path)]
         if not names:
             raise InputError(run.path, "styles", "none", "a FiLM run needs at least one style to move")
-        choice = dict.fromkeys(names, 1.0 / len(names))
-    if isinstance(choice, str):
-        return load_style(run, choice)
-    check_weights(tuple(choice.values()), run.path, "style weights")
-    weights = jnp.asarray(list(choice.values()), jnp.float32)
-    return mix_styles(load_bank(run, tuple(choice)), weights)
+        return dict.fromkeys(names, 1.0 / len(names))
+    return {choice: 1.0} if isinstance(choice, str) else dict(choice or {})
 
 
 def load_bank(run: Run, names: Sequence[str]) -> Style:

@@ -10,7 +10,9 @@ import pytest
 from experiments.controller_laws import (
     ASIDE,
     CIRCLES,
+    DRIFT,
     FPS,
+    SPEED,
     SPEEDS,
     TURNS,
     WALK_OFF,
@@ -19,31 +21,42 @@ from experiments.controller_laws import (
     walk_all,
     wander_all,
 )
+from pfnn_jax.errors import InputError
 from pfnn_jax.motion.dataset import prepare
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.preparation import PrepareConfig
 from pfnn_jax.motion.synthetic import synthetic_clips
 from pfnn_jax.runtime.controller import Controller, make_controller, step
+from pfnn_jax.runtime.drive_along import drive_along
 from pfnn_jax.runtime.frame import Command
+from pfnn_jax.runtime.paths import straight
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.loop import pretrain
+from pfnn_jax.training.run import Run
 
 STYLES = ("neutral", "old", "proud")
 MIRRORED = 0.25  # m between a turn and the reflected one to the other side in two seconds: they begin on other feet
 DOWN = 0.03  # m above the least height that both feet come down to together, at a halt: the mean of all walks
 HALT = 1.5  # s from the command to stand to standing, the mean of all walks: no more than a step
 BODY = 2.2  # metres above which no joint of a body of 1.7 m rises
+ASTRAY, STRIDE = 0.25, 0.8  # m from a straight path, and from its end: hips sway, and a last step is taken to its end
 LEAP = 12.0  # m/s, faster than any hand or foot of these walks
 
 
 @pytest.fixture(scope="module")
-def controller(tmp_path_factory) -> Controller:
-    """Of a small network with three styles and their mirror images; feet are not held, which is not the question."""
+def run(tmp_path_factory) -> Run:
+    """A small network with three styles and their mirror images."""
     folder = tmp_path_factory.mktemp("driven")
     takes = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 20.0)]
     dataset = prepare(takes, folder / "data", PrepareConfig())
     settings = PretrainConfig(hidden=64, steps=500, learning_rate=1e-3)
-    return make_controller(pretrain(dataset, folder / "run", settings), foot_ik=False)
+    return pretrain(dataset, folder / "run", settings)
+
+
+@pytest.fixture(scope="module")
+def controller(run) -> Controller:
+    """Feet are not held, which is not the question."""
+    return make_controller(run, foot_ik=False)
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +116,19 @@ def test_a_change_of_style_is_no_jump(controller):
     change = jnp.concatenate([stays[0][:240], stays[1][:180]])
     changing, *walking = (np.asarray(jax.jit(fastest)(styles)) for styles in (change, *stays))
     assert changing.max() < 1.25 * max(steps.max() for steps in walking)
+
+
+def test_a_driven_character_keeps_to_a_path_and_stands_at_its_end(run, controller):
+    path = straight(4.0)
+    clip = drive_along(run, {"neutral": 0.5, "proud": 0.5}, path, seconds=8.0, foot_ik=False)
+    speeds, root = np.asarray(controller.params.speeds), clip.root_positions[:, [0, 2]]
+    steps = np.linalg.norm(np.diff(root, axis=0), axis=-1) * clip.fps
+    walking = steps[60:150].mean()
+    assert abs(walking / speeds[[STYLES.index("neutral"), STYLES.index("proud")]].mean() - 1.0) < SPEED
+    assert np.abs(root[:, 0]).max() < ASTRAY and abs(root[-1, 1] - 4.0) < STRIDE and steps[-1] < DRIFT
+    assert clip.skeleton == run.skeleton and clip.style == "neutral:0.5+proud:0.5" and clip.num_frames == 480
+    with pytest.raises(InputError, match="speed: -1.0; must be above 0"):
+        drive_along(run, "old", path, speed=-1.0, foot_ik=False)
 
 
 def test_the_commands_that_are_judged():
