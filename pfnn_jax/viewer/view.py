@@ -54,7 +54,8 @@ class View:
         facing: [2] unit vector on the ground.
         heading: [] radians about +Y: where W leads; the camera's yaw when it follows.
         past_positions, past_directions: [P, 2] trajectory behind, oldest first, every tenth frame.
-        future_positions, future_directions: [F, 2] ahead, from the present on.
+        future_positions, future_directions: [F, 2] ahead, from the present on, where it is going at its pace: all in
+            one point for who stands.
         contacts: [4] in 0..1: left heel, left toe, right heel, right toe.
         dials: the phases: one of the gait cycle, four local ones, or none.
         speed: metres per second along the ground, now.
@@ -165,6 +166,7 @@ def view_of(
             `View`.
     """
     positions, directions = np.asarray(state.motion.positions), np.asarray(state.motion.directions)
+    ahead, pace = np.concatenate([way.root[None], positions[ROOT + STRIDE :: STRIDE]]), float(state.pace)
     weights = np.asarray(state.style)
     return View(
         run=run,
@@ -176,7 +178,8 @@ def view_of(
         heading=heading,
         past_positions=way.positions,
         past_directions=way.directions,
-        future_positions=np.concatenate([way.root[None], positions[ROOT + STRIDE :: STRIDE]]),
+        # What lies n frames ahead in its own time is walked in n / pace of the world's, and never at pace 0.
+        future_positions=way.root + pace * (ahead - way.root),
         future_directions=np.concatenate([way.facing[None], directions[ROOT + STRIDE :: STRIDE]]),
         contacts=np.array(state.contacts),
         dials=phase_dials(layout, np.asarray(state.motion.phase), phase_scale),

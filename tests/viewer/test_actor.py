@@ -137,6 +137,9 @@ def test_w_leads_along_the_heading_and_q_turns_it(stage):
     walked = play(actor, 2.0, "w")[-1]
     assert walked.wanted_speed > 0.3 and np.linalg.norm(walked.joints[0] - Actor(stage).advance(0.0).joints[0]) > 0.2
     np.testing.assert_allclose(walked.future_positions[0], walked.past_positions[-1])
+    assert np.linalg.norm(walked.future_positions[-1] - walked.root) > 0.2
+    standing = play(Actor(stage), 0.5, "")[-1]
+    np.testing.assert_array_equal(standing.future_positions, np.tile(standing.root, (6, 1)))
     before = actor.advance(2.0).heading
     turned = play(Actor(stage), 0.5, "q")[-1]
     assert before == 0.0 and turned.wanted_speed == 0.0
