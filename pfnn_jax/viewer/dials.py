@@ -27,6 +27,15 @@ from pfnn_jax.viewer.view import Dial, View
 TRIANGLE = ((120.0, 16.0), (26.0, 150.0), (214.0, 150.0))
 """Corners of the styles' triangle in the units of its picture."""
 
+TRIANGLE_WIDTH = "76%"
+"""Of the panel: what comes below it shall be seen in a window of 720 points' height too."""
+
+UNSEEN = "walk to see it"
+"""Of a style that was chosen while the character stands: it stands in that pose until it walks."""
+
+READOUT_WIDTH = 282.0
+"""CSS pixels of the panel of numbers."""
+
 _DIAL_COLOURS = {
     "gait": ACCENT,
     "left hand": PALE_LEFT,
@@ -40,7 +49,8 @@ _FONT = "font-family:system-ui,-apple-system,'Segoe UI',Roboto,sans-serif"
 def script() -> str:
     """An invisible element that brings the page's script along (see page.js); it takes effect once in a page."""
     code = resources.files("pfnn_jax.viewer").joinpath("page.js").read_text(encoding="utf-8")
-    return f'<img alt="" src="data:," style="display:none" onerror="{html.escape(code, quote=True)}">'
+    image = f'<img alt="" src="data:," style="display:none" onerror="{html.escape(code, quote=True)}">'
+    return f"<style>{_PAGE_STYLE}</style>{image}"
 
 
 def phase_dial(dials: Sequence[Dial]) -> str:
@@ -90,10 +100,11 @@ def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str
     """
     corners = " ".join(f"{x:g},{y:g}" for x, y in TRIANGLE)
     x, y = (sum(share * corner[axis] for share, corner in zip(shares, TRIANGLE, strict=True)) for axis in (0, 1))
+    labels = zip(names, percents(shares), strict=True)
     places = ((120.0, 11.0, "middle"), (4.0, 165.0, "start"), (236.0, 165.0, "end"))
-    labels = "".join(
-        _text(*place[:2], f"{_short(name)} {share:.0%}", 11.0, place[2], INK if active else MUTED)
-        for name, share, place in zip(names, shares, places, strict=True)
+    texts = "".join(
+        _text(*place[:2], f"{_short(name, 13)} {percent}%", 12.0, place[2], INK if active else MUTED)
+        for (name, percent), place in zip(labels, places, strict=True)
     )
     thirds = "".join(
         f'<line x1="{a[0]:g}" y1="{a[1]:g}" x2="{(b[0] + c[0]) / 2:g}" y2="{(b[1] + c[1]) / 2:g}" stroke="{LINE}"/>'
@@ -106,16 +117,17 @@ def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str
         f'<circle data-dot="" cx="{x:.2f}" cy="{y:.2f}" r="7.5" fill="{colour}" stroke="white" stroke-width="2"/>'
     )
     attributes = f'data-triangle="{corners}" style="cursor:pointer;touch-action:none"'
-    return _svg(240, 172, shape + labels, attributes)
+    return _svg(240, 172, shape + texts, attributes, TRIANGLE_WIDTH)
 
 
-def readout(view: View, drawn: float, browser: float) -> str:
+def readout(view: View, drawn: float, browser: float, hint: str = "") -> str:
     """Numbers of the moment: where the character is, how fast, in what style, and how long a step takes.
 
     Args:
         view: the moment.
         drawn: pictures sent per second.
         browser: pictures per second that the browser manages, 0 if that is not known.
+        hint: what to say beside the style.
     """
     styles = ", ".join(
         html.escape(name) + (f" {weight:.0%}" if weight < 0.995 else "")
@@ -130,8 +142,11 @@ def readout(view: View, drawn: float, browser: float) -> str:
         "Pictures": f"{drawn:.0f} per s" + (f", browser {browser:.0f}" if browser else ""),
         "Inference": f"{view.step_milliseconds:.2f} ms per step",
     }
+    beside = f' <span data-hint style="color:{ACCENT};white-space:nowrap">· {hint}</span>' if hint else ""
     cells = "".join(
-        f'<div style="color:{MUTED}">{name}</div><div data-readout="{name.lower()}">{value}</div>'
+        f'<div style="color:{MUTED}">{name}</div><div><span data-readout="{name.lower()}">{value}</span>'
+        + (beside if name == "Style" else "")
+        + "</div>"
         for name, value in rows.items()
     )
     grid = "display:grid;grid-template-columns:68px 1fr;gap:1px 6px;font-variant-numeric:tabular-nums"
@@ -162,6 +177,13 @@ def shares_of(text: str) -> tuple[float, float, float] | None:
     return a, b, c
 
 
+def percents(shares: Sequence[float]) -> list[int]:
+    """Shares that sum to one in whole percent that sum to a hundred: the largest takes what rounding leaves."""
+    rounded = [round(100.0 * share) for share in shares]
+    rounded[rounded.index(max(rounded))] += 100 - sum(rounded)
+    return rounded
+
+
 def legend(colours: Mapping[str, str], note: str = "") -> str:
     """Names with their colours in one line, and a note at its end."""
     items = "".join(
@@ -190,9 +212,9 @@ def _clock(dial: Dial, x: float, y: float, radius: float, ticks: bool = False) -
     return face + hand
 
 
-def _svg(width: int, height: int, content: str, attributes: str = "") -> str:
-    size = f'viewBox="0 0 {width} {height}" width="100%"'
-    return f'<div style="padding:0 12px 6px"><svg {size} {attributes}>{content}</svg></div>'
+def _svg(width: int, height: int, content: str, attributes: str = "", shown: str = "100%") -> str:
+    size = f'viewBox="0 0 {width} {height}" width="{shown}"'
+    return f'<div style="padding:0 12px 6px;text-align:center"><svg {size} {attributes}>{content}</svg></div>'
 
 
 def _text(x: float, y: float, text: str, size: float, anchor: str = "middle", colour: str = MUTED) -> str:
@@ -206,9 +228,20 @@ def _note(text: str) -> str:
     return f'<div style="{_FONT};font-size:12px;color:{MUTED};padding:2px 12px 8px">{html.escape(text)}</div>'
 
 
-def _short(name: str, length: int = 15) -> str:
+def _short(name: str, length: int) -> str:
     return name if len(name) <= length else name[: length - 1] + "…"
 
+
+_PAGE_STYLE = f"""
+@media (min-width: 990px) {{ /* notices between the panels, where there is room: not over what is read */
+  .mantine-Notifications-root[data-position=top-left] {{ left: {READOUT_WIDTH + 30:g}px !important; }}
+}}
+.pfnn-ended {{ position: fixed; left: 50%; top: 38%; transform: translate(-50%, -50%); z-index: 1000;
+  box-sizing: border-box; width: min(380px, 90vw); padding: 14px 18px; border-radius: 9px; text-align: center;
+  background: {MESSAGES["bad"][1]}; color: {MESSAGES["bad"][0]}; font-size: 14px; line-height: 1.5; {_FONT};
+  box-shadow: 0 3px 18px rgba(20, 30, 50, 0.25); }}
+.pfnn-ended[hidden] {{ display: none; }}
+"""
 
 _PAD_STYLE = f"""
 .pfnn-pad {{ display: flex; gap: 14px; align-items: center; padding: 4px 12px 10px; user-select: none;

@@ -190,6 +190,22 @@
     if (event.target.closest?.("[role=option], input[type=checkbox], button, [role=slider]"))
       setTimeout(leave, 0);
   });
+
+  // What viser shows of a connection that is lost: its panels pale and take no clicks. Here it is said in words.
+  const PALE = '[style*="opacity: 0.5"][style*="pointer-events: none"]';
+  const ended = document.createElement("div");
+  ended.className = "pfnn-ended";
+  ended.hidden = true;
+  ended.setAttribute("role", "alert");
+  ended.textContent = "No connection: the program that serves this page has ended, or cannot be reached. " +
+    "Once it runs again at this address, this page connects anew.";
+  document.body.append(ended);
+  let pale = 0;
+  setInterval(() => { // twice in a row: it comes back at once from what is no end
+    pale = document.querySelector("[data-stick]")?.closest(PALE) ? pale + 1 : 0;
+    ended.hidden = pale < 2;
+  }, 700);
+
   window.pfnnPage = () => {
     hide();
     setTimeout(hide, 300);

@@ -40,7 +40,7 @@ KEYS = {
     "e": "Turn right",
 }
 FEET = {"left": LEFT, "right": RIGHT, "heel": HEEL, "toe": TOE}
-READOUT_WIDTH = 282.0  # CSS pixels
+STILL = 0.05  # metres per second: slower is standing
 TURNED = math.radians(0.5)  # of a camera: less is no one's wish
 QUEUED = 64  # presses and clicks that may wait
 
@@ -69,12 +69,14 @@ class Panel:
         self.rate = 0.0
         self._held, self._heard = "", -math.inf
         self._look: float | None = None
+        self._walked = (actor.run, actor.shares)
         self._values = Values()
         self._character()
         self._drive()
         with self._gui.add_folder("Style"):
             self._picker = StylePicker(self._gui, stage, actor)
         self._files()
+        self._gait()
         self._camera()
         self._commands()
         self._gui.add_html(dials.script())
@@ -103,11 +105,12 @@ class Panel:
             now: seconds of the actor's clock.
             drawn: pictures per second.
         """
-        self._readout.content = dials.readout(view, drawn, self.rate)
+        self._readout.content = dials.readout(view, drawn, self.rate, dials.UNSEEN if self._unseen(view) else "")
         self._dial.content = dials.phase_dial(view.dials)
         self._timeline.show(now)
         seconds = view.recorded_seconds
-        self._record.label = "Record" if seconds is None else f"Stop and download ({seconds:.1f} s)"
+        stop = "Stop and download" if view.recording else "Download"
+        self._record.label = "Record" if seconds is None else f"{stop} ({seconds:.1f} s)"
 
     def add_contacts(self, view: View, now: float) -> None:
         """One more moment for the timeline."""
@@ -137,7 +140,15 @@ class Panel:
         self._picker.refresh()
         if stays:
             self._picker.select(run, style)
-        self.tell("good", f"{style} is learned and among the styles of {run}{'' if stays else ': choose that run'}.")
+        then = f". In it now: {dials.UNSEEN}" if stays else ": choose that run"
+        self.tell("good", f"{style} is learned and among the styles of {run}{then}.")
+
+    def _unseen(self, view: View) -> bool:
+        """Whether the character stands in another style than it has walked in last, and so looks as it did."""
+        wears = (self._actor.run, self._actor.shares)
+        if view.speed > STILL or view.wanted_speed > 0.0:
+            self._walked = wears
+        return wears != self._walked
 
     # Building
 
@@ -145,10 +156,13 @@ class Panel:
         with self._gui.add_folder("Drive"):
             self._gui.add_html(dials.pad())
             self._channel = self._gui.add_text(DRIVE, "")
+            self._gui.add_button("Reset", color=rgb(PLAIN)).on_click(self._later(self._reset))
+
+    def _gait(self) -> None:
+        with self._gui.add_folder("Speed and sidestep", expand_by_default=False):
             self._own = self._gui.add_checkbox("Own speed", True, hint="Walk as fast as the style does.")
             self._speed = self._gui.add_slider("Speed", *SPEEDS, step=0.05, initial_value=1.2, disabled=True)
             self._strafe = self._gui.add_checkbox("Sidestep", False, hint="Face ahead while stepping aside or back.")
-            self._gui.add_button("Reset", color=rgb(PLAIN)).on_click(self._later(self._reset))
 
     def _character(self) -> None:
         """A panel of its own for everything that is only read."""
@@ -158,16 +172,15 @@ class Panel:
             self._dial = self._gui.add_html("")
             self._timeline = Timeline(self._gui)
             self._gui.add_html(dials.legend(FEET, f"last {SECONDS:.0f} s"))
-        panel.float(x=15, y=15, width=READOUT_WIDTH)
+        panel.float(x=15, y=15, width=dials.READOUT_WIDTH)
 
     def _files(self) -> None:
-        with self._gui.add_folder("Record"):
-            self._record = self._gui.add_button("Record", color=rgb(PLAIN))
+        with self._gui.add_folder("Clips"):
+            self._record = self._gui.add_button("Record", color=rgb(PLAIN), hint="Keep what it does, as a BVH file.")
             self._record.on_click(self._later(self._record_or_stop))
-        with self._gui.add_folder("New style from a clip"):
             self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
             self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
-            note = "A walk of a few seconds; its style is learned here."
+            note = "A walk of a few seconds: its style is learned here."
             self._message = self._gui.add_html(dials.message("plain", note))
 
     def _camera(self) -> None:

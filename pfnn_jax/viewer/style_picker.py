@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pfnn_jax.viewer import dials
@@ -44,11 +45,12 @@ class StylePicker:
         self._style = gui.add_dropdown("Style", (*names, MIXTURE), initial_value=next(iter(actor.shares)))
         with gui.add_folder("Mix three", expand_by_default=len(names) > 2):
             self._triangle = gui.add_html("")
-            self._corners = [
-                gui.add_dropdown(label, names, initial_value=names[place % len(names)])
-                for place, label in enumerate(("Top", "Left", "Right"))
-            ]
-            self._share_field = gui.add_text(SHARES, "34 33 33")
+            with gui.add_folder("Corners and shares", expand_by_default=False):
+                self._corners = [
+                    gui.add_dropdown(label, names, initial_value=name)
+                    for label, name in zip(("Top", "Left", "Right"), spread(("",) * 3, names), strict=True)
+                ]
+                self._share_field = gui.add_text(SHARES, " ".join(map(str, dials.percents(self._shares))))
         self._set_seen(self._run.value, self._style.value)
         self._values.set(shares=self._share_field.value)
         self._draw()
@@ -107,13 +109,17 @@ class StylePicker:
 
     def _offer(self, run: str) -> None:
         """The options of a run; fields keep their values where it has them."""
-        names = self._names(run)
-        for place, field in enumerate((*self._corners, self._style)):
+        names, corners = self._names(run), self._corner_names()
+        if not set(self._corners[0].options) <= set(names):  # another run: none that only learned a style
+            corners = spread(corners, names)
+        style = self._style.value
+        values = (*corners, style if style in (*names, MIXTURE) else names[0])
+        for field, value in zip((*self._corners, self._style), values, strict=True):
             options = names if field is not self._style else (*names, MIXTURE)
             if tuple(field.options) != options:
-                kept = field.value
                 field.options = options
-                field.value = kept if kept in options else names[place % len(names)]
+            if field.value != value:
+                field.value = value
 
     def _set_seen(self, run: str, style: str) -> None:
         self._values.set(run=run, style=style, corners=self._corner_names())
@@ -127,3 +133,16 @@ class StylePicker:
     def _draw(self) -> None:
         self._redraw_at = math.inf
         self._triangle.content = dials.triangle(self._corner_names(), self._shares, self._mixing)
+
+
+def spread(kept: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """Corners among `names`: those kept that are, each once, and styles that no corner has for the others.
+
+    Where there are fewer styles than corners, some are at several.
+    """
+    corners = [name if name in names and name not in kept[:place] else None for place, name in enumerate(kept)]
+    free = [name for name in names if name not in corners]
+    found: list[str] = []
+    for place, name in enumerate(corners):
+        found.append(name or (free.pop(0) if free else names[place % len(names)]))
+    return tuple(found)

@@ -125,6 +125,7 @@ def test_three_styles_are_mixed_by_a_point_in_a_triangle(visitor):
     visitor.page.mouse.up()
     corner = visitor.field("Left").input_value()
     visitor.wait(lambda: share(visitor, corner) > CORNER, f"the point at the left corner is {corner}")
+    visitor.page.get_by_text("Corners and shares", exact=True).first.click()
     visitor.field("Shares").fill("0 0 100")
     corner = visitor.field("Right").input_value()
     visitor.wait(lambda: share(visitor, corner) > CORNER, f"numbers work as well: {corner}")

@@ -84,6 +84,14 @@ def test_shares_sum_to_one_whatever_is_typed():
         assert dials.shares_of(text) is None, text
 
 
+def test_percents_are_told_alike_by_picture_and_field():
+    assert dials.percents((1 / 3, 1 / 3, 1 / 3)) == [34, 33, 33]
+    assert dials.percents((0.005, 0.005, 0.99)) == [0, 0, 100]
+    assert dials.percents((0.0, 1.0, 0.0)) == [0, 100, 0]
+    shown = dials.triangle(["a", "b", "c"], (1 / 3, 1 / 3, 1 / 3), False)
+    assert [text in shown for text in ("a 34%", "b 33%", "c 33%")] == [True] * 3
+
+
 def test_names_cannot_break_out_of_pictures():
     evil = '</svg><img src=x onerror="alert(1)">'
     for name in (evil, f"&deg;{evil}", "<img>&deg;"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,11 +19,11 @@ viser = pytest.importorskip("viser", reason="viser is not installed")
 
 from viser import _messages as messages  # noqa: E402
 
+from pfnn_jax.viewer import dials  # noqa: E402
 from pfnn_jax.viewer import panel as panel_module  # noqa: E402
-from pfnn_jax.viewer import play as play_module  # noqa: E402
 from pfnn_jax.viewer import tab as tab_module  # noqa: E402
 from pfnn_jax.viewer.panel import Panel  # noqa: E402
-from pfnn_jax.viewer.style_picker import MIXTURE, StylePicker  # noqa: E402
+from pfnn_jax.viewer.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
 from pfnn_jax.viewer.tab import Tab  # noqa: E402
 from pfnn_jax.viewer.uploads import MOST_GATHERED, drop_large  # noqa: E402
 
@@ -143,6 +142,51 @@ def test_a_choice_beside_a_style_that_arrives_is_heard(server):
     server.gui.reset()
 
 
+def test_corners_of_another_run_are_all_different():
+    names = ("elderly", "masculine", "normal", "skip")
+    assert spread(("elderly", "feminine", "masculine"), names) == ("elderly", "normal", "masculine")
+    assert spread(("skip", "skip", "skip"), names) == ("skip", "elderly", "masculine")
+    assert spread(("", "", ""), names[:2]) == ("elderly", "masculine", "elderly")
+
+
+def test_a_run_of_two_styles_leaves_no_corner_behind(server):
+    picker = StylePicker(server.gui, any_of(Cast()), any_of(Puppet()))
+    for run, corners in (("two", {"neutral", "old"}), ("run", {"angry", "neutral", "proud"})):
+        picker._run.value = run
+        picker.hear(0.0)
+        assert set(picker._corner_names()) == corners
+    server.gui.reset()
+
+
+def seen(**values: Any) -> Any:
+    """A moment of a character, as far as a panel shows it."""
+    view = {"root": np.zeros(2), "facing": np.array([0.0, 1.0]), "speed": 0.0, "wanted_speed": 0.0, "dials": ()}
+    view |= {"style_weights": {"angry": 1.0}, "steps_per_second": 60.0, "step_milliseconds": 1.0}
+    return SimpleNamespace(**(view | {"recorded_seconds": None, "recording": False} | values))
+
+
+def test_a_style_chosen_while_it_stands_says_how_to_see_it(panel):
+    def told(**values: Any) -> bool:
+        panel.show(seen(**values), 0.0, 60.0)
+        return dials.UNSEEN in panel._readout.content
+
+    assert not told()
+    panel._picker.select("run", "proud")
+    assert told() and told() and not told(wanted_speed=1.0) and not told()
+    panel._picker.select("run", "proud")
+    assert not told()
+    panel.learned("run", "neutral")
+    assert told() and dials.UNSEEN in panel._message.content and not told(speed=0.5)
+
+
+def test_a_recording_that_has_ended_waits_for_its_download(panel):
+    labels = []
+    for seconds, recording in ((None, False), (1.5, True), (1.5, False)):
+        panel.show(seen(recorded_seconds=seconds, recording=recording), 0.0, 60.0)
+        labels.append(panel._record.label)
+    assert labels == ["Record", "Stop and download (1.5 s)", "Download (1.5 s)"]
+
+
 def test_a_style_learned_does_not_call_back_who_has_gone_on(panel):
     stage, actor = panel._stage, panel._actor
     panel.serve(0.0)
@@ -245,27 +289,3 @@ def test_files_too_large_are_not_gathered_but_come_to_their_end(server, monkeypa
         send(gui, button, transfer, MOST_GATHERED // 2, 1, f"{transfer}.bvh")
     assert drop_large(transfers) == ["c.bvh: the file comes with too many others"]
     transfers.clear()
-
-
-def test_a_tab_that_closes_while_it_opens_leaves_nothing(monkeypatch):
-    class Slow:
-        def __init__(self, *_: Any) -> None:
-            time.sleep(0.2)
-
-        def start(self) -> None:
-            pass
-
-        def close(self, wait: float = 0.0) -> None:
-            pass
-
-    monkeypatch.setattr(play_module, "Tab", Slow)
-    with play_module.Page(any_of(Cast()), port=0) as page:
-
-        async def come_and_go() -> None:
-            client, server = any_of(SimpleNamespace(client_id=7)), page._server
-            await server._dispatch_client_callbacks(tuple(server._client_connect_cb), client)
-            await server._dispatch_client_callbacks(tuple(server._client_disconnect_cb), client)
-
-        asyncio.run(come_and_go())
-        time.sleep(0.4)
-        assert page.tabs == ()
