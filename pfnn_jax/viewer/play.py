@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.viewer import background
+from pfnn_jax.viewer import background, dials
 from pfnn_jax.viewer.guard import guarded
 from pfnn_jax.viewer.learning import give_up, prepare_learning
 from pfnn_jax.viewer.page_colours import ACCENT, rgb
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 LOCAL = "127.0.0.1"
 """The address that only this machine can reach; any other must be asked for."""
 
+SOON = "in about half a minute"
+"""When a page is ready that has been begun: loading and compiling took 35 to 44 s on two cores, less on free ones."""
+
 LONGEST_END = 1.5
 """Seconds for which the end of a server is waited for: a tab that does not answer would hold it up for longer."""
 
@@ -40,17 +43,21 @@ and of a file that is far too large only the length is kept."""
 class Page:
     """A server with a tab for every browser that connects. Use as a context manager, or `close` it.
 
+    It answers from the beginning, so that its port is its own: a browser that comes before the runs are ready is told
+    so, and gets its character once they are.
+
     Args:
-        stage: the runs.
+        stage: the runs; without them they are waited for, see `begin`.
         host, port: where to listen; port 0 takes a free one.
 
     Raises:
         InputError: if viser is missing, or nobody can listen there.
     """
 
-    def __init__(self, stage: Stage, host: str = LOCAL, port: int = 8080) -> None:
+    def __init__(self, stage: Stage | None = None, host: str = LOCAL, port: int = 8080) -> None:
         self._stage = stage
         self._tabs: dict[int, Tab] = {}
+        self._waiting: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
         self._lock = threading.Lock()
         self._closed = False
         self._server = _serve(host, port)
@@ -81,10 +88,22 @@ class Page:
         with self._lock:
             return tuple(self._tabs.values())
 
+    def begin(self, stage: Stage) -> None:
+        """The runs are ready: browsers that have waited for them get their characters, and those that come."""
+        with self._lock:
+            self._stage = stage
+            waiting, self._waiting = self._waiting, {}
+            tabs = {number: Tab(client, stage) for number, (client, _) in waiting.items()}
+            self._tabs |= tabs
+        for number, (_, note) in waiting.items():
+            note.remove()
+            tabs[number].start()
+
     def close(self) -> None:
         """Ends all tabs and the server."""
         with self._lock:
             self._closed = True
+            self._waiting = {}
             tabs, self._tabs = list(self._tabs.values()), {}
         for tab in tabs:
             tab.close(wait=0.0)
@@ -104,15 +123,19 @@ class Page:
     # Viser awaits these one after the other; others it would run in threads, a tab's end before its beginning.
 
     async def _open(self, client: viser.ClientHandle) -> None:
-        tab = Tab(client, self._stage)
         with self._lock:
             if self._closed:
                 return
-            self._tabs[client.client_id] = tab
+            if self._stage is None:
+                note = client.gui.add_html(dials.message("plain", f"Compiling: your character comes {SOON}."))
+                self._waiting[client.client_id] = client, note
+                return
+            tab = self._tabs[client.client_id] = Tab(client, self._stage)
         tab.start()
 
     async def _close(self, client: viser.ClientHandle) -> None:
         with self._lock:
+            self._waiting.pop(client.client_id, None)
             tab = self._tabs.pop(client.client_id, None)
         if tab is not None:
             tab.close(wait=0.0)
@@ -148,20 +171,23 @@ def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080
 def _play(
     run_paths: Sequence[str | Path], host: str, port: int, open_browser: bool, ending: Callable[[], None]
 ) -> None:
-    background.do(check_viser)  # before runs are loaded and compiled
-    check_address(host, port)
-    stage = background.do(partial(Stage, run_paths))
-    print(f"{', '.join(stage.runs)}: {len(stage.styles)} styles; compiling", flush=True)
-    threading.Thread(target=_rehearse, args=(stage,), name="rehearsal", daemon=True).start()
-    background.do(stage.warm_up)
-    with Page(stage, host, port) as page:
-        print(f"{page.url}  (Ctrl-C ends)", flush=True)
-        if open_browser:
-            webbrowser.open(page.url)
-        with contextlib.suppress(KeyboardInterrupt):
+    background.do(check_viser)
+    stage = None
+    with Page(host=host, port=port) as page:  # before anything is loaded: a port that is taken is no surprise later
+        try:
+            print(f"compiling; the page opens at {page.url} {SOON}", flush=True)
+            if open_browser:
+                webbrowser.open(page.url)
+            stage = background.do(partial(Stage, run_paths))
+            threading.Thread(target=_rehearse, args=(stage,), name="rehearsal", daemon=True).start()
+            background.do(stage.warm_up)
+            page.begin(stage)
+            print(f"{', '.join(stage.runs)}: {len(stage.styles)} styles at {page.url}  (Ctrl-C ends)", flush=True)
             threading.Event().wait()
-        ending()
-        give_up(stage)
+        finally:
+            ending()
+            if stage is not None:
+                give_up(stage)
 
 
 @contextlib.contextmanager

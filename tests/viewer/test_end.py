@@ -105,7 +105,7 @@ def test_a_page_that_cannot_begin_leaves_its_work(monkeypatch, error, code):
     pytest.importorskip("viser", reason="viser is not installed")
     codes = []
 
-    def fail(*_: object) -> None:
+    def fail(**_: object) -> None:
         raise error
 
     monkeypatch.setattr(play, "Stage", lambda _: SimpleNamespace(runs=(), styles=(), warm_up=lambda: None))
