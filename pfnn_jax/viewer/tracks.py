@@ -137,7 +137,7 @@ def phase_note(phase: np.ndarray | None, fps: float) -> str:
     """What is to be said beside a phase that comes from steps; empty where no more than a moment lacks one."""
     if phase is None:
         return "no steps: no phase"
-    lacking = np.isnan(phase).any(axis=tuple(range(1, phase.ndim)))
+    lacking = np.asarray(np.isnan(phase).any(axis=tuple(range(1, phase.ndim))))
     if lacking.all():
         return "no steps: no phase"
     gaps = np.diff(runs(lacking))
