@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.export.walks import Walk, find_walks
+from pfnn_jax.export.walks import Walk, walks_of
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.layout import GAITS, TRAJECTORY_OFFSETS
 from pfnn_jax.motion.normaliser import Normaliser
@@ -48,7 +48,7 @@ def describe(
         Numbers, strings, lists and dicts.
     """
     exported = [style["name"] for style in styles] if choice is None else [choice] * len(styles)
-    start, *walks = find_walks(run, [choice, *exported])
+    start, *walks = walks_of(run, [choice, *exported])
     return {
         "schema": SCHEMA,
         "version": VERSION,

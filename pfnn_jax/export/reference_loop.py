@@ -1,9 +1,8 @@
 """The loop that an engine runs, in NumPy alone, on a folder that `pfnn-jax export RUN --format bins` has written.
 
-Nothing else of pfnn_jax is needed. Metres, seconds, radians, 60 frames a second; Y up, +Z ahead, +X left. Ground
-points are complex numbers z + ix: a facing is e^(i yaw), and turning a product. In `mason2018` and `pfnn2017` y places
-this frame's joints and moves the root by a velocity; in `mason2022` (`next_frame`) it places the next frame's joints,
-and its first trajectory sample is the next root.
+Metres, seconds, radians, 60 frames a second; Y up, +Z ahead, +X left. Ground points are complex numbers z + ix: a
+facing is e^(i yaw), turning a product. In `mason2018` and `pfnn2017` y places this frame's joints and moves the root by
+a velocity; in `mason2022` (`next_frame`) it places the next frame's, and its first trajectory sample is the next root.
 """
 
 import json
@@ -84,11 +83,14 @@ def load_network(folder, description, style=0):
 class Character:
     """111 trajectory points, one a frame from -60 to +50, of which 60 is now; the joints in the world; the phase."""
 
-    def __init__(self, folder, style=0):
+    def __init__(self, folder, style: int | str = 0):
         told = json.loads((Path(folder) / "description.json").read_text(encoding="utf-8"))
-        self.layout, self.k, self.evaluate = told["layout"], told["loop"], load_network(folder, told, style)
+        numbers = {key: n for n, entry in enumerate(told["styles"] or [{"name": 0}]) for key in (n, entry["name"])}
+        if told["format"] != "bins" or style not in numbers:
+            raise ValueError(f"{folder}: {told['format']}, style {style!r}; must be bins, one of styles {[*numbers]}")
+        self.layout, self.k, self.evaluate = told["layout"], told["loop"], load_network(folder, told, numbers[style])
         self.late, self.phase = self.layout["next_frame"], np.array(told["start"]["phase"])
-        self.asked_speed = (told["styles"] or [told["start"]])[style]["asked_speed"]  # m/s to ask for its style's walk
+        self.asked_speed = (told["styles"] or [told["start"]])[numbers[style]]["asked_speed"]  # m/s to ask for a walk
         x = self.read(np.array(told["start"]["x"]), "inputs")
         self.positions, self.directions, self.gait = fill(x["position"]), unit(fill(x["direction"])), fill(x["gait"])
         self.velocity, self.facing = (self.positions[110] - self.positions[60]) * 60 / 50, self.directions[60]
@@ -111,8 +113,7 @@ class Character:
     def step(self, velocity, direction):
         """One frame under a command: a velocity in metres per second and a facing, both z + ix. Returns `read` of y."""
         k, here, facing, ahead = self.k, self.positions[60], self.directions[60], np.arange(1, 51) / 60
-        # 1. The future trajectory is drawn towards the command, the more the further ahead.
-        self.velocity = mix(self.velocity, k["command_gain"] * velocity, k["velocity_rate"])
+        self.velocity = mix(self.velocity, k["command_gain"] * velocity, k["velocity_rate"])  # 1. the future obeys
         self.facing = turn_towards(self.facing, direction, k["direction_rate"])
         steps = mix(np.diff(self.positions[60:]), self.velocity / 60, 1 - (1 - ahead) ** k["position_bias"])
         self.positions[61:] = here + np.cumsum(steps)
@@ -133,18 +134,17 @@ class Character:
         moved = self.pose["joint_position"] + (pose if self.late else self.pose)["joint_velocity"] / 60
         self.pose = pose | {"joint_position": mix(moved, pose["joint_position"], k["pose_rate"])}
         if self.late:
-            share = k["trajectory_rate"]
-            positions = fill(mix(self.positions[60::10], here + told["position"] * facing, share))
-            directions = unit(fill(turn_towards(self.directions[60::10], told["direction"] * facing, share)))
+            positions = fill(mix(self.positions[60::10], here + told["position"] * facing, k["trajectory_rate"]))
+            directions = fill(turn_towards(self.directions[60::10], told["direction"] * facing, k["trajectory_rate"]))
             self.phase = mix(self.phase + told["local_phase_change"], told["local_phase"], k["phase_rate"])
         else:
             rate = max(1 - self.gait[60, 0], 0) ** 0.25 / 60  # who stands does not drift
             here = here + rate * facing * (told["root_velocity"] @ [1j, 1])
             facing = facing * np.exp(1j * rate * told["root_yaw_rate"][0])
             positions = here + facing * np.append(0, fill(told["position"])[1:])
-            directions = facing * np.append(1, unit(fill(told["direction"])[1:]))
+            directions = facing * np.append(1, fill(told["direction"])[1:])
             self.phase = (self.phase + (0.9 * rate + 0.1 / 60) * told["phase_change"][0]) % (2 * np.pi)
         self.positions = np.append(self.positions[1:61], positions)
-        self.directions = np.append(self.directions[1:61], directions)
+        self.directions = np.append(self.directions[1:61], unit(directions))
         self.gait = np.concatenate([self.gait[1:61], self.gait[60:]])
         return told

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
-import numpy as np
 
 from pfnn_jax.runtime.character import own_share, own_speed
 from pfnn_jax.runtime.controller import Controller, make_controller
@@ -28,8 +27,10 @@ class Walk:
     asked_speed: float
 
 
-def find_walks(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
-    """The walks of choices of style, found by trying (`pfnn_jax.runtime.standing.find_walks`).
+def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
+    """The walks of choices of style, found by trying in the published loop (`pfnn_jax.runtime.standing.find_walks`).
+
+    Of a skeleton without roles, which no controller can have, they are the speeds that styles tell.
 
     Args:
         run: a loaded run.
@@ -38,19 +39,20 @@ def find_walks(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
     Raises:
         InputError: for an unknown style, or a FiLM run without styles.
     """
+    if run.skeleton.roles is None:
+        speeds = [default_speed(run, choice) for choice in choices]
+        return [Walk(speed, speed) for speed in speeds]
     weights = [choice_weights(run, choice) for choice in choices]
     names = tuple(dict.fromkeys(name for each in weights for name in each))
     styled = _controller(run, names) if names else None
     plain = _controller(run, ()) if not all(weights) else None
     found = []
-    for choice, each in zip(choices, weights, strict=True):
+    for each in weights:
         controller = styled if each else plain
         assert controller is not None
         row = jnp.asarray(controller.style_weights({**each} if each else controller.styles[0]))
         speed = float(own_speed(controller.params, row))
         asked = speed * float(own_share(controller.params, row))
-        if not np.isfinite([speed, asked]).all():  # a network that cannot walk; it may serve another loop than this
-            speed = asked = default_speed(run, choice)
         found.append(Walk(speed, asked))
     return found
 

@@ -22,7 +22,7 @@ from pfnn_jax.runtime.ground import mix, turn_towards
 from pfnn_jax.runtime.limb_ik import reach_arms
 from pfnn_jax.runtime.pose import Pose, Rig, forward_kinematics, pose_from_world
 from pfnn_jax.runtime.predictor import Predictor, evaluate
-from pfnn_jax.runtime.regulation import Regulated, Regulation, hold_back
+from pfnn_jax.runtime.regulation import LEAST_SPEED, Regulated, Regulation, hold_back
 from pfnn_jax.runtime.state import CharacterState, joint_root
 
 
@@ -135,13 +135,18 @@ def mixed_style(bank: Any, weights: jax.Array) -> Any:
 
 
 def own_speed(params: ControllerParams, style: jax.Array) -> jax.Array:
-    """[] m/s at which a mixture of styles walks by itself."""
-    return jnp.dot(style, jnp.where(params.speeds > 0.0, params.speeds, params.speed))
+    """[] m/s at which a mixture of styles walks by itself; weights may be negative, its speed may not."""
+    return jnp.maximum(jnp.dot(style, _speeds(params)), LEAST_SPEED)
 
 
 def own_share(params: ControllerParams, style: jax.Array) -> jax.Array:
-    """[] share of its own speed to ask of the network for a mixture of styles."""
-    return jnp.dot(style, params.shares)
+    """[] share of its own speed to ask of the network for a mixture of styles: of what each is asked for, the mean."""
+    asked = jnp.dot(style, params.shares * _speeds(params))
+    return jnp.maximum(asked, 0.0) / own_speed(params, style)
+
+
+def _speeds(params: ControllerParams) -> jax.Array:
+    return jnp.where(params.speeds > 0.0, params.speeds, params.speed)
 
 
 def frame_ahead(

@@ -1,4 +1,4 @@
-"""A character that a person drives: any style of a run, mixed, at any speed, from standing to standing.
+"""A character that a person drives: any style of a run, mixed, from standing to walking to standing.
 
 `step` is a pure function of one character and one frame: use it in a loop, in `lax.scan` (`drive`), and under `vmap`
 for crowds. Inside it is the published loop of `frame`; around that stand what an application needs besides: the mixing
@@ -164,7 +164,7 @@ def make_controller(
 
 
 def with_walks(controller: Controller, styles: Sequence[str]) -> Controller:
-    """The controller with the walks of some of its styles found out anew, from the speeds that they tell."""
+    """The controller with the walks of some of its styles found out by trying, from the speeds in its `params`."""
     rows, params = [controller.styles.index(name) for name in styles], controller.params
     speeds, shares = np.array(params.speeds), np.array(params.shares)
     speeds[rows], shares[rows] = find_walks(controller.setup, params, rows)

@@ -29,16 +29,21 @@ from pfnn_jax.runtime.state import ROOT, CharacterState
 STILL = 0.05
 """Metres per second below which a command is to stand."""
 
+LEAST_SPEED = 0.05
+"""Metres per second that a walk has at least, where something is divided by its speed."""
+
 RISE, STOPPING_RISE = 0.02, 0.06
-"""Metres per second by which the least height of the feet is forgotten, while it walks and while it waits to halt."""
+"""Metres per second by which the least height of the feet is forgotten: of its own time while it walks, of the world's
+while it waits to halt, so that a slow one does not wait longer."""
 
 
 @dataclass(frozen=True)
 class Regulation:
-    """How strictly a character is kept to its command. Rates are shares per frame at 60 fps.
+    """How strictly a character is kept to its command. Rates are shares per frame at 60 fps: of the world for the pace,
+    of its own time for what it remembers of its motion.
 
     Attributes:
-        slowest, fastest: bounds of the pace while walking.
+        slowest, fastest: bounds of the pace while walking; commands beyond them are not kept.
         pace_rate: of the pace towards the wanted one.
         stopping: the pace at most at which a step is taken to its end before it halts.
         landing_rate: of the pace towards 0, once its feet are down.
@@ -83,7 +88,7 @@ class Regulated:
         pace: [] its own seconds for each second of the world.
         velocity: [2] metres for each of its own seconds, seen from its root: a running mean.
         off: [] radians about +Y from its way to the wanted one: a running mean.
-        astray: [] seconds of its own time for which it has been off its way for facing elsewhere.
+        astray: [] seconds of its own time for which it has been more off its way than on it, for facing elsewhere.
         lowest: [] metres, the least height to which both of its feet came down of late, the higher of them counted.
         landing: [] bool, whether it is halting.
     """
@@ -96,12 +101,11 @@ class Regulated:
     landing: jax.Array
 
 
-def at_rest(velocity: jax.Array, clearance: jax.Array, pace: float) -> Regulated:
-    """Of a character that goes at `velocity` [2], as seen from its root, whenever it goes, at first at a pace."""
+def begin(velocity: jax.Array, clearance: jax.Array, pace: float) -> Regulated:
+    """Of a character that goes at `velocity` [2], as seen from its root, whenever it goes; at pace 0 it stands."""
     zero = jnp.zeros_like(clearance)
-    return Regulated(
-        pace=zero + pace, velocity=velocity, off=zero, astray=zero, lowest=clearance, landing=zero + pace == 0.0
-    )
+    landing = jnp.asarray(pace == 0.0)
+    return Regulated(pace=zero + pace, velocity=velocity, off=zero, astray=zero, lowest=clearance, landing=landing)
 
 
 def ask(
@@ -169,9 +173,12 @@ def observe(
     off = jnp.where(moving, angle_between(turn(facing, root_yaw(velocity)), wanted), 0.0)
     off = wrapped(regulated.off + config.heading_rate * wrapped(off - regulated.off))
     apart = moving & (jnp.abs(angle_between(wanted, command.direction)) > config.astray)
-    astray = regulated.astray + (jnp.abs(off) > config.astray) / fps
+    # Who has given up its facing, and goes where it faces, is not to try again.
+    back = jnp.where(regulated.astray < config.patience, -1.0, 0.0)
+    astray = jnp.maximum(regulated.astray + jnp.where(jnp.abs(off) > config.astray, 1.0, back) / fps, 0.0)
     # Feet of one who waits to halt count as down a little higher from frame to frame, so that it halts at last.
-    lowest = jnp.minimum(clearance, regulated.lowest + jnp.where(moving, RISE, STOPPING_RISE) / fps)
+    rise = jnp.where(moving, RISE, STOPPING_RISE / jnp.maximum(regulated.pace, config.slowest))
+    lowest = jnp.minimum(clearance, regulated.lowest + rise / fps)
     down = (clearance <= lowest + config.touch) & (regulated.pace <= config.stopping + 0.05)
     return replace(
         regulated,
@@ -192,7 +199,7 @@ def turning(regulated: Regulated, wanted: jax.Array, fps: float, config: Regulat
 
 def keep_pace(regulated: Regulated, wanted: jax.Array, config: Regulation) -> Regulated:
     """What is remembered, with the pace of the next frame of the world for a wanted velocity [2]."""
-    speed, own = length(wanted), jnp.maximum(length(regulated.velocity), 0.05)
+    speed, own = length(wanted), jnp.maximum(length(regulated.velocity), LEAST_SPEED)
     moving, pace = speed > STILL, regulated.pace
     landing = regulated.landing & ~moving
     target = jnp.where(

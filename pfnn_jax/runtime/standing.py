@@ -28,7 +28,7 @@ from pfnn_jax.runtime.foot_lock import initial_locks
 from pfnn_jax.runtime.frame import Command
 from pfnn_jax.runtime.ground import heading, root_yaw
 from pfnn_jax.runtime.pose import Pose, Rig
-from pfnn_jax.runtime.regulation import at_rest
+from pfnn_jax.runtime.regulation import LEAST_SPEED, begin
 from pfnn_jax.runtime.state import ROOT, CharacterState, initial_state, place_state, standing_state
 
 SHARES = (0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0)
@@ -71,20 +71,20 @@ def find_walks(setup: ControllerSetup, params: ControllerParams, rows: Sequence[
     Returns:
         Speeds [S] metres per second, and shares [S].
     """
-    chosen, count = np.asarray(rows), len(rows)
+    chosen, count = np.asarray(rows, int), len(rows)
     told = np.asarray(params.speeds)[chosen]
     unknown = WALKS.get(setup.layout.name, float(params.speed))
     shares = np.asarray(SHARES if np.any(told > 0.0) else (1.0,))
     asked = np.where(told[:, None] > 0.0, told[:, None] * shares, unknown).astype(np.float32)
     styles, most = np.eye(len(params.speeds), dtype=np.float32)[chosen], np.where(told > 0.0, told, UNBOUNDED)
     found = np.asarray(settle(setup, params, styles, most.astype(np.float32), asked))
-    found = np.maximum(found, 0.05)
-    own = np.where(told > 0.0, told, found[:, 0])
-    off = np.abs(np.log(found / own[:, None]))
+    found = np.maximum(found, LEAST_SPEED)  # NaN stays: of a network that fell apart
+    own = np.where(told > 0.0, told, np.where(np.isfinite(found[:, 0]), found[:, 0], unknown))
+    off = np.nan_to_num(np.abs(np.log(found / own[:, None])), nan=np.inf)
     padded = np.pad(off, ((0, 0), (1, 1)), mode="edge")
     worst = np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), off)
     best = np.argmin(worst[:, : max(len(shares) - 1, 1)], axis=1)
-    return own, asked[np.arange(count), best] / own
+    return own, np.where(np.isfinite(off).any(1), asked[np.arange(count), best] / own, 1.0)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -136,7 +136,7 @@ def start(
     angle = yaw - root_yaw(motion.directions[ROOT])
     still = still_frame(setup, params, placed, y, facing, angle)
     clearance = feet_clearance(placed, setup.rig, params.rest)
-    regulated = at_rest(speed * ahead, clearance, 1.0 if setup.regulation is None else 0.0)
+    regulated = begin(speed * ahead, clearance, 1.0 if setup.regulation is None else 0.0)
     pose = Pose(hips=still.joints[0], rotations=still.rotations)
     return drawn(
         setup,

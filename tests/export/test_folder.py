@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.export import reference_loop
 from pfnn_jax.export.run import export_run
-from pfnn_jax.export.walks import find_walks
-from pfnn_jax.runtime.controller import make_controller
+from pfnn_jax.export.walks import walks_of
+from pfnn_jax.runtime import standing
 from pfnn_jax.runtime.released_cp import import_released_cp
 from pfnn_jax.runtime.released_lpn import import_released_lpn
 from pfnn_jax.training.run import load_run
@@ -35,21 +36,33 @@ def test_description_tells_what_an_engine_needs(runs, tmp_path):
     assert len(told["normaliser"]["y_std"]) == run.layout.output_size
 
 
-def test_description_tells_what_to_ask_for_a_walk(runs, tmp_path):
-    """The speed that the page asks of the network, which is not the speed at which the style walks."""
+def test_description_tells_what_to_ask_for_a_walk(runs, tmp_path, monkeypatch):
+    """The speed to ask of the network, which is not the speed at which the style walks: found by trying."""
     run = runs("mason2018", "cp")
-    params = make_controller(run, foot_ik=False, regulated=False).params
-    asked = np.asarray(params.speeds * params.shares)
-    assert np.abs(asked - np.asarray(params.speeds)).max() > 0.1  # or this would be no test
+
+    def settle(setup, params, styles, own, asked):  # style0 tells 1 m/s, style1 1.1
+        return asked * np.where(own < 1.05, 1.0, 2.5)[:, None]
+
+    monkeypatch.setattr(standing, "settle", settle)
+    asked = [1.0, 1.1 * 0.4]
     told = export_run(run.path, "bins", tmp_path / "all")
     assert [style["asked_speed"] for style in told["styles"]] == pytest.approx(asked)
     assert [reference_loop.Character(tmp_path / "all", n).asked_speed for n in range(2)] == pytest.approx(asked)
     one = export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
     assert one["styles"][0]["asked_speed"] == one["start"]["asked_speed"] == pytest.approx(asked[1])
     assert one["start"]["speed"] == pytest.approx(1.1)
-    mixed = find_walks(run, [{"style0": 0.5, "style1": 0.5}])[0]
+    mixed = walks_of(run, [{"style0": 0.5, "style1": 0.5}])[0]
     assert mixed.speed == pytest.approx(1.05)
-    assert mixed.asked_speed == pytest.approx(1.05 * np.mean(params.shares))
+    assert mixed.asked_speed == pytest.approx(np.mean(asked))
+
+
+def test_a_run_without_roles_is_exported(runs, tmp_path):
+    shutil.copytree(runs("mason2018", "cp").path, tmp_path / "run")
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    config["skeleton"]["roles"] = None
+    (tmp_path / "run" / "config.json").write_text(json.dumps(config))
+    told = export_run(tmp_path / "run", "bins", tmp_path / "out")
+    assert [(style["speed"], style["asked_speed"]) for style in told["styles"]] == [(1.0, 1.0), (1.1, 1.1)]
 
 
 @pytest.mark.parametrize(
@@ -119,3 +132,19 @@ def test_files_of_the_2018_demo_need_their_description(runs, tmp_path):
     (tmp_path / "out" / "description.json").unlink()
     with pytest.raises(InputError, match="they do not name the joints"):
         import_released_cp(tmp_path / "out", tmp_path / "run")
+
+
+def test_the_loop_in_numpy_takes_a_style_by_name_and_says_what_it_cannot_run(runs, tmp_path):
+    run = runs("mason2018", "cp")
+    export_run(run.path, "bins", tmp_path / "all")
+    by_name, by_place = (reference_loop.Character(tmp_path / "all", style) for style in ("style1", 1))
+    assert by_name.asked_speed == by_place.asked_speed
+    np.testing.assert_array_equal(
+        *(c.evaluate(np.ones(len(run.normaliser.inputs.mean)), 0.3) for c in (by_name, by_place))
+    )
+    for style in ("style2", 2):
+        with pytest.raises(ValueError, match=f"all: bins, style {style!r}; must be bins, one of styles .*style1"):
+            reference_loop.Character(tmp_path / "all", style)
+    export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
+    with pytest.raises(ValueError, match="one: stablehlo, style 0; must be bins"):
+        reference_loop.Character(tmp_path / "one")

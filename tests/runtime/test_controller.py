@@ -18,12 +18,13 @@ from pfnn_jax.motion.layout import LAYOUTS
 from pfnn_jax.motion.normaliser import fit_normaliser
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.synthetic import synthesise
-from pfnn_jax.runtime.character import mixed_style, own_speed
+from pfnn_jax.runtime import standing
+from pfnn_jax.runtime.character import mixed_style, own_share, own_speed
 from pfnn_jax.runtime.controller import Controller, drive, make_controller, step
 from pfnn_jax.runtime.frame import CONTROLLERS, Command, published_step
 from pfnn_jax.runtime.ground import angle_between, length, orthonormal
 from pfnn_jax.runtime.predictor import evaluate
-from pfnn_jax.runtime.regulation import STANDARD, ask, at_rest, hold_back, keep_pace, observe, turning
+from pfnn_jax.runtime.regulation import STANDARD, ask, begin, hold_back, keep_pace, observe, turning
 from pfnn_jax.runtime.state import ROOT, initial_state, turn_state
 from pfnn_jax.training.run import Run, RunConfig, create_run, load_run, save_shared, save_style
 from tests.export.small_runs import make_run
@@ -132,16 +133,16 @@ def test_a_step_returns_what_it_takes(controller):
 def test_loop_scan_and_vmap_agree(which, request):
     controller = request.getfixturevalue(which)
     frames, asked = 40, [command(controller, SPEED, yaw, style) for yaw, style in ((0.4, 0), (-0.9, 1))]
-    begin = [controller.start(style=index) for index in range(2)]
+    starts = [controller.start(style=index) for index in range(2)]
     loops = []
-    for state, one in zip(begin, asked, strict=True):
+    for state, one in zip(starts, asked, strict=True):
         for _ in range(frames):
             state = controller.step(state, one)
         loops.append(state)
     stack = partial(jax.tree.map, lambda *leaves: jnp.stack(leaves))
     commands = stack(*(repeated(one, frames) for one in asked))
-    many = jax.vmap(partial(drive, controller.setup, controller.params))(stack(*begin), commands)[0]
-    for index, (state, one, loop) in enumerate(zip(begin, asked, loops, strict=True)):
+    many = jax.vmap(partial(drive, controller.setup, controller.params))(stack(*starts), commands)[0]
+    for index, (state, one, loop) in enumerate(zip(starts, asked, loops, strict=True)):
         scanned, seen = drive(controller.setup, controller.params, state, repeated(one, frames))
         np.testing.assert_allclose(scanned.joints, loop.joints, atol=FLOAT32)
         np.testing.assert_allclose(many.joints[index], loop.joints, atol=10 * FLOAT32)
@@ -192,7 +193,7 @@ def test_regulation_of_a_mirrored_character_is_mirrored():
     after = replace(before, positions=jnp.roll(before.positions, -1, 0), directions=jnp.roll(before.directions, -1, 0))
     asked = Command(velocity=jnp.asarray([0.9, 0.4]), direction=jnp.asarray([0.8, -0.6]))
     clearance = jnp.float32(0.02)
-    regulated = replace(at_rest(jnp.asarray([0.2, 1.1]), clearance, 0.8), off=jnp.float32(0.1), astray=jnp.float32(1.3))
+    regulated = replace(begin(jnp.asarray([0.2, 1.1]), clearance, 0.8), off=jnp.float32(0.1), astray=jnp.float32(1.3))
 
     def all_of(before, after, asked, regulated):
         wanted = ask(asked, jnp.float32(1.0), jnp.float32(0.8), before, regulated, CONTROLLERS["mason2018"], STANDARD)
@@ -228,7 +229,7 @@ def test_who_cannot_go_aside_faces_where_it_goes_after_a_while():
     layout = LAYOUT["mason2018"]
     state = initial_state(layout, input_row(layout, WALK), jnp.float32(0.0), jnp.zeros(2), jnp.float32(0.0))
     aside = Command(velocity=jnp.asarray([1.0, 0.0]), direction=jnp.asarray([0.0, 1.0]))
-    fresh = at_rest(jnp.asarray([0.0, 1.0]), jnp.float32(0.0), 1.0)
+    fresh = begin(jnp.asarray([0.0, 1.0]), jnp.float32(0.0), 1.0)
 
     def asked_yaw(regulated) -> float:
         found = ask(aside, jnp.float32(1.0), jnp.float32(1.0), state, regulated, CONTROLLERS["mason2018"], STANDARD)
@@ -245,6 +246,59 @@ def test_who_cannot_go_aside_faces_where_it_goes_after_a_while():
     assert asked_yaw(after(1.2 * STANDARD.patience, 1.5)) == pytest.approx(0.2 * np.pi / 2, abs=0.06)
     assert asked_yaw(after(2.5 * STANDARD.patience, 1.5)) == pytest.approx(STANDARD.most_asked, abs=1e-6)
     assert asked_yaw(after(2.5 * STANDARD.patience, 0.1)) == pytest.approx(0.0, abs=1e-6)
+    given_up = after(2.5 * STANDARD.patience, 1.5)
+    assert observe(given_up, state, state, aside, jnp.float32(0.0), 60.0, STANDARD).astray >= given_up.astray
+    for _ in range(300):  # one that strays now and then gives up nothing
+        fresh = observe(replace(fresh, off=jnp.float32(1.5)), state, state, aside, jnp.float32(0.0), 60.0, STANDARD)
+        for _ in range(2):
+            fresh = observe(replace(fresh, off=jnp.float32(0.0)), state, state, aside, jnp.float32(0.0), 60.0, STANDARD)
+    assert fresh.astray < STANDARD.patience
+
+
+def test_walks_are_found_among_trials_that_hold(controller, monkeypatch):
+    """A speed at which a network falls apart is no neighbour to walk beside; a style that never holds is left alone."""
+    answer = {"nan_at": slice(0, 0)}
+
+    def settle(setup, params, styles, own, asked):
+        found = np.array(asked, np.float32)
+        found[:, answer["nan_at"]] = np.nan
+        return found
+
+    monkeypatch.setattr(standing, "settle", settle)
+    setup, params = controller.setup, replace(controller.params, speeds=jnp.asarray([1.0, 2.0, 0.0]))
+    tried = np.asarray(standing.SHARES)
+    for nan_at, expected in ((slice(0, 0), 1.0), (slice(5, 8), tried[3]), (slice(0, 8), 1.0)):
+        answer["nan_at"] = nan_at
+        own, shares = standing.find_walks(setup, params, [0, 1])
+        np.testing.assert_allclose(own, [1.0, 2.0])
+        np.testing.assert_allclose(shares, expected, rtol=1e-6)
+    own, shares = standing.find_walks(setup, params, [2])
+    np.testing.assert_allclose([own[0], shares[0]], [params.speed, 1.0], rtol=1e-6)
+    assert all(not len(found) for found in standing.find_walks(setup, params, []))
+
+
+def test_a_mixture_walks_at_a_speed_and_asks_for_the_mean_of_what_its_styles_ask_for(controller):
+    params = replace(controller.params, speeds=jnp.asarray([1.0, 2.0, 0.0]), shares=jnp.asarray([0.5, 1.5, 1.0]))
+    half = jnp.asarray([0.5, 0.5, 0.0])
+    assert own_speed(params, half) == pytest.approx(1.5)
+    assert own_speed(params, half) * own_share(params, half) == pytest.approx(0.5 * 0.5 + 0.5 * 3.0)
+    beyond = jnp.asarray([3.0, -2.0, 0.0])
+    assert own_speed(params, beyond) > 0.0 and own_share(params, beyond) >= 0.0
+
+
+def test_a_slow_walk_halts_as_soon_as_a_quick_one():
+    layout = LAYOUT["mason2018"]
+    state = initial_state(layout, input_row(layout, WALK), jnp.float32(0.0), jnp.zeros(2), jnp.float32(0.0))
+    stand = Command(velocity=jnp.zeros(2), direction=jnp.asarray([0.0, 1.0]))
+    for pace in (STANDARD.slowest, 1.0):
+        regulated, owed, frames = begin(jnp.asarray([0.0, 1.0]), jnp.float32(0.0), pace), 0.0, 0
+        while float(regulated.pace) > 0.0 and frames < 240:  # one foot stays 5 cm up
+            owed, frames = owed + float(regulated.pace), frames + 1
+            if owed >= 1.0:
+                owed -= 1.0
+                regulated = observe(regulated, state, state, stand, jnp.float32(0.05), 60.0, STANDARD)
+            regulated = keep_pace(regulated, stand.velocity, STANDARD)
+        assert frames < 120
 
 
 def test_a_step_is_taken_to_its_end_before_it_halts():
@@ -252,7 +306,7 @@ def test_a_step_is_taken_to_its_end_before_it_halts():
     layout = LAYOUT["mason2018"]
     state = initial_state(layout, input_row(layout, WALK), jnp.float32(0.0), jnp.zeros(2), jnp.float32(0.0))
     stand = Command(velocity=jnp.zeros(2), direction=jnp.asarray([0.0, 1.0]))
-    regulated, paces = at_rest(jnp.asarray([0.0, 1.0]), jnp.float32(0.0), 1.0), []
+    regulated, paces = begin(jnp.asarray([0.0, 1.0]), jnp.float32(0.0), 1.0), []
     for frame in range(90):
         clearance = jnp.float32(0.08 if frame < 30 else 0.0)
         regulated = observe(regulated, state, state, stand, clearance, 60.0, STANDARD)
