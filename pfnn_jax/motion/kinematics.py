@@ -132,11 +132,11 @@ def quat_to_matrix(q: ArrayLike) -> np.ndarray:
 
 def quat_from_matrix(m: ArrayLike) -> Any:
     """Unit quaternions [..., 4] with w ≥ 0 of rotation matrices m [..., 3, 3]."""
-    xp, m = _floats(m)
-    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
-    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
-    # row r is 4 q_r q: the longest row is the one free of cancellation
+    xp, r = _floats(m)
+    xx, yy, zz = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
+    wx, wy, wz = r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]
+    xy, xz, yz = r[..., 0, 1] + r[..., 1, 0], r[..., 0, 2] + r[..., 2, 0], r[..., 1, 2] + r[..., 2, 1]
+    # row n is 4 q_n q: the longest row is the one free of cancellation
     rows = xp.stack(
         [
             xp.stack((1 + xx + yy + zz, wx, wy, wz), axis=-1),
@@ -166,12 +166,12 @@ def quat_log(q: ArrayLike) -> np.ndarray:
 
 def quat_exp(v: ArrayLike) -> Any:
     """Unit quaternions [..., 4] of half-angle vectors v [..., 3]; the inverse of `quat_log`."""
-    xp, v = _floats(v)
-    squared = xp.sum(v * v, axis=-1, keepdims=True)
+    xp, along = _floats(v)
+    squared = xp.sum(along * along, axis=-1, keepdims=True)
     found = squared > SMALL**2
     half = xp.sqrt(xp.where(found, squared, 1.0))
     w, scale = xp.where(found, xp.cos(half), 1.0), xp.where(found, xp.sin(half) / half, 1.0)
-    return xp.concatenate((w, v * scale), axis=-1)
+    return xp.concatenate((w, along * scale), axis=-1)
 
 
 def quat_slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> np.ndarray:

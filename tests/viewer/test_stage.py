@@ -47,6 +47,11 @@ def walked(stage: Stage, style: str, frames: int = 20) -> np.ndarray:
     return np.stack([actor.advance(frame * FRAME).joints for frame in range(1, frames)])
 
 
+def compilations() -> list[int]:
+    """How often a step, and a trial of walks, have been compiled."""
+    return [getattr(function, "_cache_size")() for function in (step, settle)]  # noqa: B009 - under no public name
+
+
 def test_runs_are_named_as_shortly_as_they_differ(stage, two_runs):
     assert stage.runs == ("one/run", "two/run")
     assert stage.cast("two/run").run.path == two_runs[1]
@@ -105,7 +110,7 @@ def test_a_recording_ends_with_its_run_for_good(stage):
 def test_a_style_joins_and_disturbs_no_other(stage, two_runs):
     version, before = stage.version, walked(stage, "neutral")
     rehearse_walks(stage.cast("one/run").controller)
-    compiled = step._cache_size(), settle._cache_size()
+    compiled = compilations()
     learned = load_style(stage.cast("one/run").run, "proud")
     assert learned is not None
     save_style(two_runs[0], "joined", learned, {"speed": 0.7})
@@ -117,7 +122,7 @@ def test_a_style_joins_and_disturbs_no_other(stage, two_runs):
     assert float(cast.controller.params.speeds[cast.styles.index("joined")]) == pytest.approx(0.7)
     np.testing.assert_array_equal(walked(stage, "neutral"), before)
     assert np.abs(walked(stage, "joined") - before).max() > 1e-4
-    assert (step._cache_size(), settle._cache_size()) == compiled
+    assert compilations() == compiled
     fresh = make_controller(load_run(two_runs[0]), ["joined"]).params
     index = cast.styles.index("joined")
     assert float(cast.controller.params.shares[index]) == pytest.approx(float(fresh.shares[0]), rel=SHARE)
