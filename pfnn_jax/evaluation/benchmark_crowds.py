@@ -19,6 +19,7 @@ from pfnn_jax.motion.synthetic import synthetic_clips
 from pfnn_jax.runtime.character import ControllerState
 from pfnn_jax.runtime.controller import Controller, make_controller, step
 from pfnn_jax.runtime.frame import Command
+from pfnn_jax.runtime.regulation import STANDARD
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.loop import pretrain
 from pfnn_jax.training.run import Run
@@ -30,6 +31,10 @@ SYSTEMS: dict[str, tuple[str, AdapterKind]] = {
 """The systems of Mason 2018 and 2022: layout and kind of style."""
 
 STYLES = ("neutral", "proud")
+
+EVERY_FRAME = replace(STANDARD, slowest=1.0, fastest=1.0)
+"""A character at this pace evaluates its network once in every step. At its own pace it does so more or less often,
+by how fast a network walks that was hardly trained."""
 
 STRIDE, STEPS = 120, 5
 """Frames after which a character is in its stride, and steps in one repetition."""
@@ -72,24 +77,20 @@ def _run(folder: Path, layout: str, adapter: AdapterConfig, hidden: int) -> Run:
 
 
 def _crowd(controller: Controller, number: int) -> tuple:
-    """Some steps of a crowd in the midst of a walk, and their arguments: all parameters are shared, nothing else is.
-
-    Several, as a character's own time decides which of them evaluate its network; and as those of a crowd do so at
-    different times, each is at another place between two frames of its own.
-    """
+    """Some steps of a crowd in the midst of a walk, and their arguments: all parameters are shared, nothing else is."""
+    setup = replace(controller.setup, regulation=EVERY_FRAME)
 
     def crowd_steps(params, states: ControllerState, commands: Command) -> ControllerState:
-        one = jax.vmap(partial(step, controller.setup, params))
+        one = jax.vmap(partial(step, setup, params))
         return jax.lax.scan(lambda states, _: (one(states, commands), None), states, length=STEPS)[0]
 
     ahead, style = jnp.asarray([0.0, 1.0]), controller.style_weights(dict.fromkeys(STYLES, 0.5))
     command = Command(velocity=ahead, direction=ahead, style=jnp.asarray(style))
     alone = controller.start()
     for _ in range(STRIDE):  # from standing into the walk
-        alone = controller.step(alone, command)
+        alone = step(setup, controller.params, alone, command)
     states, commands = (
         jax.tree.map(lambda leaf: jnp.tile(leaf[None], (number, *(1,) * leaf.ndim)), one) for one in (alone, command)
     )
-    states = replace(states, clock=jnp.arange(1, number + 1, dtype=jnp.float32) / number)
     compiled = jax.jit(crowd_steps)
     return compiled, controller.params, states, commands
