@@ -14,7 +14,7 @@ Measure   over the two seconds around the third after the command: speed within 
           was at while walking. Sliding is the speed of feet in contact, before and after feet are held. Pose distance
           is the mean squared normalised distance of joint positions from the run's mean pose, about 1 on its data.
 Expect    on the demo's run all commands in all 9 styles (70 % with the published loop), on Bandai-Namco-2 all with an
-          LPN (14 %) and with a PFNN (13 %), on 25 of the authors' 100 styles 96 % (39 %); aside and back 93 to 100 %
+          LPN (14 %) and with a PFNN (13 %), on 25 of the authors' 100 styles 96 % (39 %); aside and back 92 to 100 %
           (0 to 43 %); see docs/results.md. Twenty minutes on 2 cores.
 Run       python -m experiments.controller_laws --runs RUN [RUN ...] --out laws.json
 """
