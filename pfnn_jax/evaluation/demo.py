@@ -11,13 +11,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.demo_report import write_demo_report
 from pfnn_jax.evaluation.style_methods import compare_methods
 from pfnn_jax.evaluation.style_test import StyleTest, Takes, join_takes
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.dataset import Dataset, prepare
 from pfnn_jax.motion.features import clip_features
+from pfnn_jax.motion.files import refuse_existing
 from pfnn_jax.motion.labelled import LabelledClip
 from pfnn_jax.motion.phase import write_phase
 from pfnn_jax.motion.preparation import PrepareConfig
@@ -88,8 +88,8 @@ def demo(
         InputError: if `out` holds anything and `overwrite` is not set.
     """
     out, started = Path(out), time.perf_counter()
-    if out.exists() and any(out.iterdir()) and not overwrite:
-        raise InputError(out, "output", "exists", "existing output is replaced only with --overwrite")
+    if out.exists() and any(out.iterdir()):
+        refuse_existing(out, overwrite)
     seconds: dict[str, float] = {}
 
     def stage(name: str) -> None:

@@ -31,7 +31,8 @@ from pfnn_jax.motion.local_phase import (
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.trajectory import to_local
 from pfnn_jax.viewer.body import body_capsules, body_points, capsule_ends
-from pfnn_jax.viewer.drawing import GRID, INK, MUTED, draw_body
+from pfnn_jax.viewer.drawing import draw_body
+from pfnn_jax.viewer.palette import GRID, INK, MUTED
 
 PHASE, CONTACT, AXIS = SERIES[0], SERIES[2], SERIES[3]
 LEFT, RIGHT, TOP, BODIES, PANEL, GAP, BOTTOM = 1.0, 0.55, 0.62, 2.0, 0.85, 0.12, 0.5  # inches

@@ -17,6 +17,7 @@ from pfnn_jax.export.description import FILE, SCHEMA, describe
 from pfnn_jax.export.onnx import write_onnx
 from pfnn_jax.export.stablehlo import write_stablehlo
 from pfnn_jax.export.styles import choose_styles, style_arrays, write_style
+from pfnn_jax.motion.files import refuse_existing
 from pfnn_jax.runtime.mixture import StyleChoice
 from pfnn_jax.runtime.predictor import assemble_predictor, make_predictor
 from pfnn_jax.training.checkpoint import replacing
@@ -106,8 +107,7 @@ def _check_place(out: Path, overwrite: bool) -> None:
         raise InputError(out, "output", "holds the working folder", "must be a folder of its own")
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
-    if not overwrite:
-        raise InputError(out, "output", "exists", "existing output is replaced only with --overwrite")
+    refuse_existing(out, overwrite)
     try:
         known = json.loads((out / FILE).read_text(encoding="utf-8")).get("schema") == SCHEMA
     except (OSError, ValueError, AttributeError):

@@ -10,12 +10,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.film import Film, film_to_vector
 from pfnn_jax.models.layers import BiasLayer
 from pfnn_jax.runtime.generate import style_label
-from pfnn_jax.runtime.mixture import StyleChoice, file_stem, load_choice
+from pfnn_jax.runtime.mixture import StyleChoice, file_stem, load_choice, need_style
 from pfnn_jax.training.run import Run, adapter_form, list_styles, style_note
 
 
@@ -56,8 +55,7 @@ def choose_styles(run: Run, choice: StyleChoice, kind: str | None = None) -> tup
     names = [name for name in run.config.styles if name in there]
     names += [name for name in there if name not in names]
     wanted = [name for name in names if kind in (None, style_note(run.path, name)["adapter"]["kind"])]
-    if not wanted and run.config.adapter.kind == "film":
-        raise InputError(run.path, "styles", "none", "a FiLM run needs at least one style to move")
+    need_style(run, wanted)
     return tuple(_style(run, name) for name in wanted)
 
 

@@ -50,7 +50,7 @@ def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
     for each in weights:
         controller = styled if each else plain
         assert controller is not None
-        row = jnp.asarray(controller.style_weights({**each} if each else controller.styles[0]))
+        row = jnp.asarray(controller.style_weights(each or 0))
         speed = float(own_speed(controller.params, row))
         asked = speed * float(own_share(controller.params, row))
         found.append(Walk(speed, asked))

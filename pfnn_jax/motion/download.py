@@ -16,7 +16,7 @@ from pathlib import Path
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.archive import ArchiveError, unpack
 from pfnn_jax.motion.fetch import Patience, Progress, PublishedFile, fetch, read_record, verify
-from pfnn_jax.motion.files import swap_folder, write_whole
+from pfnn_jax.motion.files import refuse_existing, swap_folder, write_whole
 
 RECORD = "https://zenodo.org/api/records/8127870"
 ARCHIVE = "100STYLE.zip"
@@ -73,8 +73,7 @@ def download_100style(
 def _check_output(out: Path, overwrite: bool) -> None:
     if not out.exists():
         return
-    if not overwrite:
-        raise InputError(out, "output", "exists", "existing output is replaced only with --overwrite")
+    refuse_existing(out, overwrite)
     if not (out / ORIGIN).is_file():
         raise InputError(out, "output", "exists and is no download", f"only a folder with {ORIGIN} is replaced")
 

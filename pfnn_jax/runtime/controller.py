@@ -37,7 +37,7 @@ from pfnn_jax.runtime.foot_lock import FootLockConfig
 from pfnn_jax.runtime.frame import Command
 from pfnn_jax.runtime.generate import controller_of, default_speed, told_speed
 from pfnn_jax.runtime.ground import mix
-from pfnn_jax.runtime.mixture import check_weights, load_bank
+from pfnn_jax.runtime.mixture import check_weights, load_bank, need_style
 from pfnn_jax.runtime.pose import make_rig
 from pfnn_jax.runtime.predictor import assemble_predictor
 from pfnn_jax.runtime.regulation import (
@@ -133,8 +133,7 @@ def make_controller(
         InputError: for an unknown style, styles of different kinds, or a FiLM run without styles.
     """
     names = tuple(list_styles(run.path) if styles is None else styles)
-    if not names and run.config.adapter.kind == "film":
-        raise InputError(run.path, "styles", "none", "a FiLM run needs at least one style to move")
+    need_style(run, names)
     spare = max(capacity or 0, len(names)) - len(names) if names else 0
     bank = None
     if names:

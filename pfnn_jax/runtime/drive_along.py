@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import partial
 
@@ -14,7 +13,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.runtime.character import ControllerParams, ControllerSetup, ControllerState, own_speed
 from pfnn_jax.runtime.controller import make_controller, step
-from pfnn_jax.runtime.generate import style_label
+from pfnn_jax.runtime.generate import style_label, walk_frames
 from pfnn_jax.runtime.mixture import StyleChoice, choice_weights
 from pfnn_jax.runtime.paths import Path
 from pfnn_jax.runtime.pose import Pose
@@ -52,10 +51,7 @@ def drive_along(
     row = jnp.asarray(controller.style_weights(weights or 0))
     speed = float(own_speed(controller.params, row)) if speed is None else speed
     seconds = path.length / max(speed, 1e-6) + STARTING if seconds is None else seconds
-    for name, value in (("speed", speed), ("seconds", seconds)):
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(run.path, name, value, "must be above 0")
-    num_frames = max(round(seconds * run.layout.fps), 2)
+    num_frames = walk_frames(run, speed, seconds)
     begin = controller.start(path.points[0], path.start_yaw, controller.styles[0])
     begin = replace(begin, style=row)
     poses = follow(controller.setup, controller.params, begin, make_track(path, speed), num_frames)

@@ -98,11 +98,8 @@ def generate(
         raise InputError(run.path, "mode", mode, f"must be cubic: layout {run.layout.name} has no global phase")
     speed = default_speed(run, style) if speed is None else speed
     seconds = path.length / max(speed, 1e-6) if seconds is None else seconds
-    for name, value in (("speed", speed), ("seconds", seconds)):
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(run.path, name, value, "must be above 0")
+    num_frames = walk_frames(run, speed, seconds)
     evaluate_fn, params, config = EVALUATORS[mode], make_predictor(run, style), config or controller_of(run)
-    num_frames = max(round(seconds * run.layout.fps), 2)
     state = walking_state(evaluate_fn, params, run.layout, run.normaliser, speed, config=config)
     state = place_state(state, jnp.asarray(path.points[0], jnp.float32), jnp.float32(path.start_yaw))
     frames = follow_path(evaluate_fn, params, run.layout, state, make_track(path, speed), num_frames, config=config)
@@ -112,6 +109,18 @@ def generate(
         joints = np.asarray(frames.joint_positions) if isinstance(style, Mapping) else None
         clip = fix_feet(clip, contacts, joints=joints)
     return Generated(replace(clip, style=style_label(style), content="generated", source=str(run.path)), frames)
+
+
+def walk_frames(run: Run, speed: float, seconds: float) -> int:
+    """Frames of a walk at a speed in m/s for some seconds.
+
+    Raises:
+        InputError: unless both are above 0.
+    """
+    for name, value in (("speed", speed), ("seconds", seconds)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise InputError(run.path, name, value, "must be above 0")
+    return max(round(seconds * run.layout.fps), 2)
 
 
 def controller_of(run: Run) -> ControllerConfig:

@@ -99,10 +99,19 @@ def choice_weights(run: Run, choice: StyleChoice) -> dict[str, float]:
     """
     if choice is None and run.config.adapter.kind == "film":
         names = [name for name in run.config.styles if name in list_styles(run.path)]
-        if not names:
-            raise InputError(run.path, "styles", "none", "a FiLM run needs at least one style to move")
+        need_style(run, names)
         return dict.fromkeys(names, 1.0 / len(names))
     return {choice: 1.0} if isinstance(choice, str) else dict(choice or {})
+
+
+def need_style(run: Run, names: Sequence[str]) -> None:
+    """Refuses a FiLM run of which no style is named: its network knows no motion without one.
+
+    Raises:
+        InputError: naming the run.
+    """
+    if not names and run.config.adapter.kind == "film":
+        raise InputError(run.path, "styles", "none", "a FiLM run needs at least one style to move")
 
 
 def load_bank(run: Run, names: Sequence[str]) -> Style:

@@ -16,6 +16,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.film import Film, layer_norm, layer_norm_sample
+from pfnn_jax.motion.files import refuse_existing
 from pfnn_jax.runtime.lookup import table_phase
 from pfnn_jax.runtime.mixture import StyleChoice, check_weights, load_bank, mix_rows
 from pfnn_jax.runtime.predictor import Predictor, evaluate, make_predictor
@@ -117,8 +118,7 @@ def predict_file(
             if both the file and `style` tell a style, or if the output exists and `overwrite` is not set.
     """
     run, out = load_run(run_path), Path(out_npz)
-    if out.exists() and not overwrite:
-        raise InputError(out, "output", "exists", "existing output is replaced only with --overwrite")
+    refuse_existing(out, overwrite)
     rows = read_rows(Path(in_npz), run.layout)
     y = predict_rows(run, rows.x, rows.phase, _row_styles(Path(in_npz), rows, run, style), mode, layer_norm)
     with replacing(out) as new, new.open("wb") as file:

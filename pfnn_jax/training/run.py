@@ -26,6 +26,7 @@ from pfnn_jax.models.film import Film
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
 from pfnn_jax.models.network import Network, init_network, num_parameters
+from pfnn_jax.motion.files import refuse_existing
 from pfnn_jax.motion.frame_layout import FrameLayout
 from pfnn_jax.motion.layout import layout_for
 from pfnn_jax.motion.normaliser import Normaliser, load_normaliser, save_normaliser
@@ -84,8 +85,7 @@ def create_run(path: str | Path, config: RunConfig, normaliser: Normaliser, over
     """
     path = Path(path)
     if path.exists() and not _is_empty_folder(path):
-        if not overwrite:
-            raise InputError(path, "output", "exists", "existing output is replaced only with --overwrite")
+        refuse_existing(path, overwrite)
         if not (path / "config.json").is_file():
             raise InputError(path, "output", "exists and is no run", "only a run directory is replaced")
     for name in config.styles:

@@ -11,7 +11,7 @@ NEAREST = 0.2  # metres in front of the eye
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A perspective camera, as that of `player.js`.
+    """A perspective camera, as that of `player_scene.js`.
 
     Attributes:
         target: [3] metres, what it looks at.

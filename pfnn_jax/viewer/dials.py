@@ -11,17 +11,16 @@ from pfnn_jax.viewer.page_colours import (
     ACCENT,
     FACE,
     FAINT,
-    INK,
     LEFT,
     LETTER,
     LINE,
     MESSAGES,
-    MUTED,
     PALE_LEFT,
     PALE_RIGHT,
     PASSIVE,
     RIGHT,
 )
+from pfnn_jax.viewer.palette import INK, MUTED
 from pfnn_jax.viewer.view import Dial, View
 
 TRIANGLE = ((120.0, 16.0), (26.0, 150.0), (214.0, 150.0))

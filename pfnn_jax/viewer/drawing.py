@@ -15,8 +15,6 @@ from matplotlib.figure import Figure
 
 from pfnn_jax.motion.files import write_whole
 from pfnn_jax.viewer.body import Capsule, capsule_ends
-from pfnn_jax.viewer.palette import GRID as GRID
-from pfnn_jax.viewer.palette import INK as INK
 from pfnn_jax.viewer.palette import MUTED, PANEL, PHASE, SIDES
 from pfnn_jax.viewer.tracks import Track, foot_bars, phase_lines
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from pfnn_jax.viewer.palette import MUTED
+
 LEFT, RIGHT = "#3b7ae6", "#e8743b"
 """Of the body's sides, wherever they are told apart: dials, contacts."""
 
 PALE_LEFT, PALE_RIGHT = "#7ba6f0", "#f2a77f"
 """Of the hands' phases, beside those of the feet."""
 
-ACCENT, INK, MUTED, LINE = "#18a078", "#1f2733", "#667082", "#d5dbe4"
+ACCENT, LINE = "#18a078", "#d5dbe4"
 FACE, FAINT, PASSIVE = "#f6f8fa", "#eef1f5", "#9aa5b4"
-LETTER, HEEL, TOE = "#8b96a6", "#667082", "#b4bcc8"
+LETTER, HEEL, TOE = "#8b96a6", MUTED, "#b4bcc8"
 PLAIN = "#546175"
 """Of buttons."""
 
