@@ -34,13 +34,13 @@ import numpy as np
 import tyro
 from flax import struct
 
-from pfnn_jax.motion.files import write_whole
-from pfnn_jax.runtime.character import ControllerParams, ControllerSetup
-from pfnn_jax.runtime.controller import Controller, make_controller, step
-from pfnn_jax.runtime.frame import Command
-from pfnn_jax.runtime.ground import lift, to_local
-from pfnn_jax.runtime.standing import start
-from pfnn_jax.training.run import list_styles, load_run
+from pfnn_jax.control.calibration import start
+from pfnn_jax.control.character import ControllerParams, ControllerSetup
+from pfnn_jax.control.controller import Controller, make_controller, step
+from pfnn_jax.control.ground import lift, to_local
+from pfnn_jax.control.loop.step import Command
+from pfnn_jax.io.files import write_whole
+from pfnn_jax.run import list_styles, load_run
 
 FPS = 60
 WALK_OFF, OBEY, STOP = 3 * FPS, 6 * FPS, 3 * FPS

@@ -19,11 +19,11 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from pfnn_jax.export.batch import sample_rows
-from pfnn_jax.export.reference_loop import load_network
-from pfnn_jax.export.run import export_run
-from pfnn_jax.runtime.predictor import evaluate, make_predictor
-from pfnn_jax.training.run import load_run
+from pfnn_jax.inference.predictor import evaluate, make_predictor
+from pfnn_jax.interop.export.batch import sample_rows
+from pfnn_jax.interop.export.reference_loop import load_network
+from pfnn_jax.interop.export.run import export_run
+from pfnn_jax.run import load_run
 
 ROUNDS = 300
 

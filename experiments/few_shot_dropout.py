@@ -26,30 +26,29 @@ import jax
 import numpy as np
 import tyro
 
-from experiments.markdown import markdown_table
+from experiments.common.markdown import markdown_table
+from pfnn_jax.control.stability import predictor_of
+from pfnn_jax.demo.pipeline import TURNS, DemoConfig, procedural_dataset, straight_walk
 from pfnn_jax.errors import InputError
-from pfnn_jax.evaluation.demo import TURNS, DemoConfig, procedural_dataset, straight_walk
 from pfnn_jax.evaluation.plots import loss_curves
 from pfnn_jax.evaluation.style_methods import without_adapter
 from pfnn_jax.evaluation.style_test import pose_and_velocity_error, predict_rows
+from pfnn_jax.inference.predictor import Predictor
+from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.network import Network
 from pfnn_jax.motion.clip import mirror_clip
-from pfnn_jax.motion.dataset import Dataset, load_dataset
-from pfnn_jax.motion.features import Features, clip_features, join_rows
-from pfnn_jax.motion.files import write_whole
-from pfnn_jax.motion.labelled import LabelledClip, load_labelled
-from pfnn_jax.motion.layout import FrameLayout
-from pfnn_jax.motion.phase import mirror_phase
-from pfnn_jax.motion.sources import ClipFile
-from pfnn_jax.motion.synthetic import STYLES, UNSEEN_STYLE, synthesise
-from pfnn_jax.runtime.predictor import Predictor
-from pfnn_jax.runtime.turning import predictor_of
+from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset
+from pfnn_jax.motion.datasets.labelled import LabelledClip, load_labelled
+from pfnn_jax.motion.datasets.sources import ClipFile
+from pfnn_jax.motion.features.clip_features import Features, clip_features, join_rows
+from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.motion.labels.phase import mirror_phase
+from pfnn_jax.motion.synthetic.walks import STYLES, UNSEEN_STYLE, synthesise
 from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.data import dataset_rows, hold_out, to_batch
 from pfnn_jax.training.few_shot import FewShotConfig, Method, train_grid
-from pfnn_jax.training.pretraining import init_state, train
-from pfnn_jax.training.stored import dataset_rows
-from pfnn_jax.training.style_data import hold_out, to_batch
-from pfnn_jax.viewer.drawing import save_figure
+from pfnn_jax.training.pretrain import init_state, train
+from pfnn_jax.viewer.draw.drawing import save_figure
 
 
 @dataclass(frozen=True)

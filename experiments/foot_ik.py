@@ -20,20 +20,20 @@ from typing import Any
 import numpy as np
 import tyro
 
-from experiments.markdown import markdown_table
+from experiments.common.markdown import markdown_table
+from pfnn_jax.control.generate import generate
+from pfnn_jax.control.ik.fix_feet import fix_feet, output_contacts
+from pfnn_jax.control.ik.pose import make_rig
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.metrics import bone_length_error, contact_sliding, jitter
+from pfnn_jax.io.checkpoint import write_json
+from pfnn_jax.io.files import write_whole
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.contacts import foot_contacts
-from pfnn_jax.motion.files import write_whole
 from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.labels.contacts import foot_contacts
+from pfnn_jax.motion.paths import figure_eight
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.runtime.fix_feet import fix_feet, output_contacts
-from pfnn_jax.runtime.generate import generate
-from pfnn_jax.runtime.paths import figure_eight
-from pfnn_jax.runtime.pose import make_rig
-from pfnn_jax.training.checkpoint import write_json
-from pfnn_jax.training.run import Run, list_styles, load_run
+from pfnn_jax.run import Run, list_styles, load_run
 
 COLUMNS = {
     "toes": ("toes slide, m/s", 3),

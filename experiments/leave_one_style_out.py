@@ -27,23 +27,23 @@ import jax
 import numpy as np
 import tyro
 
-from experiments.leave_one_style_out_table import write_summary
+from experiments.common.leave_one_style_out_table import write_summary
+from pfnn_jax.control.stability import predictor_of
 from pfnn_jax.evaluation.style_methods import GRIDS, compare_methods
 from pfnn_jax.evaluation.style_test import StyleTest, join_takes
+from pfnn_jax.io.files import write_whole
 from pfnn_jax.motion.clip import mirror_clip
-from pfnn_jax.motion.features import Features, clip_features, join_rows, select_rows
-from pfnn_jax.motion.files import write_whole
-from pfnn_jax.motion.labelled import load_labelled
-from pfnn_jax.motion.layout import FrameLayout, mason2018
-from pfnn_jax.motion.normaliser import Normaliser, fit_normaliser
-from pfnn_jax.motion.phase import mirror_phase
+from pfnn_jax.motion.datasets.labelled import load_labelled
+from pfnn_jax.motion.datasets.sources import list_clips
+from pfnn_jax.motion.features.clip_features import Features, clip_features, join_rows, select_rows
+from pfnn_jax.motion.features.layout import FrameLayout, mason2018
+from pfnn_jax.motion.features.normaliser import Normaliser, fit_normaliser
+from pfnn_jax.motion.labels.phase import mirror_phase
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.sources import list_clips
-from pfnn_jax.runtime.turning import predictor_of
 from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.data import style_data, to_batch
 from pfnn_jax.training.few_shot import FewShotConfig, train_grid
-from pfnn_jax.training.pretraining import init_state, train
-from pfnn_jax.training.style_data import style_data, to_batch
+from pfnn_jax.training.pretrain import init_state, train
 
 
 @dataclass(frozen=True)

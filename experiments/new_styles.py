@@ -4,7 +4,7 @@ Parent    Mason 2022 §5.3.2 and Figure 11: the FiLM generator is fine-tuned on 
 Question  what does each way of adding a style need (parameters, seconds, frames), and what does it reach on takes that
           were not used: another walk, side steps, walking back, running? Does fine-tuning separate the new styles?
 Data      Bandai-Namco-1: active, angry, happy, old, tired, on the skeleton of Bandai-Namco-2, with which
-          `experiments.test_error` pretrained the models. Learned from the first walk and its mirror image.
+          `experiments.one_step_error` pretrained the models. Learned from the first walk and its mirror image.
 Expect    see docs/results.md.
 Run       python -m experiments.new_styles --pretrained runs/test_error --data OLD --new NEW --out runs/new_styles
           OLD is the folder that test_error was given, NEW that of the new styles. Each style is written when it is
@@ -23,8 +23,8 @@ import jax
 import numpy as np
 import tyro
 
-from experiments.markdown import markdown_table
-from experiments.new_style_methods import (
+from experiments.common.markdown import markdown_table
+from experiments.common.new_style_methods import (
     WAYS,
     Budget,
     Learned,
@@ -33,9 +33,9 @@ from experiments.new_style_methods import (
     named,
     window_films,
 )
-from experiments.new_style_plot import film_map
-from experiments.new_style_table import MEASURES, ratios, summary, table
-from experiments.seven_measures import (
+from experiments.common.new_style_plot import film_map
+from experiments.common.new_style_table import MEASURES, ratios, summary, table
+from experiments.common.seven_measures import (
     Reference,
     make_reference,
     one_step,
@@ -43,16 +43,15 @@ from experiments.seven_measures import (
     real_motion,
     rollout_test,
 )
-from experiments.seven_models import Model, load_model
-from experiments.seven_takes import Take, Takes, load_takes, windows_of
-from experiments.test_error import network_folder
+from experiments.common.seven_models import Model, load_model
+from experiments.common.seven_takes import Take, Takes, load_takes, windows_of
+from experiments.one_step_error import network_folder
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.plots import error_bars
 from pfnn_jax.evaluation.style_classifier import ClassifierConfig, train_classifier
+from pfnn_jax.io.files import json_text, write_whole
 from pfnn_jax.models.film import Film, film_to_vector
-from pfnn_jax.motion.files import write_whole
-from pfnn_jax.motion.plain import json_text
-from pfnn_jax.viewer.drawing import save_figure
+from pfnn_jax.viewer.draw.drawing import save_figure
 
 LEARN = "walk"
 """Content of the takes of which the first is learned from."""
@@ -66,7 +65,7 @@ class Config:
     """The experiment.
 
     Attributes:
-        pretrained: folder of results of `experiments.test_error`.
+        pretrained: folder of results of `experiments.one_step_error`.
         data: the data that those were trained on.
         new: folder of BVH files of the new styles.
         out: folder of results.
@@ -247,7 +246,7 @@ def _need(config: Config, name: str, known: Takes) -> Model:
     folder = network_folder(config.pretrained, name, config.seed)
     model = load_model(folder, known)
     if model is None:
-        raise InputError(folder, "network", "absent", "experiments.test_error must have trained it, with this seed")
+        raise InputError(folder, "network", "absent", "experiments.one_step_error must have trained it, with this seed")
     return model
 
 

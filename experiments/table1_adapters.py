@@ -25,15 +25,15 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from experiments.markdown import markdown_table
-from pfnn_jax.evaluation.benchmark_runtime import random_predictor, walk
-from pfnn_jax.evaluation.benchmark_training import random_frames
-from pfnn_jax.evaluation.timing import Work, interleave, machine, versions
+from experiments.common.markdown import markdown_table
+from pfnn_jax.benchmarks.runtime import random_predictor, walk
+from pfnn_jax.benchmarks.timing import Work, interleave, machine, versions
+from pfnn_jax.benchmarks.training import random_frames
+from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
+from pfnn_jax.inference.predictor import Predictor, evaluate
+from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind
 from pfnn_jax.models.network import NetworkConfig, init_network
-from pfnn_jax.motion.files import write_whole
-from pfnn_jax.runtime.lookup import evaluate_lookup, make_lookup
-from pfnn_jax.runtime.predictor import Predictor, evaluate
 from pfnn_jax.training.few_shot import FewShotConfig, train_grid
 
 MEBIBYTE = 2**20

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from experiments import few_shot_dropout, table1_adapters
+from pfnn_jax.benchmarks.runtime import random_predictor
 from pfnn_jax.errors import InputError
-from pfnn_jax.evaluation.benchmark_runtime import random_predictor
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.models.network import NetworkConfig
 

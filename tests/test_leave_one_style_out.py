@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from experiments.common.leave_one_style_out_table import COLUMNS, compare_takes, pooled_choice
 from experiments.leave_one_style_out import Config, load_takes, main, make_fold
-from experiments.leave_one_style_out_table import COLUMNS, compare_takes, pooled_choice
 from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, GRIDS
 
 STYLES = ("elderly", "normal", "youthful")

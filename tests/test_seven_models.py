@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import new_styles, table2_models, test_error
-from experiments.new_style_methods import WAYS, Budget, by_content
-from experiments.seven_measures import GROUPS
-from experiments.seven_models import load_model
-from experiments.seven_takes import GAP, LAYOUT_NAMES, Take, common_columns, load_takes, split_takes
-from experiments.test_error_table import COLUMNS
+from experiments import new_styles, one_step_error, table2_models
+from experiments.common.new_style_methods import WAYS, Budget, by_content
+from experiments.common.one_step_error_table import COLUMNS
+from experiments.common.seven_measures import GROUPS
+from experiments.common.seven_models import load_model
+from experiments.common.seven_takes import GAP, LAYOUT_NAMES, Take, common_columns, load_takes, split_takes
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.film import Film
 from pfnn_jax.models.presets import TABLE2
@@ -40,14 +40,14 @@ def takes(folder):
 @pytest.fixture(scope="module")
 def config(folder, tmp_path_factory):
     """The tiny sizes on two takes of each style."""
-    return test_error.Config(
+    return one_step_error.Config(
         data=str(folder), out=tmp_path_factory.mktemp("result"), models=LEARNED, tiny=True, circle_seconds=2.5
     )
 
 
 @pytest.fixture(scope="module")
 def result(config):
-    return test_error.main(config)
+    return one_step_error.main(config)
 
 
 def test_all_models_see_the_same_frames(takes):
@@ -92,16 +92,16 @@ def test_every_measure_of_every_model(config, result):
 
 
 def test_what_is_there_is_not_trained_again(config, result):
-    assert test_error.main(config)["models"] == result["models"]
+    assert one_step_error.main(config)["models"] == result["models"]
 
 
 def test_results_of_other_settings_are_not_mixed(config, result):
     with pytest.raises(InputError, match=r"steps: \d+; results of 4"):
-        test_error.main(replace(config, tiny=False, hidden=16))
+        one_step_error.main(replace(config, tiny=False, hidden=16))
 
 
 def test_saved_models_come_back(config, result, folder):
-    model = load_model(test_error.network_folder(config.out, "lpn_film", 0), load_takes(str(folder), most=2))
+    model = load_model(one_step_error.network_folder(config.out, "lpn_film", 0), load_takes(str(folder), most=2))
     assert model is not None and model.styles == ("elderly", "normal")
     assert model.config.adapter == TABLE2["lpn_film"].adapter and model.generator is not None
     style = model.style("normal")
@@ -110,7 +110,7 @@ def test_saved_models_come_back(config, result, folder):
 
 def test_an_unknown_model_is_refused(tmp_path):
     with pytest.raises(InputError, match="models: lpn; must be of pfnn_one_hot"):
-        test_error.Config(data="synthetic", out=tmp_path, models=("lpn",))
+        one_step_error.Config(data="synthetic", out=tmp_path, models=("lpn",))
 
 
 def test_every_way_of_adding_a_style(config, result, mocap, tmp_path):

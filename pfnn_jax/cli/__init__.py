@@ -18,7 +18,7 @@ def main(args: Sequence[str] | None = None) -> None:
     try:
         with _ended_by_interrupts():
             from pfnn_jax.cli.command_line import run  # seconds, for libraries are loaded
-            from pfnn_jax.viewer.background import ends_with
+            from pfnn_jax.viewer.page.background import ends_with
         with ends_with():
             run(args)
     except KeyboardInterrupt:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from pfnn_jax.motion.files import refuse_existing, require_suffix
+from pfnn_jax.io.files import refuse_existing, require_suffix
 
 FLAT = tyro.conf.arg(name="")
 """Settings appear as --hidden, not --config.hidden."""

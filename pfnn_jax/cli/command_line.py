@@ -17,8 +17,7 @@ from pfnn_jax.cli.rendering import Render
 from pfnn_jax.cli.running import Benchmark, Evaluate, Generate, ImportReleased, Predict
 from pfnn_jax.cli.viewing import Play
 from pfnn_jax.errors import InputError, TrainingError
-from pfnn_jax.motion.files import write_whole
-from pfnn_jax.motion.plain import json_text
+from pfnn_jax.io.files import json_text, write_whole
 
 COMMANDS = {
     "demo": Demo,

@@ -15,14 +15,14 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.phase_plot import phase_plot
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import resample
-from pfnn_jax.motion.dataset import Dataset, prepare
-from pfnn_jax.motion.local_phase import LocalPhaseConfig
-from pfnn_jax.motion.phase import label_phase, write_phase
-from pfnn_jax.motion.preparation import PrepareConfig
-from pfnn_jax.motion.sources import clips_of_styles, list_clips
-from pfnn_jax.motion.splits import WINDOW
+from pfnn_jax.motion.datasets.dataset import Dataset, prepare
+from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.sources import clips_of_styles, list_clips
+from pfnn_jax.motion.datasets.splits import WINDOW
+from pfnn_jax.motion.labels.local_phase import LocalPhaseConfig
+from pfnn_jax.motion.labels.phase import label_phase, write_phase
 from pfnn_jax.motion.trajectory import LAYOUT_FPS
-from pfnn_jax.viewer.drawing import save_figure
+from pfnn_jax.viewer.draw.drawing import save_figure
 
 
 @dataclass(frozen=True, kw_only=True)

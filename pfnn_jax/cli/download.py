@@ -11,7 +11,7 @@ from tyro.conf import Positional as Argument
 
 from pfnn_jax.cli.base import Command
 from pfnn_jax.cli.progress import byte_progress
-from pfnn_jax.motion.download import RECORD, download_100style
+from pfnn_jax.motion.datasets.download import RECORD, download_100style
 
 
 @dataclass(frozen=True, kw_only=True)

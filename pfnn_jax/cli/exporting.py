@@ -10,9 +10,9 @@ import tyro
 from tyro.conf import Positional as Argument
 
 from pfnn_jax.cli.base import Command
-from pfnn_jax.export.run import Format, export_run
-from pfnn_jax.runtime.mixture import parse_style
-from pfnn_jax.training.run import list_styles
+from pfnn_jax.inference.mixture import parse_style
+from pfnn_jax.interop.export.run import Format, export_run
+from pfnn_jax.run import list_styles
 
 
 @dataclass(frozen=True, kw_only=True)

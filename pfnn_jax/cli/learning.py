@@ -11,15 +11,15 @@ from tyro.conf import Positional as Argument
 
 from pfnn_jax.cli.base import FLAT, Command
 from pfnn_jax.cli.progress import stage_progress, training_progress
-from pfnn_jax.evaluation.demo import DemoConfig, demo
-from pfnn_jax.motion.dataset import load_dataset
-from pfnn_jax.motion.sources import ClipFile, is_symmetric
-from pfnn_jax.runtime.learn import learn_style, tune_style
+from pfnn_jax.demo.pipeline import DemoConfig, demo
+from pfnn_jax.motion.datasets.dataset import load_dataset
+from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
+from pfnn_jax.run import Run, load_run
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.few_shot import FILM, PAPER, FewShotConfig
-from pfnn_jax.training.generator_tuning import TuningConfig
-from pfnn_jax.training.loop import pretrain
-from pfnn_jax.training.run import Run, load_run
+from pfnn_jax.training.pretrain import pretrain
+from pfnn_jax.training.tuning import TuningConfig
+from pfnn_jax.workflows.learn import learn_style, tune_style
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,11 +12,11 @@ from tyro.conf import Positional as Argument
 from pfnn_jax.cli.base import Command
 from pfnn_jax.cli.progress import frame_progress
 from pfnn_jax.errors import InputError
+from pfnn_jax.io.files import refuse_existing
 from pfnn_jax.motion.bvh import read_bvh
-from pfnn_jax.motion.files import refuse_existing
-from pfnn_jax.viewer.body import Up, upright
+from pfnn_jax.viewer.draw.body import Up, upright
+from pfnn_jax.viewer.draw.tracks import Track, cut_track, label_track
 from pfnn_jax.viewer.render import MOMENTS, check_output, render
-from pfnn_jax.viewer.tracks import Track, cut_track, label_track
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,21 +9,21 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional as Argument
 
+from pfnn_jax.benchmarks.suite import print_benchmark, run_benchmark
 from pfnn_jax.cli.base import Command, check_file
+from pfnn_jax.control.drive_along import drive_along
+from pfnn_jax.control.generate import Mode, generate
 from pfnn_jax.errors import InputError
-from pfnn_jax.evaluation.benchmark import print_benchmark, run_benchmark
 from pfnn_jax.evaluation.clips import evaluate_clips
+from pfnn_jax.inference.mixture import parse_style
+from pfnn_jax.inference.rows import LayerNorm, RowMode, predict_file
+from pfnn_jax.interop.released.holden2017 import import_released_pfnn
+from pfnn_jax.interop.released.mason2018 import import_released_cp
+from pfnn_jax.interop.released.mason2022 import import_released_lpn
 from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.sources import list_clips
-from pfnn_jax.runtime.drive_along import drive_along
-from pfnn_jax.runtime.generate import Mode, generate
-from pfnn_jax.runtime.mixture import parse_style
-from pfnn_jax.runtime.paths import make_path
-from pfnn_jax.runtime.released import import_released_pfnn
-from pfnn_jax.runtime.released_cp import import_released_cp
-from pfnn_jax.runtime.released_lpn import import_released_lpn
-from pfnn_jax.runtime.rows import LayerNorm, RowMode, predict_file
-from pfnn_jax.training.run import list_styles, load_run
+from pfnn_jax.motion.datasets.sources import list_clips
+from pfnn_jax.motion.paths import make_path
+from pfnn_jax.run import list_styles, load_run
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ import tyro
 from tyro.conf import Positional as Argument
 
 from pfnn_jax.cli.base import Command
-from pfnn_jax.viewer.play import LOCAL, play
+from pfnn_jax.viewer.page.play import LOCAL, play
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,12 +10,12 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.style_test import join_takes, one_step_test
-from pfnn_jax.motion.clip_file import ClipFile
-from pfnn_jax.motion.footsteps import NoGaitError
-from pfnn_jax.motion.takes import load_take
-from pfnn_jax.runtime.learn import clip_parts
-from pfnn_jax.runtime.predictor import Predictor, make_predictor
-from pfnn_jax.training.run import Run, list_styles
+from pfnn_jax.inference.predictor import Predictor, make_predictor
+from pfnn_jax.motion.datasets.clip_file import ClipFile
+from pfnn_jax.motion.datasets.takes import load_take
+from pfnn_jax.motion.labels.footsteps import NoGaitError
+from pfnn_jax.run import Run, list_styles
+from pfnn_jax.workflows.learn import clip_parts
 
 
 def evaluate_clips(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfnn_jax.motion.layout import FrameLayout
+from pfnn_jax.motion.features.layout import FrameLayout
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "pose": ("joint_position", "joint_forward", "joint_up", "joint_rotation"),

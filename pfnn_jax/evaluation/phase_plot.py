@@ -18,11 +18,13 @@ from matplotlib.patches import Patch
 
 from pfnn_jax.evaluation.plots import SERIES
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.end_effectors import END_EFFECTORS, EndEffectors, end_effectors
-from pfnn_jax.motion.local_phase import (
+from pfnn_jax.motion.labels.local_phase import (
+    END_EFFECTORS,
+    EndEffectors,
     LocalPhaseConfig,
     PrincipalAxes,
     clip_local_phases,
+    end_effectors,
     fit_axes,
     goes_by_contacts,
     smooth_sources,
@@ -30,9 +32,9 @@ from pfnn_jax.motion.local_phase import (
 )
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.trajectory import to_local
-from pfnn_jax.viewer.body import body_capsules, body_points, capsule_ends
-from pfnn_jax.viewer.drawing import draw_body
-from pfnn_jax.viewer.palette import GRID, INK, MUTED
+from pfnn_jax.viewer.draw.body import body_capsules, body_points, capsule_ends
+from pfnn_jax.viewer.draw.drawing import draw_body
+from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED
 
 PHASE, CONTACT, AXIS = SERIES[0], SERIES[2], SERIES[3]
 LEFT, RIGHT, TOP, BODIES, PANEL, GAP, BOTTOM = 1.0, 0.55, 0.62, 2.0, 0.85, 0.12, 0.5  # inches

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from pfnn_jax.motion.clip_file import ClipFile
-from pfnn_jax.motion.dataset import prepare
-from pfnn_jax.motion.preparation import PrepareConfig
-from pfnn_jax.motion.workers import default_workers, map_in_order
+from pfnn_jax.motion.datasets.clip_file import ClipFile
+from pfnn_jax.motion.datasets.dataset import prepare
+from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.workers import default_workers, map_in_order
 
 UNIT = 1 if sys.platform == "darwin" else 1024
 """Bytes of the system's unit of memory."""

@@ -15,11 +15,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.files import write_whole
-from pfnn_jax.motion.plain import json_text
-from pfnn_jax.viewer.drawing import png_bytes
-from pfnn_jax.viewer.player import player_assets, player_html
-from pfnn_jax.viewer.tracks import Track
+from pfnn_jax.io.files import json_text, write_whole
+from pfnn_jax.viewer.draw.drawing import png_bytes
+from pfnn_jax.viewer.draw.tracks import Track
+from pfnn_jax.viewer.player.player import player_assets, player_html
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pfnn_jax.control.loop.rollout import locked_rollout
+from pfnn_jax.control.stability import TURN_RATE, walk_circles
 from pfnn_jax.evaluation.metrics import (
     achieved_turn_rate,
     bone_length_error,
@@ -21,12 +23,10 @@ from pfnn_jax.evaluation.metrics import (
     resting_heights,
     skating_ratio,
 )
-from pfnn_jax.motion.features import Features, join_rows, root_steps, select_rows, usual_speed
-from pfnn_jax.motion.layout import FrameLayout
+from pfnn_jax.inference.predictor import Predictor, evaluate
+from pfnn_jax.motion.features.clip_features import Features, join_rows, root_steps, select_rows, usual_speed
+from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
-from pfnn_jax.runtime.predictor import Predictor, evaluate
-from pfnn_jax.runtime.rollout import locked_rollout
-from pfnn_jax.runtime.turning import TURN_RATE, walk_circles
 
 LOCKED_SECONDS = 3.0
 """Length of the rollouts with root, trajectory and phase locked to the truth."""

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from pfnn_jax.motion.frame_layout import FrameLayout
-from pfnn_jax.motion.layout import TRAJECTORY_OFFSETS
+from pfnn_jax.motion.features.layout import TRAJECTORY_OFFSETS, FrameLayout
 from pfnn_jax.motion.skeleton import Roles
 
 LAYOUT_FPS = 60.0

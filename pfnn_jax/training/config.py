@@ -10,8 +10,8 @@ from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.film_generator import GeneratorConfig
 from pfnn_jax.models.network import NetworkConfig
-from pfnn_jax.motion.frame_layout import FrameLayout
-from pfnn_jax.training.batches import CLIP_FRAMES, Rows, num_clip_columns
+from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.training.data import CLIP_FRAMES, Rows, num_clip_columns
 from pfnn_jax.training.losses import PenaltyNorm
 from pfnn_jax.training.steps import Objective, bones_of
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pfnn_jax.models.film import Film
 from pfnn_jax.models.film_generator import FilmGenerator
-from pfnn_jax.training.batches import Rows, clip_columns, window_rows
+from pfnn_jax.training.data import Rows, clip_columns, window_rows
 from pfnn_jax.training.steps import generate_films
 
 CHUNK = 16  # clips through the generator at once

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.motion.frame_layout import FrameLayout
+from pfnn_jax.motion.features.layout import FrameLayout
 
 PenaltyNorm = Literal["mean", "sum"]
 

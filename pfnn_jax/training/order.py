@@ -1,14 +1,14 @@
-"""Which rows and clips every step sees: a function of the seed and the step's number alone, so that runs resume."""
+"""Training data too large for the device: minibatches read ahead from disk while the device works."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from pfnn_jax.training.batches import Draw, Rows
+from pfnn_jax.training.data import Batch, Draw, Rows, gather_from
 
 _ROWS, _CLIPS = 0, 1  # streams of random numbers, so that clips are drawn independently of the frames
 
@@ -87,3 +87,21 @@ class StepOrder:
 def order_of(data: Rows, batch_size: int, seed: int, num_clips: int = 0) -> StepOrder:
     """The order of a training run over `data`."""
     return StepOrder(data.first_row, batch_size, seed, num_clips, data.windows, data.first_window)
+
+
+AHEAD = 2
+"""Dispatches that are prepared while the device works on one."""
+
+
+def stream_batches(data: Rows, order: StepOrder, dispatches: list[tuple[int, int]]) -> Iterator[Batch]:
+    """The minibatches of dispatches (first step, number of steps), leaves [n, B, ...], read ahead in threads.
+
+    The same numbers as the path that keeps the data on the device: a minibatch is a function of its step alone.
+    """
+    import grain  # two seconds of imports, which only data of this size should cost
+
+    def batches(dispatch: tuple[int, int]) -> Batch:
+        return gather_from(data, order.draw(*dispatch))
+
+    options = grain.ReadOptions(num_threads=AHEAD, prefetch_buffer_size=AHEAD)
+    return iter(grain.MapDataset.source(dispatches).map(batches).to_iter_dataset(options))

@@ -18,8 +18,8 @@ from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.film import Film
 from pfnn_jax.models.film_generator import FilmGenerator
 from pfnn_jax.models.network import Network, coefficients, forward
-from pfnn_jax.motion.frame_layout import FrameLayout
-from pfnn_jax.training.batches import Batch, Draw, Rows
+from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.training.data import Batch, Draw, Rows
 from pfnn_jax.training.losses import PenaltyNorm, bone_length_loss, l1_penalty, squared_error
 
 

@@ -14,13 +14,13 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.files import refuse_existing, require_suffix, write_whole
-from pfnn_jax.viewer.drawing import png_bytes
-from pfnn_jax.viewer.film import Film
-from pfnn_jax.viewer.filmstrip import filmstrip
-from pfnn_jax.viewer.palette import PANEL
-from pfnn_jax.viewer.player import FPS, player_page
-from pfnn_jax.viewer.tracks import Track
+from pfnn_jax.io.files import refuse_existing, require_suffix, write_whole
+from pfnn_jax.viewer.draw.drawing import png_bytes
+from pfnn_jax.viewer.draw.film import Film
+from pfnn_jax.viewer.draw.filmstrip import filmstrip
+from pfnn_jax.viewer.draw.palette import PANEL
+from pfnn_jax.viewer.draw.tracks import Track
+from pfnn_jax.viewer.player.player import FPS, player_page
 
 GIF_FPS, GIF_DPI, GIF_COLOURS, GIF_SAMPLES = 20.0, 80, 128, 8
 MP4_FPS, MP4_DPI, MP4_QUALITY = 30.0, 150, 6

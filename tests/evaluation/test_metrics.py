@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pfnn_jax.evaluation import metrics
+from pfnn_jax.motion.features.layout import mason2018, pfnn2017
 from pfnn_jax.motion.kinematics import forward_kinematics
-from pfnn_jax.motion.layout import mason2018, pfnn2017
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.synthetic import STYLES, stance_contacts, synthesise
+from pfnn_jax.motion.synthetic.walks import STYLES, stance_contacts, synthesise
 from pfnn_jax.motion.trajectory import root_motion
 
 EXACT = 1e-12  # float64 rounding of sums of a few hundred terms

@@ -15,10 +15,10 @@ from pfnn_jax.cli import main
 from pfnn_jax.evaluation.phase_plot import AXIS, phase_plot
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
-from pfnn_jax.motion.local_phase import clip_local_phases, toe_contacts
-from pfnn_jax.motion.sources import list_clips, load_clip
-from pfnn_jax.motion.synthetic import synthesise
-from pfnn_jax.viewer.drawing import png_bytes
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.labels.local_phase import clip_local_phases, toe_contacts
+from pfnn_jax.motion.synthetic.walks import synthesise
+from pfnn_jax.viewer.draw.drawing import png_bytes
 
 PNG = b"\x89PNG"
 

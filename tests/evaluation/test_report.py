@@ -13,10 +13,10 @@ from matplotlib import _pylab_helpers
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation import plots, report
-from pfnn_jax.motion.synthetic import synthesise
-from pfnn_jax.viewer.body import body_points
-from pfnn_jax.viewer.drawing import save_figure
-from pfnn_jax.viewer.filmstrip import filmstrip, to_view
+from pfnn_jax.motion.synthetic.walks import synthesise
+from pfnn_jax.viewer.draw.body import body_points
+from pfnn_jax.viewer.draw.drawing import save_figure
+from pfnn_jax.viewer.draw.filmstrip import filmstrip, to_view
 from tests.viewer.pages import check_page, make_track
 
 

@@ -25,10 +25,10 @@ from pfnn_jax.evaluation.style_classifier import (
     train_classifier,
 )
 from pfnn_jax.motion.clip import mirror_clip, resample
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.sources import list_clips, load_clip
-from pfnn_jax.motion.synthetic import synthetic_clips
+from pfnn_jax.motion.synthetic.walks import synthetic_clips
 
 FLOAT32 = 1e-5  # windows are stored in single precision, metres and metres per second below 10
 ROUNDING = 1e-9  # of sums over a few hundred products in double precision

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.clip import MotionClip, resample
-from pfnn_jax.motion.contacts import foot_contacts, leg_length, slow_feet
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
 from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.labels.contacts import foot_contacts, leg_length, slow_feet
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.sources import list_clips, load_clip
-from pfnn_jax.motion.synthetic import STYLES, synthesise
-from pfnn_jax.motion.synthetic_skeleton import SHIN, THIGH
+from pfnn_jax.motion.synthetic.skeleton import SHIN, THIGH
+from pfnn_jax.motion.synthetic.walks import STYLES, synthesise
 
 LEFT, RIGHT = slice(0, 2), slice(2, 4)
 

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion import dataset as dataset_module
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip
-from pfnn_jax.motion.clip_file import ClipFile
-from pfnn_jax.motion.dataset import Dataset, PrepareConfig, load_dataset, prepare
-from pfnn_jax.motion.features import clip_features
-from pfnn_jax.motion.labelled import LabelledClip
-from pfnn_jax.motion.normaliser import fit_normaliser
-from pfnn_jax.motion.phase import mirror_phase
+from pfnn_jax.motion.datasets import dataset as dataset_module
+from pfnn_jax.motion.datasets.clip_file import ClipFile
+from pfnn_jax.motion.datasets.dataset import Dataset, PrepareConfig, load_dataset, prepare
+from pfnn_jax.motion.datasets.labelled import LabelledClip
+from pfnn_jax.motion.datasets.sources import list_clips
+from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.features.normaliser import fit_normaliser
+from pfnn_jax.motion.labels.phase import mirror_phase
 from pfnn_jax.motion.skeleton import skeleton_from_json, skeleton_to_json
-from pfnn_jax.motion.sources import list_clips
-from pfnn_jax.motion.synthetic import mixed_schedule, synthesise
+from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
 from pfnn_jax.motion.trajectory import wrap_angle
 
 FLOAT32 = 1e-5  # a few ulp of values of order 10

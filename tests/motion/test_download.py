@@ -21,10 +21,10 @@ from typing import Any
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion import archive as archive_module
-from pfnn_jax.motion.download import download_100style
-from pfnn_jax.motion.fetch import Patience
-from pfnn_jax.motion.sources import list_clips
+from pfnn_jax.motion.datasets import archive as archive_module
+from pfnn_jax.motion.datasets.download import download_100style
+from pfnn_jax.motion.datasets.fetch import Patience
+from pfnn_jax.motion.datasets.sources import list_clips
 
 QUICK = Patience(tries=3, pause=0.0, timeout=10.0)
 GAITS = ("BR", "BW", "FR", "FW", "ID", "SR", "SW", "TR1")
@@ -214,7 +214,7 @@ def test_a_busy_server_is_asked_again(serve, tmp_path, status):
 
 def test_pauses_grow_and_heed_the_server(serve, tmp_path, monkeypatch):
     slept: list[float] = []
-    monkeypatch.setattr("pfnn_jax.motion.fetch.time", SimpleNamespace(sleep=slept.append))
+    monkeypatch.setattr("pfnn_jax.motion.datasets.fetch.time", SimpleNamespace(sleep=slept.append))
     site = serve(statuses=[503] * 3)
     patience = Patience(tries=4, pause=0.5, timeout=10.0)
     download_100style(tmp_path / "styles", record_url=site.record_url, patience=patience)
@@ -494,6 +494,6 @@ def test_the_command_tells_where_the_takes_are(serve, tmp_path, capsys):
 
 
 def test_nothing_but_the_standard_library_is_needed():
-    code = "import sys, pfnn_jax.motion.download; assert not {'numpy', 'scipy', 'jax'} & set(sys.modules), 'imported'"
+    code = "import sys, pfnn_jax.motion.datasets.download; assert not {'numpy', 'scipy', 'jax'} & set(sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

@@ -11,14 +11,14 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip, resample
-from pfnn_jax.motion.features import Features, clip_features, clip_from_outputs
-from pfnn_jax.motion.gait import estimate_gait, flat_crouch, read_gait
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.features.clip_features import Features, clip_features, clip_from_outputs
+from pfnn_jax.motion.features.layout import NOW, mason2018, pfnn2017
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw, quat_multiply, quat_rotate
-from pfnn_jax.motion.layout import NOW, mason2018, pfnn2017
-from pfnn_jax.motion.phase import PhaseLabels, cut_phase, mirror_phase, read_phase, resample_phase
+from pfnn_jax.motion.labels.contacts import estimate_gait, flat_crouch, read_gait
+from pfnn_jax.motion.labels.phase import PhaseLabels, cut_phase, mirror_phase, read_phase, resample_phase
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.sources import list_clips, load_clip
-from pfnn_jax.motion.synthetic import mixed_schedule, synthesise
+from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
 from pfnn_jax.motion.trajectory import root_motion, to_world, wrap_angle
 
 GOLDEN = 1e-3  # standard deviations: the golden file's own rounding is float32

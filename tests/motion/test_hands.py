@@ -10,11 +10,11 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import mirror_clip
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.features.layout import layout_for
 from pfnn_jax.motion.hands import extend_hands
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
-from pfnn_jax.motion.layout import layout_for
 from pfnn_jax.motion.roles import find_roles
-from pfnn_jax.motion.sources import list_clips, load_clip
 from tests.motion.skeletons import BODY, body, body_clip
 
 EXACT = 1e-12  # metres: float64 of numbers of order one

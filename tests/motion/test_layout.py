@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.blocks import Interleaved, block_columns, column_names
-from pfnn_jax.motion.layout import (
+from pfnn_jax.motion.features.layout import (
     LAYOUTS,
+    Interleaved,
+    block_columns,
+    column_names,
     layout_for,
     mason2018,
     mason2022,

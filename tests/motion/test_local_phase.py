@@ -9,13 +9,15 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, mirror_clip
-from pfnn_jax.motion.end_effectors import EndEffectors, end_effectors
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply, quat_rotate
-from pfnn_jax.motion.local_phase import (
+from pfnn_jax.motion.labels.local_phase import (
+    EndEffectors,
     LocalPhaseConfig,
     PrincipalAxes,
     clip_local_phases,
     contact_source,
+    end_effectors,
     fit_axes,
     local_phases,
     mirror_local_phases,
@@ -24,8 +26,7 @@ from pfnn_jax.motion.local_phase import (
     speeds,
     toe_contacts,
 )
-from pfnn_jax.motion.sources import list_clips, load_clip
-from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.motion.trajectory import wrap_angle
 
 FPS = 60.0

@@ -10,15 +10,15 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip
-from pfnn_jax.motion.features import clip_features, clip_from_outputs, root_steps
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.features.clip_features import clip_features, clip_from_outputs, root_steps
+from pfnn_jax.motion.features.layout import NOW, FrameLayout, layout_for, mason2018, mason2022
 from pfnn_jax.motion.hands import extend_hands
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw, quat_multiply, quat_rotate
-from pfnn_jax.motion.layout import NOW, FrameLayout, layout_for, mason2018, mason2022
-from pfnn_jax.motion.local_phase import clip_local_phases, mirror_local_phases, toe_contacts
-from pfnn_jax.motion.phase import PhaseLabels, mirror_phase
+from pfnn_jax.motion.labels.local_phase import clip_local_phases, mirror_local_phases, toe_contacts
+from pfnn_jax.motion.labels.phase import PhaseLabels, mirror_phase
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.sources import list_clips, load_clip
-from pfnn_jax.motion.synthetic import mixed_schedule, synthesise
+from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
 from pfnn_jax.motion.trajectory import Root, hips_root, layout_root, to_local, to_world, wrap_angle
 
 WORLD = 2e-5  # metres, metres per second: float32 of numbers up to ten, differentiated at 60 frames a second

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.layout import mason2018, mason2022, mason2022_mann, pfnn2017
-from pfnn_jax.motion.normaliser import CHUNK, Statistics, fit_normaliser, load_normaliser, save_normaliser
+from pfnn_jax.motion.features.layout import mason2018, mason2022, mason2022_mann, pfnn2017
+from pfnn_jax.motion.features.normaliser import CHUNK, Statistics, fit_normaliser, load_normaliser, save_normaliser
 
 FLOAT32 = 1e-6  # relative; one rounding of each statistic to float32
 LAYOUT = mason2018(2)

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, mirror_clip, resample
-from pfnn_jax.motion.footsteps import NoGaitError
-from pfnn_jax.motion.phase import (
+from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, load_clip
+from pfnn_jax.motion.labels.footsteps import NoGaitError
+from pfnn_jax.motion.labels.phase import (
     CYCLE,
     PhaseLabels,
     cut_phase,
@@ -23,8 +24,7 @@ from pfnn_jax.motion.phase import (
     resample_phase,
     write_phase,
 )
-from pfnn_jax.motion.sources import ClipFile, list_clips, load_clip
-from pfnn_jax.motion.synthetic import STYLES, mixed_schedule, synthesise
+from pfnn_jax.motion.synthetic.walks import STYLES, mixed_schedule, synthesise
 from pfnn_jax.motion.trajectory import wrap_angle
 
 FILE = 1e-6 * CYCLE  # radians; files hold six decimals of a cycle
@@ -296,7 +296,7 @@ def test_a_skeleton_without_roles_is_refused():
 
 def test_labels_beside_a_file_need_every_frame(mocap, tmp_path):
     """A `.phase` file of another length than the BVH file is refused when a clip is loaded with its labels."""
-    from pfnn_jax.motion.labelled import load_labelled
+    from pfnn_jax.motion.datasets.labelled import load_labelled
 
     source = mocap / "xia" / "neutral_01_000.bvh"
     path = tmp_path / source.name

@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io.npy import NpyWriter
 from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.dataset import Dataset, load_dataset, prepare
-from pfnn_jax.motion.labelled import LabelledClip
-from pfnn_jax.motion.layout import mason2022
-from pfnn_jax.motion.moments import NO_ROWS, moments_of
-from pfnn_jax.motion.npy import NpyWriter
-from pfnn_jax.motion.preparation import PrepareConfig
-from pfnn_jax.motion.sources import list_clips
-from pfnn_jax.motion.splits import row_windows, split_blocks, take_generator
-from pfnn_jax.motion.synthetic import mixed_schedule, synthesise
-from pfnn_jax.motion.takes import has_hand_ends, load_take, take_features
-from pfnn_jax.motion.workers import map_in_order
+from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset, prepare
+from pfnn_jax.motion.datasets.labelled import LabelledClip
+from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.sources import list_clips
+from pfnn_jax.motion.datasets.splits import row_windows, split_blocks, take_generator
+from pfnn_jax.motion.datasets.takes import has_hand_ends, load_take, take_features
+from pfnn_jax.motion.datasets.workers import map_in_order
+from pfnn_jax.motion.features.layout import mason2022
+from pfnn_jax.motion.features.normaliser import NO_ROWS, moments_of
+from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
 from tests.motion.tasks import invert
 
 FLOAT64 = 1e-12  # rounding of sums over some hundred rows
@@ -238,9 +238,9 @@ def test_processes_answer_in_order_and_pass_errors_on():
 SCRIPT = """
 import sys
 from pathlib import Path
-from pfnn_jax.motion.dataset import prepare
-from pfnn_jax.motion.preparation import PrepareConfig
-from pfnn_jax.motion.sources import list_clips
+from pfnn_jax.motion.datasets.dataset import prepare
+from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.sources import list_clips
 print("once")
 prepare(list_clips(sys.argv[1]), Path(sys.argv[2]), PrepareConfig("mason2022", test=0.1), workers=2)
 assert "jax" not in sys.modules

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pfnn_jax.motion.features import Features, clip_features
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.features.clip_features import Features, clip_features
+from pfnn_jax.motion.features.layout import layout_for, mason2022
 from pfnn_jax.motion.hands import extend_hands
-from pfnn_jax.motion.layout import layout_for, mason2022
-from pfnn_jax.motion.sources import list_clips, load_clip
 
 LAYOUT = mason2022()
 STYLES = {"Neutral_FW": 50, "Angry_FW": 2}  # take: number of its style in the release

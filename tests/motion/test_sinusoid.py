@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.clip import resample
-from pfnn_jax.motion.end_effectors import end_effectors
-from pfnn_jax.motion.local_phase import fit_axes, normalise_source, source_functions
-from pfnn_jax.motion.sinusoid import HIGHEST, LOWEST, Sinusoids, fit_sinusoids
-from pfnn_jax.motion.sources import list_clips, load_clip
-from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.labels.local_phase import end_effectors, fit_axes, normalise_source, source_functions
+from pfnn_jax.motion.labels.sinusoid import HIGHEST, LOWEST, Sinusoids, fit_sinusoids
+from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.motion.trajectory import wrap_angle
 
 FPS, WIDTH = 60.0, 31

@@ -10,13 +10,20 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import CMU, write_bvh
-from pfnn_jax.motion.clip_file import ASYMMETRIC, ClipFile, is_symmetric
+from pfnn_jax.motion.datasets.clip_file import ASYMMETRIC, ClipFile, is_symmetric
+from pfnn_jax.motion.datasets.sources import (
+    check_style_name,
+    clips_of_styles,
+    find_kind,
+    list_clips,
+    load_clip,
+    read_take,
+)
+from pfnn_jax.motion.datasets.style100 import CUTS as CUTS_FILE
+from pfnn_jax.motion.datasets.style100 import STYLES as STYLES_FILE
+from pfnn_jax.motion.datasets.style100 import read_symmetric, style100_files
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.sources import check_style_name, clips_of_styles, find_kind, list_clips, load_clip, read_take
-from pfnn_jax.motion.style100 import CUTS as CUTS_FILE
-from pfnn_jax.motion.style100 import STYLES as STYLES_FILE
-from pfnn_jax.motion.style100 import read_symmetric, style100_files
 from tests.motion.skeletons import body_clip
 
 CUTS = "STYLE_NAME,FW_START,FW_STOP,ID_START,ID_STOP\nAngry,2,6,3,200\nOld,0,4,N/A,N/A\n"

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pfnn_jax.motion import synthetic
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import forward_kinematics
-from pfnn_jax.motion.synthetic_body import STANDING
-from pfnn_jax.motion.synthetic_skeleton import SHIN, THIGH
+from pfnn_jax.motion.synthetic import walks as synthetic
+from pfnn_jax.motion.synthetic.body import STANDING
+from pfnn_jax.motion.synthetic.skeleton import SHIN, THIGH
 
 EXACT = 1e-12  # metres: float64 rounding over positions of tens of metres and chains of eight joints
 WRITTEN = 1e-5  # metres: six decimals of centimetres and degrees

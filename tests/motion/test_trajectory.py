@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pfnn_jax.motion.datasets.sources import list_clips, load_clip
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.sources import list_clips, load_clip
-from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.motion.trajectory import (
     Root,
     hips_root,

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.motion.layout import mason2018, mason2022
-from pfnn_jax.training.batches import (
+from pfnn_jax.motion.features.layout import mason2018, mason2022
+from pfnn_jax.training.data import (
     Batch,
     clip_columns,
     cut_windows,

@@ -14,7 +14,7 @@ from pfnn_jax.models.adapters import OneHot
 from pfnn_jax.models.film import Film
 from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
 from pfnn_jax.models.network import Network, NetworkConfig, config_of, init_network, num_parameters
-from pfnn_jax.training.batches import Batch
+from pfnn_jax.training.data import Batch
 from pfnn_jax.training.few_shot import (
     METHODS,
     PAPER,
@@ -22,20 +22,18 @@ from pfnn_jax.training.few_shot import (
     Choice,
     FewShotConfig,
     Method,
-    choose,
-    initial_parameters,
-    refit,
-    settings_grid,
-    train_bank,
-    train_grid,
-)
-from pfnn_jax.training.few_shot_steps import (
     Setting,
     assemble,
+    choose,
     few_shot_step,
     init_few_shot_state,
+    initial_parameters,
     padded_permutation,
+    refit,
+    settings_grid,
     sorts_of,
+    train_bank,
+    train_grid,
 )
 from pfnn_jax.training.losses import l1_penalty, squared_error
 from pfnn_jax.training.steps import Objective, bones_of, predict_batch

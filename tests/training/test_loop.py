@@ -16,18 +16,17 @@ import pytest
 from pfnn_jax.errors import InputError, TrainingError
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
-from pfnn_jax.motion.dataset import prepare
-from pfnn_jax.motion.labelled import LabelledClip
-from pfnn_jax.motion.preparation import PrepareConfig
-from pfnn_jax.motion.synthetic import synthetic_clips
-from pfnn_jax.training.batches import gather_from
+from pfnn_jax.motion.datasets.dataset import prepare
+from pfnn_jax.motion.datasets.labelled import LabelledClip
+from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.synthetic.walks import synthetic_clips
+from pfnn_jax.run import list_styles, load_generator, load_run, load_style, train_step
 from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.data import dataset_rows, gather_from, stored_rows
 from pfnn_jax.training.films import mean_films
 from pfnn_jax.training.log import read_metrics
-from pfnn_jax.training.loop import pretrain
 from pfnn_jax.training.order import order_of
-from pfnn_jax.training.run import list_styles, load_generator, load_run, load_style, train_step
-from pfnn_jax.training.stored import dataset_rows, stored_rows
+from pfnn_jax.training.pretrain import pretrain
 
 CONFIG = PretrainConfig(
     adapter=AdapterConfig(rank=2), hidden=8, steps=60, batch_size=16, steps_per_dispatch=5, save_every=10
@@ -37,8 +36,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 KILLED = """
 import sys, time
-from pfnn_jax.motion.dataset import load_dataset
-from pfnn_jax.training.loop import pretrain
+from pfnn_jax.motion.datasets.dataset import load_dataset
+from pfnn_jax.training.pretrain import pretrain
 from tests.training.test_loop import CONFIG
 def on_progress(progress):
     print(progress.step, flush=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.motion.layout import mason2018, mason2022, pfnn2017
+from pfnn_jax.motion.features.layout import mason2018, mason2022, pfnn2017
 from pfnn_jax.training.losses import bone_length_loss, l1_penalty, squared_error
 
 FLOAT32 = 1e-6  # a few ulp over sums of six terms near one

@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io import checkpoint
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
 from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
 from pfnn_jax.models.network import NetworkConfig, init_network
-from pfnn_jax.motion.layout import mason2018
-from pfnn_jax.motion.normaliser import Normaliser, Statistics
+from pfnn_jax.motion.features.layout import mason2018
+from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
-from pfnn_jax.training import checkpoint
-from pfnn_jax.training.log import append_metrics, read_metrics, rewind_metrics
-from pfnn_jax.training.run import (
+from pfnn_jax.run import (
+    RunConfig,
     adapter_form,
     create_run,
     list_styles,
+    load_config,
     load_generator,
     load_run,
     load_style,
@@ -32,7 +33,7 @@ from pfnn_jax.training.run import (
     style_note,
     train_step,
 )
-from pfnn_jax.training.run_config import RunConfig, load_config
+from pfnn_jax.training.log import append_metrics, read_metrics, rewind_metrics
 
 HIDDEN, JOINTS = 6, 3
 LAYOUT = mason2018(JOINTS)

@@ -16,7 +16,7 @@ from jax.test_util import check_grads
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
 from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.network import NetworkConfig, init_network, predict
-from pfnn_jax.training.batches import Batch, Draw
+from pfnn_jax.training.data import Batch, Draw
 from pfnn_jax.training.order import order_of
 from pfnn_jax.training.steps import (
     Objective,

@@ -6,10 +6,9 @@ import jax
 import numpy as np
 
 from pfnn_jax.models.network import Network, NetworkConfig, init_network
-from pfnn_jax.motion.frame_layout import FrameLayout
-from pfnn_jax.motion.layout import LAYOUTS
-from pfnn_jax.motion.normaliser import Statistics
-from pfnn_jax.training.batches import Batch, Draw, StyleData, cut_windows
+from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout
+from pfnn_jax.motion.features.normaliser import Statistics
+from pfnn_jax.training.data import Batch, Draw, StyleData, cut_windows
 
 INPUTS, OUTPUTS, HIDDEN = 5, 4, 16
 STYLES = ("angry", "old", "proud")

@@ -13,12 +13,12 @@ import pytest
 
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.dataset import prepare
-from pfnn_jax.motion.labelled import LabelledClip
-from pfnn_jax.motion.preparation import PrepareConfig
-from pfnn_jax.motion.synthetic import synthesise, synthetic_clips
+from pfnn_jax.motion.datasets.dataset import prepare
+from pfnn_jax.motion.datasets.labelled import LabelledClip
+from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.loop import pretrain
+from pfnn_jax.training.pretrain import pretrain
 
 STYLES = ("depressed", "neutral", "proud")
 PATIENCE = 60.0  # seconds: a browser that draws without a graphics card, on a busy machine of two cores
@@ -57,8 +57,8 @@ def second_run(played_run, tmp_path_factory) -> Path:
 def served(played_run, second_run) -> Iterator[Any]:
     """The page of the small run and of a second one, on a free port."""
     pytest.importorskip("viser", reason="viser is not installed")
-    from pfnn_jax.viewer.play import Page
-    from pfnn_jax.viewer.stage import Stage
+    from pfnn_jax.viewer.page.play import Page
+    from pfnn_jax.viewer.page.stage import Stage
 
     stage = Stage([played_run, second_run])
     stage.warm_up()

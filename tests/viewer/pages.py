@@ -10,8 +10,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from pfnn_jax.motion.synthetic import STYLES, stance_contacts, synthesise
-from pfnn_jax.viewer.tracks import Track
+from pfnn_jax.motion.synthetic.walks import STYLES, stance_contacts, synthesise
+from pfnn_jax.viewer.draw.tracks import Track
 
 VOID = {"meta", "input", "img"}
 

@@ -10,12 +10,12 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.kinematics import forward_kinematics
-from pfnn_jax.viewer.actor import FASTEST, RUN, TURN_RATE, Actor
-from pfnn_jax.viewer.clock import CATCH_UP
-from pfnn_jax.viewer.keys import FIRST_HOLD, HOLD, TOGETHER, Keys, Wish
-from pfnn_jax.viewer.recording import LONGEST, Recording, bvh_bytes
-from pfnn_jax.viewer.stage import Stage
-from pfnn_jax.viewer.view import SPEED_SPAN, View, Way, phase_dials
+from pfnn_jax.viewer.page.actor import FASTEST, RUN, TURN_RATE, Actor
+from pfnn_jax.viewer.page.clock import CATCH_UP
+from pfnn_jax.viewer.page.keys import FIRST_HOLD, HOLD, TOGETHER, Keys, Wish
+from pfnn_jax.viewer.page.recording import LONGEST, Recording, bvh_bytes
+from pfnn_jax.viewer.page.stage import Stage
+from pfnn_jax.viewer.page.view import SPEED_SPAN, View, Way, phase_dials
 
 FRAME = 1.0 / 60.0
 SOON = 1e-6  # seconds either side of a moment

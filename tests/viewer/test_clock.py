@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pfnn_jax.viewer.clock import CATCH_UP, Clock
+from pfnn_jax.viewer.page.clock import CATCH_UP, Clock
 
 FPS = 60.0
 STEP = 1.0 / FPS

@@ -18,14 +18,14 @@ import pytest
 
 from pfnn_jax.cli import main, viewing
 from pfnn_jax.errors import InputError
-from pfnn_jax.viewer import background, play
+from pfnn_jax.viewer.page import background, play
 
 AT_ONCE = 15.0  # seconds: on a machine with other work; what is compiled then takes longer
 PATIENCE = 120.0  # seconds until it compiles
 PROGRAM = "from pfnn_jax.cli import main; main()"
 FAILING = """
 import threading, time
-from pfnn_jax.viewer import background
+from pfnn_jax.viewer.page import background
 threading.Thread(target=background.do, args=(lambda: time.sleep(600),), daemon=True).start()
 while not background._working:
     time.sleep(0.01)

@@ -12,16 +12,15 @@ import jax
 import numpy as np
 import pytest
 
+from pfnn_jax.control import stability as turning
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
-from pfnn_jax.motion.sources import ClipFile, check_style_name
-from pfnn_jax.runtime import turning
-from pfnn_jax.runtime.learn import learn_style
+from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
+from pfnn_jax.run import list_styles, load_run, load_style
 from pfnn_jax.training.few_shot import FewShotConfig
-from pfnn_jax.training.run import list_styles, load_run, load_style
-from pfnn_jax.viewer import learning
-from pfnn_jax.viewer.actor import Actor
-from pfnn_jax.viewer.learning import (
+from pfnn_jax.viewer.page import learning
+from pfnn_jax.viewer.page.actor import Actor
+from pfnn_jax.viewer.page.learning import (
     LONGEST,
     MOST_BYTES,
     MOST_FRAMES,
@@ -34,7 +33,8 @@ from pfnn_jax.viewer.learning import (
     prepare_learning,
     style_name,
 )
-from pfnn_jax.viewer.stage import Stage
+from pfnn_jax.viewer.page.stage import Stage
+from pfnn_jax.workflows.learn import learn_style
 
 FRAME = 1.0 / 60.0
 SMALL = FewShotConfig("cp", 4, learning_rates=(1e-3,), main_dropouts=(0.0,), stops=(1,))

@@ -14,9 +14,9 @@ import pytest
 import pfnn_jax
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, cut, resample
-from pfnn_jax.motion.synthetic import synthesise
-from pfnn_jax.viewer import player
-from pfnn_jax.viewer.notebook import show
+from pfnn_jax.motion.synthetic.walks import synthesise
+from pfnn_jax.viewer.player import player
+from pfnn_jax.viewer.player.notebook import show
 from tests.viewer.pages import captions, check_page, make_track, payload
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed")
 
-from pfnn_jax.viewer import play as play_module  # noqa: E402
+from pfnn_jax.viewer.page import play as play_module  # noqa: E402
 
 
 class Tab:

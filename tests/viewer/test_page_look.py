@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed")
 
-from pfnn_jax.viewer import dials  # noqa: E402
-from pfnn_jax.viewer.play import Page  # noqa: E402
+from pfnn_jax.viewer.page import dials  # noqa: E402
+from pfnn_jax.viewer.page.play import Page  # noqa: E402
 
 # A tab may close while its picture is being sent; a served page ignores it, but each test has filters of its own.
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning")

@@ -10,16 +10,16 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
-from pfnn_jax.motion.synthetic import synthesise
-from pfnn_jax.viewer import background, dials
-from pfnn_jax.viewer.body import capsule_ends
-from pfnn_jax.viewer.guard import names_of, objection
-from pfnn_jax.viewer.page_scene import camera_yaw
-from pfnn_jax.viewer.play import check_address, play
-from pfnn_jax.viewer.solids import TAPER, Body, Mesh, frustum, sphere
-from pfnn_jax.viewer.timeline import SAMPLES, Timeline
-from pfnn_jax.viewer.view import Dial
-from pfnn_jax.viewer.words import Values, word_of
+from pfnn_jax.motion.synthetic.walks import synthesise
+from pfnn_jax.viewer.draw.body import capsule_ends
+from pfnn_jax.viewer.draw.solids import TAPER, Body, Mesh, frustum, sphere
+from pfnn_jax.viewer.page import background, dials
+from pfnn_jax.viewer.page.guard import names_of, objection
+from pfnn_jax.viewer.page.play import check_address, play
+from pfnn_jax.viewer.page.scene import camera_yaw
+from pfnn_jax.viewer.page.timeline import SAMPLES, Timeline
+from pfnn_jax.viewer.page.view import Dial
+from pfnn_jax.viewer.page.words import Values, word_of
 
 EXACT = 1e-9  # float64 over a few products
 ROUND = 0.05  # share of a sphere's volume that its flat faces cut off

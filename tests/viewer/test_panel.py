@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.sources import check_style_name
-from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.motion.datasets.sources import check_style_name
+from pfnn_jax.motion.synthetic.walks import synthesise
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
 from viser import _messages as messages  # noqa: E402
 
-from pfnn_jax.viewer import dials  # noqa: E402
-from pfnn_jax.viewer import panel as panel_module  # noqa: E402
-from pfnn_jax.viewer import tab as tab_module  # noqa: E402
-from pfnn_jax.viewer.panel import Panel  # noqa: E402
-from pfnn_jax.viewer.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
-from pfnn_jax.viewer.tab import Tab  # noqa: E402
-from pfnn_jax.viewer.uploads import MOST_GATHERED, drop_large  # noqa: E402
+from pfnn_jax.viewer.page import dials  # noqa: E402
+from pfnn_jax.viewer.page import panel as panel_module  # noqa: E402
+from pfnn_jax.viewer.page import tab as tab_module  # noqa: E402
+from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
+from pfnn_jax.viewer.page.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
+from pfnn_jax.viewer.page.tab import Tab  # noqa: E402
+from pfnn_jax.viewer.page.uploads import MOST_GATHERED, drop_large  # noqa: E402
 
 SOON = 20.0  # seconds: a thread's beginning and end, on a machine with other work
 

@@ -12,13 +12,13 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, resample
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_rotate
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.synthetic import synthesise, synthetic_skeleton
-from pfnn_jax.viewer import player
-from pfnn_jax.viewer.body import Z_TO_Y, body_capsules, body_points, capsule_ends, upright
-from pfnn_jax.viewer.palette import SIDES
-from pfnn_jax.viewer.player import player_html, player_page
-from pfnn_jax.viewer.scene import make_scene
-from pfnn_jax.viewer.tracks import Track, as_tracks, cut_track, foot_bars, label_track, phase_lines
+from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_skeleton
+from pfnn_jax.viewer.draw.body import Z_TO_Y, body_capsules, body_points, capsule_ends, upright
+from pfnn_jax.viewer.draw.palette import SIDES
+from pfnn_jax.viewer.draw.scene import make_scene
+from pfnn_jax.viewer.draw.tracks import Track, as_tracks, cut_track, foot_bars, label_track, phase_lines
+from pfnn_jax.viewer.player import player
+from pfnn_jax.viewer.player.player import player_html, player_page
 from tests.viewer.pages import captions, check_page, decoded, make_track, payload
 
 QUANTUM = 0.00051  # metres: half a millimetre of rounding

@@ -15,17 +15,17 @@ from pfnn_jax.cli import main
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import resample
-from pfnn_jax.motion.phase import label_phase, write_phase
-from pfnn_jax.motion.synthetic import synthesise
+from pfnn_jax.motion.labels.phase import label_phase, write_phase
+from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer import render as rendering
-from pfnn_jax.viewer.camera import Camera
-from pfnn_jax.viewer.drawing import body_shapes, outlines
-from pfnn_jax.viewer.film import Film
-from pfnn_jax.viewer.filmstrip import filmstrip
-from pfnn_jax.viewer.player import player_html
+from pfnn_jax.viewer.draw.camera import Camera
+from pfnn_jax.viewer.draw.drawing import body_shapes, outlines
+from pfnn_jax.viewer.draw.film import Film
+from pfnn_jax.viewer.draw.filmstrip import filmstrip
+from pfnn_jax.viewer.draw.scene import make_scene
+from pfnn_jax.viewer.draw.tracks import Track, label_track
+from pfnn_jax.viewer.player.player import player_html
 from pfnn_jax.viewer.render import render
-from pfnn_jax.viewer.scene import make_scene
-from pfnn_jax.viewer.tracks import Track, label_track
 from tests.viewer.pages import captions, check_page, make_track, payload
 
 EXACT = 1e-9
@@ -265,7 +265,7 @@ def test_a_film_of_a_bouncing_dot_shows_it():
 
 
 def test_pictures_are_whole_files(short):
-    from pfnn_jax.viewer.drawing import png_bytes
+    from pfnn_jax.viewer.draw.drawing import png_bytes
 
     with Image.open(io.BytesIO(png_bytes(filmstrip(short, moments=3), dpi=40))) as picture:
         picture.load()

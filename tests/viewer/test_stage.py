@@ -10,13 +10,13 @@ import jax
 import numpy as np
 import pytest
 
+from pfnn_jax.control.calibration import settle
+from pfnn_jax.control.controller import Controller, make_controller, step
 from pfnn_jax.errors import InputError
-from pfnn_jax.runtime.controller import Controller, make_controller, step
-from pfnn_jax.runtime.standing import settle
-from pfnn_jax.training.run import load_run, load_style, save_style
-from pfnn_jax.viewer.actor import Actor, fitted
-from pfnn_jax.viewer.stage import SPARE, Cast, Stage, joined, rehearse_walks
-from pfnn_jax.viewer.view import View
+from pfnn_jax.run import load_run, load_style, save_style
+from pfnn_jax.viewer.page.actor import Actor, fitted
+from pfnn_jax.viewer.page.stage import SPARE, Cast, Stage, joined, rehearse_walks
+from pfnn_jax.viewer.page.view import View
 
 FRAME = 1.0 / 60.0
 SHARE = 1e-5
@@ -184,7 +184,7 @@ def test_a_run_without_styles_takes_as_many_as_come(played_run, tmp_path, monkey
             monkeypatch.setattr(bare, "_casts", {"bare": replace(cast, controller=filled(cast.controller))})
         learned = load_style(saved, style)
         assert learned is not None
-        monkeypatch.setattr("pfnn_jax.viewer.stage.SPARE", spare)
+        monkeypatch.setattr("pfnn_jax.viewer.page.stage.SPARE", spare)
         save_style(path, style, learned, {"speed": 0.7})
         bare.add_style("bare", style)
         assert np.abs(after(FRAME).joints - before.joints).max() < 0.05

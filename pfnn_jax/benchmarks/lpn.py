@@ -1,0 +1,214 @@
+"""Speed of the system of Mason 2022: training with experts, one character, the FiLM generator, local phases."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.benchmarks.runtime import random_predictor, walk, write_synthetic
+from pfnn_jax.benchmarks.timing import Figure, figure, interleave
+from pfnn_jax.benchmarks.training import compare_steps
+from pfnn_jax.evaluation.prepared import Prepared, measure_preparation
+from pfnn_jax.inference.predictor import Predictor, evaluate
+from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.film import Film
+from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
+from pfnn_jax.models.layers import BlendedLayer
+from pfnn_jax.models.network import NetworkConfig
+from pfnn_jax.motion.datasets.sources import list_clips
+from pfnn_jax.motion.features.layout import LAYOUTS
+from pfnn_jax.motion.labels.local_phase import clip_local_phases
+from pfnn_jax.motion.labels.sinusoid import fit_sinusoids
+from pfnn_jax.motion.synthetic.walks import synthetic_clips
+from pfnn_jax.training.config import EXPERTS
+from pfnn_jax.training.data import num_clip_columns
+
+STEP_AIMS = {256: 10.0}
+"""How many times faster than with per-sample weights, by batch size."""
+
+CHARACTER_AIM = 1.2
+"""Times of plain NumPy with blended experts that a frame may take."""
+
+FIT_AIM = 50_000.0
+"""Windows per second of the sinusoid fit."""
+
+PREPARATION_AIM = 20_000.0
+"""Frames per second from BVH to a prepared dataset."""
+
+MEMORY_AIM = 4.0
+"""Gigabytes that preparation may take."""
+
+FIT_WINDOW = 31
+"""Frames of a window of the fit at 60 fps."""
+
+BONES = 4
+"""End effectors, each with a local phase."""
+
+LAYOUT = "mason2022"
+
+
+def lpn_sizes(num_joints: int, hidden: int) -> NetworkConfig:
+    """An LPN's sizes: 348 inputs, 342 outputs and 8 experts at 25 joints."""
+    layout = LAYOUTS[LAYOUT](num_joints)
+    return NetworkConfig(layout.input_size, layout.output_size, hidden, EXPERTS, phase_size=layout.phase_size)
+
+
+def lpn_step_figures(sizes: NetworkConfig, batch_size: int, repetitions: int, num_steps: int) -> list[Figure]:
+    """A training step of an LPN with a bank of Films beside the per-sample formulation, in pairs."""
+    section, aim = f"LPN training step, batch {batch_size}", STEP_AIMS.get(batch_size)
+    return compare_steps(section, sizes, AdapterConfig("film"), 0.0, batch_size, repetitions, num_steps, aim)
+
+
+class NumpyExperts:
+    """An LPN with FiLM as one writes it without a library.
+
+    Args:
+        predictor: the network and style.
+        blended: whether the experts are blended into one network, then three products; else the input is multiplied
+            with every coefficient first, and three products go over all experts: the same numbers.
+    """
+
+    def __init__(self, predictor: Predictor, blended: bool = True):
+        self.blended = blended
+        network, film = predictor.network, predictor.style
+        assert network.gating is not None and isinstance(film, Film)
+        layers = [layer for layer in network.layers if isinstance(layer, BlendedLayer)]
+        self.shapes = [layer.weights.shape[1:] for layer in layers]
+        self.experts = [np.array(layer.weights).reshape(len(layer.weights), -1) for layer in layers]
+        self.biases = [np.array(layer.biases) for layer in layers]
+        self.gating = [(np.array(layer.weights), np.array(layer.biases)) for layer in network.gating.layers]
+        self.scale, self.shift = np.array(film.scale), np.array(film.shift)
+        p = predictor
+        values = (p.input_mean, p.input_std, p.output_mean, p.output_std, p.phase_mean, p.phase_std)
+        self.statistics = [np.array(value) for value in values]
+
+    def __call__(self, x: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        """x [Dx] at phases [G] -> y [Dy], all in layout units."""
+        input_mean, input_std, output_mean, output_std, phase_mean, phase_std = self.statistics
+        g = self._gate((phase - phase_mean) / phase_std)
+        h = (x - input_mean) / input_std
+        for index in range(2):
+            f = self._layer(index, g, h)
+            f = f - f.mean()
+            h = _elu(self.scale[index] * f / np.sqrt((f * f).mean() + 1e-8) + self.shift[index])
+        return self._layer(2, g, h) * output_std + output_mean
+
+    def _gate(self, phase: np.ndarray) -> np.ndarray:
+        for index, (weights, biases) in enumerate(self.gating):
+            phase = phase @ weights + biases
+            phase = _elu(phase) if index < 2 else np.exp(phase - phase.max())
+        return phase / phase.sum()
+
+    def _layer(self, index: int, g: np.ndarray, h: np.ndarray) -> np.ndarray:
+        inputs, outputs = self.shapes[index]
+        if self.blended:
+            product = h @ (g @ self.experts[index]).reshape(inputs, outputs)
+        else:
+            product = (g[:, None] * h).reshape(-1) @ self.experts[index].reshape(-1, outputs)
+        return product + g @ self.biases[index]
+
+
+def _elu(x: np.ndarray) -> np.ndarray:
+    return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
+
+
+def lpn_character_figures(sizes: NetworkConfig, repetitions: int, num_frames: int) -> list[Figure]:
+    """One frame of one character by an LPN with FiLM, beside the same in NumPy in two ways.
+
+    Inputs and outputs are NumPy arrays, as an application holds them.
+    """
+    section = "LPN with FiLM, one character, one frame"
+    predictor = random_predictor(sizes, AdapterConfig("film"))
+    blended, flat = "NumPy, experts blended", "NumPy, products over all experts"
+    works = {
+        blended: NumpyExperts(predictor),
+        flat: NumpyExperts(predictor, blended=False),
+        "ours": partial(jax.jit(evaluate), predictor),
+    }
+    works = {name: walk(frame, sizes.input_size, num_frames, sizes.phase_size) for name, frame in works.items()}
+    seconds = interleave(works, repetitions)
+    times = [figure(section, name, 1e6 * value / num_frames, "us") for name, value in seconds.items()]
+    ratio = figure(section, "ours over NumPy", seconds["ours"] / seconds[blended], "x", at_most=CHARACTER_AIM)
+    return [*times, ratio, figure(section, "ours over NumPy's products", seconds["ours"] / seconds[flat], "x")]
+
+
+def generator_figures(config: GeneratorConfig, num_clips: int, repetitions: int) -> list[Figure]:
+    """Clips per second through the FiLM generator, and with the gradient of its parameters."""
+    section = f"FiLM generator, {num_clips} clips at once"
+    generator = film_generator(config)
+    parameters = generator.init(jax.random.key(0))
+    clips = jax.random.normal(jax.random.key(1), (num_clips, config.clip_frames, config.features))
+
+    @jax.jit
+    def films(parameters, clips):
+        return jax.vmap(lambda clip: generator.apply(parameters, clip))(clips)
+
+    def size(parameters, clips):
+        return sum(jnp.mean(leaf**2) for leaf in jax.tree.leaves(films(parameters, clips)))
+
+    works = {"clips": partial(films, parameters, clips)}
+    works["clips, with gradient"] = partial(jax.jit(jax.grad(size)), parameters, clips)
+    seconds = interleave(works, repetitions)
+    return [figure(section, name, num_clips / value, "1/s") for name, value in seconds.items()]
+
+
+def local_phase_figures(seconds_of_motion: float, repetitions: int) -> list[Figure]:
+    """Windows per second: the sinusoid fit alone, and whole clips from joints to phases (four windows a frame)."""
+    section = "local phases"
+    clip, _ = synthetic_clips("neutral", seconds_of_motion, clip_seconds=seconds_of_motion)[0]
+    frames = np.arange(clip.num_frames + FIT_WINDOW - 1) / clip.fps
+    rng = np.random.default_rng(0)
+    waves = [np.sin(2 * np.pi * np.cumsum(rng.uniform(0.8, 1.6, len(frames))) / clip.fps) for _ in range(BONES)]
+    sources = [wave + 0.1 * rng.normal(size=len(wave)) for wave in waves]
+    windows = np.concatenate([np.lib.stride_tricks.sliding_window_view(source, FIT_WINDOW) for source in sources])
+    works = {
+        "sinusoid fit": lambda: fit_sinusoids(windows, clip.fps).phase,
+        "clip to local phases": lambda: clip_local_phases(clip),
+    }
+    seconds = interleave(works, repetitions)
+    return [
+        figure(section, "sinusoid fit", len(windows) / seconds["sinusoid fit"], "windows/s", at_least=FIT_AIM),
+        figure(
+            section,
+            "clip to local phases",
+            BONES * clip.num_frames / seconds["clip to local phases"],
+            "windows/s",
+        ),
+    ]
+
+
+def lpn_preparation_figures(mocap: Path | None, seconds_per_style: float, repetitions: int) -> list[Figure]:
+    """Frames per second from BVH files to a prepared dataset on disk under `mason2022`, and the most memory taken.
+
+    Counted are frames at 60 fps, mirrored ones included; memory is that of all processes together. Of real motion
+    capture the whole of `bandai-namco-2` is read; without it, procedural walks.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        if mocap is not None and (mocap / "bandai-namco-2").is_dir():
+            name, files = "bandai-namco-2", list_clips(mocap / "bandai-namco-2")
+        else:
+            name, files = "synthetic clips", write_synthetic(Path(folder), seconds_per_style)
+        found = [measure_preparation(files, LAYOUT) for _ in range(repetitions)]
+    return preparation_rows(f"{name}: {len(files)} clips", found)
+
+
+def preparation_rows(name: str, found: list[Prepared]) -> list[Figure]:
+    """The figures of repeated preparations."""
+    section = f"preparation under {LAYOUT}, BVH to disk"
+    rates = np.array([one.rows / one.seconds for one in found])
+    memory = np.array([one.peak_bytes / 1e9 for one in found])
+    return [
+        figure(section, name, rates, "frames/s", at_least=PREPARATION_AIM),
+        figure(section, "peak memory", memory, "GB", at_most=MEMORY_AIM),
+    ]
+
+
+def generator_config(num_joints: int, hidden: int, filters: int, width: int) -> GeneratorConfig:
+    """The generator for a character of J joints and a network of H hidden units."""
+    features = num_clip_columns(LAYOUTS[LAYOUT](num_joints))
+    return GeneratorConfig(features, filters=filters, hidden=width, film_hidden=hidden)

@@ -1,0 +1,237 @@
+"""Many frames: a character driven by commands or along a path, and a pose left to itself while all else is the truth.
+
+Everything here is one `lax.scan`, compiled once per network function, layout and length. A batch of characters is a
+`vmap`; so is a batch of styles, with the shared network left unbatched:
+
+    def walk(style):
+        return follow_path(evaluate, predictor.replace(style=style), layout, state, track, 600)
+
+    frames = jax.vmap(walk)(bank)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from pfnn_jax.control.ground import lift, root_yaw, to_world, unit, wrapped
+from pfnn_jax.control.loop.pursuit import Track, advance_progress, point_at, pursue
+from pfnn_jax.control.loop.state import ROOT, CharacterState
+from pfnn_jax.control.loop.step import CONTROLLERS, Command, ControllerConfig, published_step
+from pfnn_jax.motion.features.layout import FrameLayout
+
+EvaluateFn = Callable[[Any, jax.Array, jax.Array], jax.Array]
+"""(params, x [Dx], phase [] or [G]) -> y [Dy] in layout units, as `evaluate` and `evaluate_lookup`."""
+
+
+@struct.dataclass(kw_only=True)
+class Frames:
+    """What happened at every frame.
+
+    Attributes:
+        outputs: [T, Dy] the network's outputs in layout units, of frame i relative to root i.
+        root_positions: [T, 2] metres, root i.
+        root_yaw: [T] radians about +Y, 0 = facing +Z.
+        phase: [T] radians, or [T, G] in layout units, at which frame i was evaluated.
+        joint_positions: [T, J, 3] metres in the world, blended with the previous pose: of frame i, or of frame i+1
+            where the layout is of the next frame (as the outputs are).
+        state: of the character before the frame after the last, to go on from.
+        progress: [T] metres along the followed path, never falling, or None.
+        path_distance: [T] metres from the root to the path there, or None.
+    """
+
+    outputs: jax.Array
+    root_positions: jax.Array
+    root_yaw: jax.Array
+    phase: jax.Array
+    joint_positions: jax.Array
+    state: CharacterState
+    progress: jax.Array | None = None
+    path_distance: jax.Array | None = None
+
+
+@struct.dataclass(kw_only=True)
+class Stability:
+    """What a rollout says about the network that made it. Infinite where the rollout was not finite.
+
+    Attributes:
+        finite: [] bool.
+        pose_distance: [] mean over frames of the mean squared normalised distance of the joint positions from the
+            mean pose; about 1 or less on the data.
+        pose_peak: [] the largest of these over the frames.
+        speed: [] metres per second, mean along the ground.
+        turn_rate: [] radians per second about +Y, mean.
+        trajectory_error: [] metres, mean distance to the path, or None without one.
+    """
+
+    finite: jax.Array
+    pose_distance: jax.Array
+    pose_peak: jax.Array
+    speed: jax.Array
+    turn_rate: jax.Array
+    trajectory_error: jax.Array | None = None
+
+
+@partial(jax.jit, static_argnames=("evaluate_fn", "layout", "config"))
+def rollout(
+    evaluate_fn: EvaluateFn,
+    params: Any,
+    layout: FrameLayout,
+    state: CharacterState,
+    commands: Command,
+    *,
+    config: ControllerConfig | None = None,
+) -> Frames:
+    """A character under a command for every frame.
+
+    Args:
+        evaluate_fn: (params, x [Dx], phase []) -> y [Dy] in layout units; a function, the same object at every call.
+        params: its parameters, as a `Predictor`.
+        layout: of x and y.
+        state: where the character begins.
+        commands: with a leading axis T: velocity [T, 2] metres per second and direction [T, 2], in the world.
+        config: by default the published constants of the layout.
+    """
+
+    def frame(state: CharacterState, command: Command):
+        after, y = published_step(partial(evaluate_fn, params), layout, state, command, config)
+        return after, (y, state.phase, _seen(after))
+
+    final, (outputs, phase, seen) = jax.lax.scan(frame, state, commands)
+    return Frames(outputs=outputs, phase=phase, state=final, **seen)
+
+
+@partial(jax.jit, static_argnames=("evaluate_fn", "layout", "num_frames", "config"))
+def follow_path(
+    evaluate_fn: EvaluateFn,
+    params: Any,
+    layout: FrameLayout,
+    state: CharacterState,
+    track: Track,
+    num_frames: int,
+    *,
+    config: ControllerConfig | None = None,
+) -> Frames:
+    """A character along a path: at every frame it is sent towards the point that lies `look_ahead` seconds further on.
+
+    Args:
+        evaluate_fn, params, layout, state, config: as for `rollout`.
+        track: the path and the speed asked for. At the end of an open path the character is told to stand.
+        num_frames: T.
+    """
+    constants = config or CONTROLLERS[layout.name]
+
+    def frame(carry, _):
+        state, progress = carry
+        root = state.positions[ROOT]
+        progress = advance_progress(track, root, progress)
+        command = pursue(track, state, progress, constants)
+        after, y = published_step(partial(evaluate_fn, params), layout, state, command, constants)
+        distance = jnp.linalg.norm(root - point_at(track, progress))
+        return (after, progress), (y, state.phase, _seen(after), progress, distance)
+
+    start = (state, jnp.zeros((), state.positions.dtype))
+    (final, _), (outputs, phase, seen, progress, distance) = jax.lax.scan(frame, start, length=num_frames)
+    return Frames(outputs=outputs, phase=phase, state=final, progress=progress, path_distance=distance, **seen)
+
+
+@partial(jax.jit, static_argnames=("evaluate_fn", "layout"))
+def locked_rollout(
+    evaluate_fn: EvaluateFn, params: Any, layout: FrameLayout, x: jax.Array, phase: jax.Array
+) -> jax.Array:
+    """Outputs when root, trajectory and phase are the truth and only the pose is fed back.
+
+    It measures the pose alone: no drift of the root away from the clip can make up or add to the error.
+
+    Args:
+        evaluate_fn, params, layout: as for `rollout`.
+        x: [T, Dx] true inputs of consecutive frames, in layout units; the pose of the first one starts the rollout.
+        phase: [T] radians, or [T, G] in layout units, true.
+
+    Returns:
+        [T, Dy] outputs in layout units; the joints of one are those of the next input (by the layout's frame rule;
+        where the layout is of the next frame, moved from root i into the true root i+1), without blending.
+    """
+    blocks = tuple(name for name in layout.input_blocks if name.startswith("joint_"))
+    # The last row has no successor; its pose is not read any more.
+    following = jnp.concatenate([x[1:], x[-1:]])
+
+    def frame(pose, row):
+        x, after, phase = row
+        for name, block in pose.items():
+            x = x.at[layout.input_slice(name)].set(block)
+        y = evaluate_fn(params, x, phase)
+        pose = {name: y[layout.output_slice(name)] for name in blocks}
+        return (_into_next_root(layout, pose, row[0], after) if layout.next_frame else pose), y
+
+    start = {name: x[0, layout.input_slice(name)] for name in blocks}
+    return jax.lax.scan(frame, start, (x, following, phase))[1]
+
+
+def _into_next_root(layout: FrameLayout, pose: dict[str, jax.Array], x: jax.Array, after: jax.Array):
+    """A pose seen from root i as seen from root i+1, by the true inputs of the two frames.
+
+    Inputs do not hold the step of the root. But the velocities of frame i+1 lead back to the pose of frame i, which is
+    thus known from both roots: the rigid motion between the two is the step.
+    """
+
+    def ground(row: jax.Array, name: str) -> jax.Array:
+        return row[layout.input_slice(name)].reshape(-1, 3)[:, jnp.asarray([0, 2])]
+
+    here = ground(x, "joint_position")
+    there = ground(after, "joint_position") - ground(after, "joint_velocity") / (layout.fps * layout.time_unit)
+    middles = jnp.mean(here, axis=0), jnp.mean(there, axis=0)
+    a, b = here - middles[0][None], there - middles[1][None]
+    turned = unit(jnp.stack([jnp.sum(a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]), jnp.sum(a * b)]))
+    shift = middles[1] - to_world(middles[0], turned)
+    moved = {name: to_world(block.reshape(-1, 3), turned) for name, block in pose.items()}
+    moved["joint_position"] = moved["joint_position"] + lift(shift)[None]
+    return {name: block.reshape(-1) for name, block in moved.items()}
+
+
+def stability(
+    layout: FrameLayout, frames: Frames, output_mean: jax.Array, output_std: jax.Array, *, settle: int = 60
+) -> Stability:
+    """Summary of a rollout for the choice of settings.
+
+    Args:
+        layout: of the outputs.
+        frames: of one character.
+        output_mean, output_std: [Dy] of the normaliser, in layout units.
+        settle: frames at the start that are left out of the means.
+    """
+    pose = layout.output_slice("joint_position")
+    normalised = (frames.outputs[:, pose] - output_mean[None, pose]) / output_std[None, pose]
+    distance = jnp.mean(normalised**2, axis=1)[settle:]
+    finite = jnp.isfinite(frames.outputs).all() & jnp.isfinite(frames.joint_positions).all()
+    finite = finite & jnp.isfinite(frames.root_positions).all() & jnp.isfinite(frames.root_yaw).all()
+    steps = jnp.linalg.norm(jnp.diff(frames.root_positions[settle:], axis=0), axis=1)
+    turns = jnp.diff(frames.root_yaw[settle:])
+    turns = wrapped(turns)
+
+    def sound(value: jax.Array) -> jax.Array:
+        return jnp.where(finite, value, jnp.inf)
+
+    error = None if frames.path_distance is None else sound(jnp.mean(frames.path_distance[settle:]))
+    return Stability(
+        finite=finite,
+        pose_distance=sound(jnp.mean(distance)),
+        pose_peak=sound(jnp.max(distance)),
+        speed=sound(jnp.mean(steps) * layout.fps),
+        turn_rate=sound(jnp.mean(turns) * layout.fps),
+        trajectory_error=error,
+    )
+
+
+def _seen(after: CharacterState) -> dict[str, jax.Array]:
+    """Root and joints of the frame that a step has just placed."""
+    return {
+        "root_positions": after.positions[ROOT - 1],
+        "root_yaw": root_yaw(after.directions[ROOT - 1]),
+        "joint_positions": after.joint_positions,
+    }

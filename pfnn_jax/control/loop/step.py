@@ -1,0 +1,180 @@
+"""One character under control: what a command does to the trajectory, and what a network's output does to the body.
+
+The loop of Holden 2017, Mason 2018 (§5.1) and Mason 2022, a pure function of one character and one frame:
+`published_step`. At frame i
+
+1. `steer` turns the predicted future trajectory towards the command,
+2. `network_input` writes x_i from the state,
+3. the network predicts y_i, and
+4. `advance` places the joints and moves root, phase and trajectory on to frame i+1.
+
+The state is in metres, seconds and radians in the world; layouts are met only in 2 and 4, of which there are two frame
+rules: `rule_2017` and, for layouts of the next frame, `rule_2022`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from pfnn_jax.control.ground import length, mix, turn_towards
+from pfnn_jax.control.loop import rule_2017, rule_2022
+from pfnn_jax.control.loop.state import NUM_POINTS, ROOT, CharacterState
+from pfnn_jax.motion.features.layout import FrameLayout
+
+Evaluate = Callable[[jax.Array, jax.Array], jax.Array]
+"""(x [Dx], phase [] or [G]) -> y [Dy], in layout units."""
+
+
+@dataclass(frozen=True)
+class ControllerConfig:
+    """How a character answers its commands. Shares are per frame at 60 fps.
+
+    Attributes:
+        position_bias, direction_bias: a future point at w of a second takes 1 - (1 - w)^bias of the command.
+        velocity_rate, direction_rate, gait_rate: share of the way from the old target to the commanded one.
+        look_ahead: seconds of the commanded speed by which a followed path is looked ahead.
+        pose_rate: share of the predicted joint positions; the rest is the previous pose moved on by its velocity.
+        stand_speed: metres per second below which the gait turns into standing.
+        jog_speed: metres per second from which the gait is jog (only `pfnn2017` reads gaits other than stand).
+        trajectory_rate, phase_rate: shares of the predicted trajectory and local phases, see `rule_2022` (layouts of
+            the next frame only).
+        steering: least share of the angle between its facing and the way to a followed path by which a character is
+            turned, see `pursuit`. Below 1 it keeps the swaying that belongs to its style.
+        command_gain: by what commanded velocities are multiplied. A network that was steered by other numbers than
+            metres per second answers to those.
+    """
+
+    position_bias: float
+    direction_bias: float
+    velocity_rate: float
+    direction_rate: float
+    gait_rate: float
+    look_ahead: float
+    pose_rate: float = 0.5
+    stand_speed: float = 0.06
+    jog_speed: float = 2.0
+    trajectory_rate: float = 0.85
+    phase_rate: float = 0.5
+    steering: float = 1.0
+    command_gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        shares = (
+            "velocity_rate",
+            "direction_rate",
+            "gait_rate",
+            "pose_rate",
+            "trajectory_rate",
+            "phase_rate",
+            "steering",
+        )
+        for name in shares:
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"ControllerConfig.{name} must be in (0, 1], got {getattr(self, name)}.")
+        for name in ("position_bias", "direction_bias", "stand_speed", "jog_speed", "look_ahead", "command_gain"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"ControllerConfig.{name} must be above 0, got {getattr(self, name)}.")
+
+
+_MASON = ControllerConfig(0.75, 1.25, velocity_rate=0.25, direction_rate=0.25, gait_rate=0.25, look_ahead=0.8)
+_MASON_2022 = replace(_MASON, steering=0.25)
+
+CONTROLLERS = {
+    "mason2018": _MASON,
+    "mason2022": _MASON_2022,
+    "mason2022_mann": _MASON_2022,
+    "mason2022_pfnn": _MASON_2022,
+    "pfnn2017": ControllerConfig(0.5, 2.0, velocity_rate=0.9, direction_rate=0.9, gait_rate=0.1, look_ahead=0.6),
+}
+"""The constants of the published demos, by layout. None follows paths: the look-aheads are those that kept
+closest to circles and figures of eight, with the released network and with one trained on procedural walks."""
+
+
+@struct.dataclass(kw_only=True)
+class Command:
+    """What is asked of a character at one frame, in the world.
+
+    Attributes:
+        velocity: [2] metres per second on the ground (x, z); zero asks it to stand.
+        direction: [2] unit vector that it shall face.
+        style: [C] weights of the styles that a `pfnn_jax.control.controller.Controller` holds; None leaves the style
+            as it is. The published loop does not read them.
+    """
+
+    velocity: jax.Array
+    direction: jax.Array
+    style: jax.Array | None = None
+
+
+def published_step(
+    evaluate: Evaluate,
+    layout: FrameLayout,
+    state: CharacterState,
+    command: Command,
+    config: ControllerConfig | None = None,
+) -> tuple[CharacterState, jax.Array]:
+    """One frame of one character.
+
+    Args:
+        evaluate: the network, (x [Dx], phase [] or [G]) -> y [Dy] in layout units.
+        layout: its layout.
+        state: before frame i.
+        command: of frame i.
+        config: by default the published constants of the layout.
+
+    Returns:
+        The state before frame i+1, and y_i [Dy] in layout units. Root i is the state's point `ROOT - 1`; its joints
+        are those that y_i predicts: of frame i, or of frame i+1 where the layout is of the next frame.
+    """
+    config = config or CONTROLLERS[layout.name]
+    state = steer(layout, state, command, config)
+    y = evaluate(network_input(layout, state), state.phase)
+    return advance(layout, state, y, config), y
+
+
+def steer(layout: FrameLayout, state: CharacterState, command: Command, config: ControllerConfig) -> CharacterState:
+    """The state with its target, gait and future trajectory drawn towards the command."""
+    velocity = mix(state.target_velocity, config.command_gain * command.velocity, config.velocity_rate)
+    facing = turn_towards(state.target_direction, command.direction, config.direction_rate)
+    ahead = np.arange(1, NUM_POINTS - ROOT, dtype=np.float32) / 60.0
+    toward_position = 1.0 - (1.0 - ahead[:, None]) ** config.position_bias
+    toward_direction = 1.0 - (1.0 - ahead) ** config.direction_bias
+    steps = mix(jnp.diff(state.positions[ROOT:], axis=0), velocity[None] / layout.fps, toward_position)
+    future = state.positions[ROOT][None] + jnp.cumsum(steps, axis=0)
+    directions = turn_towards(state.directions[ROOT + 1 :], facing, toward_direction)
+    gait = mix(state.gait[ROOT], _wanted_gait(velocity, config), config.gait_rate)
+    return replace(
+        state,
+        positions=state.positions.at[ROOT + 1 :].set(future),
+        directions=state.directions.at[ROOT + 1 :].set(directions),
+        gait=state.gait.at[ROOT:].set(gait),
+        target_velocity=velocity,
+        target_direction=facing,
+    )
+
+
+def network_input(layout: FrameLayout, state: CharacterState) -> jax.Array:
+    """x [Dx] in layout units of a steered state, by the layout's frame rule."""
+    return (rule_2022 if layout.next_frame else rule_2017).network_input(layout, state)
+
+
+def advance(layout: FrameLayout, state: CharacterState, y: jax.Array, config: ControllerConfig) -> CharacterState:
+    """The state before the next frame, from a steered state and its output y [Dy], by the layout's frame rule."""
+    if layout.next_frame:
+        return rule_2022.advance(layout, state, y, config.pose_rate, config.trajectory_rate, config.phase_rate)
+    return rule_2017.advance(layout, state, y, config.pose_rate)
+
+
+def _wanted_gait(velocity: jax.Array, config: ControllerConfig) -> jax.Array:
+    """[6] gait weights for a velocity [2]: standing below `stand_speed`, else walking or jogging."""
+    speed = length(velocity)
+    moving = jnp.clip(speed / config.stand_speed, 0.0, 1.0)
+    jogging = (speed >= config.jog_speed).astype(speed.dtype)
+    zero = jnp.zeros_like(speed)
+    return jnp.stack([1.0 - moving, moving * (1.0 - jogging), moving * jogging, zero, zero, zero])

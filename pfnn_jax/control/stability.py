@@ -1,0 +1,127 @@
+"""Does a style survive turns? Rollouts on circles to both sides, by which few-shot learning chooses its setting."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.control.loop.pursuit import make_track
+from pfnn_jax.control.loop.rollout import Frames, Stability, follow_path, stability
+from pfnn_jax.control.loop.state import initial_state
+from pfnn_jax.control.loop.step import ControllerConfig
+from pfnn_jax.inference.predictor import Predictor, assemble_predictor, evaluate
+from pfnn_jax.models.network import Network
+from pfnn_jax.motion.features.clip_features import usual_speed
+from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.motion.paths import circle
+from pfnn_jax.training.few_shot import assemble
+
+TURN_RATE = np.deg2rad(45.0)
+"""Radians per second of the circles: a brisk turn, a full circle in 8 seconds."""
+
+SECONDS = 4.0
+"""Length of each rollout: half a circle, and several steps in which to go wrong."""
+
+PEAK_RATIO = 3.0
+"""A pose further from the mean than this many times the clip's own peak (mean squared, normalised) has fallen apart."""
+
+LEAST_TURN = 0.5
+"""Share of the commanded turn rate that must be achieved, and that it may be exceeded by."""
+
+
+def predictor_of(trained: Any, shared: Network, normaliser: Normaliser) -> Predictor:
+    """A predictor from few-shot training's result: an adapter beside `shared`, or a whole network."""
+    network, adapter = assemble(trained, shared)
+    return assemble_predictor(network, adapter, normaliser)
+
+
+def walk_circles(
+    predictor: Predictor,
+    layout: FrameLayout,
+    x: np.ndarray,
+    phase: np.ndarray | float,
+    speed: float,
+    seconds: float,
+    config: ControllerConfig | None = None,
+) -> Frames:
+    """Rollouts on two circles at `TURN_RATE`, left and right, from the pose of a real row.
+
+    Args:
+        predictor: the network and style.
+        layout: of its rows.
+        x: [Dx] a row of the style, in layout units.
+        phase: [] radians of that row, or [G] in layout units.
+        speed: metres per second.
+        seconds: length of the rollouts.
+        config: constants of the controller, by default those of the layout.
+
+    Returns:
+        Frames with a leading axis of 2: turning left, then right.
+    """
+    paths = [circle(turn_rate=sign * float(TURN_RATE), speed=speed) for sign in (1.0, -1.0)]
+    tracks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(make_track(path, speed, 256) for path in paths))
+    points = jnp.asarray(np.stack([path.points[0] for path in paths]), jnp.float32)
+    yaws = jnp.asarray([path.start_yaw for path in paths], jnp.float32)
+    start = (jnp.asarray(x), jnp.asarray(phase, jnp.float32), round(seconds * layout.fps), config)
+    return _walk(predictor, layout, tracks, points, yaws, *start)
+
+
+def is_sound(found: Stability, allowed_peak: float) -> np.ndarray:
+    """Whether rollouts at `TURN_RATE` (any leading axes) stayed finite and whole, and turned as asked."""
+    turned = np.abs(np.asarray(found.turn_rate)) / TURN_RATE
+    return (
+        np.asarray(found.finite)
+        & (np.asarray(found.pose_peak) <= allowed_peak)
+        & (np.abs(turned - 1.0) <= 1.0 - LEAST_TURN)
+    )
+
+
+def make_stability_check(
+    shared: Network,
+    normaliser: Normaliser,
+    layout: FrameLayout,
+    x: np.ndarray,
+    y: np.ndarray,
+    phase: np.ndarray,
+    config: ControllerConfig | None = None,
+) -> Callable[[Any], bool]:
+    """A judge of trained parameters for `choose`: do both circles stay sound?
+
+    Args:
+        shared, normaliser, layout: of the run.
+        x, y, phase: [N, ...] rows of the clip, in layout units: its first row starts the rollouts, its speed is
+            asked for, and its own range of poses is the measure of what is whole.
+        config: constants of the controller, by default those of the layout.
+    """
+    pose = layout.output_slice("joint_position")
+    own = np.mean(normaliser.outputs.apply(y)[:, pose] ** 2, axis=1).max()
+    speed = max(usual_speed(layout, y), 0.3)
+    mean, std = (jnp.asarray(value, jnp.float32) for value in (normaliser.outputs.mean, normaliser.outputs.std))
+
+    def is_stable(trained: Any) -> bool:
+        predictor = jax.device_put(predictor_of(trained, shared, normaliser), jax.devices()[0])
+        found = _stability(layout, walk_circles(predictor, layout, x[0], phase[0], speed, SECONDS, config), mean, std)
+        return bool(is_sound(found, PEAK_RATIO * own).all())
+
+    return is_stable
+
+
+@partial(jax.jit, static_argnames=("layout", "num_frames", "config"))
+def _walk(predictor: Predictor, layout: FrameLayout, tracks, points, yaws, x, phase, num_frames: int, config) -> Frames:
+    def one(track, point, yaw):
+        return follow_path(
+            evaluate, predictor, layout, initial_state(layout, x, phase, point, yaw), track, num_frames, config=config
+        )
+
+    return jax.vmap(one)(tracks, points, yaws)
+
+
+@partial(jax.jit, static_argnums=0)
+def _stability(layout: FrameLayout, frames: Frames, mean: jax.Array, std: jax.Array) -> Stability:
+    return jax.vmap(lambda one: stability(layout, one, mean, std))(frames)

@@ -1,0 +1,201 @@
+"""The whole way without data: procedural styles, pretraining, a ninth style from 3 seconds, its motion, a report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from pfnn_jax.control.generate import generate
+from pfnn_jax.demo.report import write_demo_report
+from pfnn_jax.evaluation.style_methods import compare_methods
+from pfnn_jax.evaluation.style_test import StyleTest, Takes, join_takes
+from pfnn_jax.io.files import refuse_existing
+from pfnn_jax.motion.bvh import write_bvh
+from pfnn_jax.motion.datasets.dataset import Dataset, prepare
+from pfnn_jax.motion.datasets.labelled import LabelledClip
+from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.sources import ClipFile
+from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.labels.phase import write_phase
+from pfnn_jax.motion.paths import figure_eight
+from pfnn_jax.motion.synthetic.walks import PRETRAINING_STYLES, STYLES, UNSEEN_STYLE, synthesise, synthetic_clips
+from pfnn_jax.run import Run
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.few_shot import FewShotConfig
+from pfnn_jax.training.pretrain import pretrain
+from pfnn_jax.workflows.learn import clip_parts, learn_style
+
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """Sizes of the demo; the defaults take some two minutes on two cores.
+
+    Attributes:
+        seconds_per_style: of motion of each of the 8 pretraining styles, before mirroring.
+        clip_seconds: of straight walking from which the ninth style is learned.
+        test_seconds: of each test take.
+        hidden: H.
+        steps, batch_size, learning_rate: of pretraining.
+        epochs: longest few-shot training.
+        walk_seconds: of generated motion along the figure-eight.
+        seed: of the data and of training.
+    """
+
+    seconds_per_style: float = 60.0
+    clip_seconds: float = 3.0
+    test_seconds: float = 8.0
+    hidden: int = 512
+    steps: int = 2500
+    batch_size: int = 128
+    learning_rate: float = 1e-3
+    epochs: int = 100
+    walk_seconds: float = 21.0
+    seed: int = 0
+
+
+TURNS = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
+"""Degrees per second of the test takes, none of which the adaptation clip shows."""
+
+FIGURE_EIGHT_RADIUS = 1.2
+"""Metres: at a walk of 0.8 m/s, turns of 38 degrees per second, first one way, then the other."""
+
+
+def demo(
+    out: str | Path,
+    config: DemoConfig,
+    *,
+    overwrite: bool = False,
+    on_stage: Callable[[str], None] = lambda stage: None,
+) -> dict[str, Any]:
+    """Runs the demo.
+
+    Args:
+        out: folder for everything: `dataset/`, `run/`, `clip/`, `motion/`, `report.json`, `report.html`.
+        config: sizes.
+        overwrite: replace what an earlier demo left there.
+        on_stage: told what is being done.
+
+    Returns:
+        What `report.json` holds.
+
+    Raises:
+        InputError: if `out` holds anything and `overwrite` is not set.
+    """
+    out, started = Path(out), time.perf_counter()
+    if out.exists() and any(out.iterdir()):
+        refuse_existing(out, overwrite)
+    seconds: dict[str, float] = {}
+
+    def stage(name: str) -> None:
+        seconds[name] = time.perf_counter() - started
+        on_stage(name)
+
+    stage("making 8 styles of motion")
+    dataset = procedural_dataset(out / "dataset", config, overwrite)
+    stage("pretraining")
+    losses: list[tuple[int, float]] = []
+    settings = PretrainConfig(
+        hidden=config.hidden,
+        steps=config.steps,
+        batch_size=config.batch_size,
+        learning_rate=config.learning_rate,
+        seed=config.seed,
+    )
+    run = pretrain(
+        dataset,
+        out / "run",
+        settings,
+        overwrite=overwrite,
+        on_progress=lambda progress: losses.append((progress.step, progress.loss)),
+    )
+    stage(f"learning {UNSEEN_STYLE} from {config.clip_seconds:g} s")
+    clip_file, labelled = write_clip(out / "clip", config, overwrite)
+    learned = learn_style(run, clip_file, FewShotConfig(seed=config.seed), overwrite=True)
+    stage("comparing ways to learn it")
+    rows = compare_methods(
+        run.shared,
+        run.normaliser,
+        clip_parts(labelled, run, mirror=True),
+        style_test(run, labelled, config),
+        epochs=config.epochs,
+        seed=config.seed,
+    )
+    stage("walking a figure-eight")
+    walks = walk(run, out / "motion", config, overwrite)
+    seconds["in all"] = time.perf_counter() - started
+    result = {
+        "config": asdict(config),
+        "seconds": seconds,
+        "device": jax.devices()[0].device_kind,
+        "pretraining": {"steps": [step for step, _ in losses], "loss": [loss for _, loss in losses]},
+        "few_shot": learned,
+        "methods": rows,
+    }
+    write_demo_report(out, result, labelled, walks, overwrite=overwrite)
+    return result
+
+
+def procedural_dataset(out: Path, config: DemoConfig, overwrite: bool = False) -> Dataset:
+    """The prepared dataset of the 8 pretraining styles, with their exact phases."""
+    clips = [
+        LabelledClip(clip, labels)
+        for style in PRETRAINING_STYLES
+        for clip, labels in synthetic_clips(style, config.seconds_per_style, config.seed)
+    ]
+    return prepare(clips, out, PrepareConfig(grouped_std=True, seed=config.seed), overwrite=overwrite)
+
+
+def straight_walk(seconds: float, seed: int) -> LabelledClip:
+    """A straight walk of the unseen style at its own speed."""
+    frames = round(seconds * 60) + 1
+    clip, labels = synthesise(UNSEEN_STYLE, np.zeros(frames), np.full(frames, STYLES[UNSEEN_STYLE].speed), seed=seed)
+    return LabelledClip(clip, labels)
+
+
+def write_clip(folder: Path, config: DemoConfig, overwrite: bool = False) -> tuple[ClipFile, LabelledClip]:
+    """The adaptation clip as a user would have it: a BVH file, with its exact `.phase` beside it."""
+    labelled = straight_walk(config.clip_seconds, seed=config.seed + 1000)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{UNSEEN_STYLE}_straight.bvh"
+    write_bvh(path, labelled.clip, overwrite=overwrite)
+    write_phase(path.with_suffix(".phase"), labelled.labels, overwrite=overwrite)
+    return ClipFile(path, UNSEEN_STYLE, "walk"), labelled
+
+
+def style_test(run: Run, labelled: LabelledClip, config: DemoConfig) -> StyleTest:
+    """Exact ground truth that no method has seen: turns to both sides at several rates, and straight walks."""
+    layout = run.layout
+    frames = round(config.test_seconds * layout.fps)
+    speed = np.full(frames, STYLES[UNSEEN_STYLE].speed)
+
+    def takes(rates: tuple[float, ...], factors: tuple[float, ...]) -> Takes:
+        parts, names = [], []
+        for rate in rates:
+            for factor in factors:
+                turn_rate = np.full(frames, np.deg2rad(rate))
+                seed = config.seed + 2000 + len(names)
+                clip, labels = synthesise(UNSEEN_STYLE, turn_rate, speed * factor, seed=seed)
+                parts.append(clip_features(clip, layout, labels))
+                names.append(f"{rate:g} degrees/s at {factor:g} of its speed")
+        return join_takes(parts, names)
+
+    clip = clip_features(labelled.clip, layout, labelled.labels)
+    std = np.asarray(run.normaliser.outputs.std)
+    straight, turning = takes((0.0,), (1.0, 0.9, 1.1)), takes(TURNS, (1.0,))
+    return StyleTest(layout, run.skeleton, clip, straight, turning, std, circle_seconds=10.0)
+
+
+def walk(run: Run, folder: Path, config: DemoConfig, overwrite: bool = False) -> dict[str, Any]:
+    """Motion along a figure-eight in the learned style, style-agnostic, and in a pretraining style; BVH files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    walks = {}
+    for name, style in (("learned", UNSEEN_STYLE), ("agnostic", None), ("neutral", "neutral")):
+        walks[name] = generate(run, style, figure_eight(FIGURE_EIGHT_RADIUS), seconds=config.walk_seconds)
+        write_bvh(folder / f"{style or 'agnostic'}_figure_eight.bvh", walks[name].clip, overwrite=overwrite)
+    return walks

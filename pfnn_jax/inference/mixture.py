@@ -1,0 +1,134 @@
+"""Mixtures: styles of one run by barycentric weights, combined before modulation (Mason 2022 §5.1).
+
+A mixture adds to the network the weighted sum of what its styles add, wherever it is asked for: here as parameters of
+one style (`models.adapters.mix_styles`), in a controller, whose weights change from frame to frame, as a `MixedLayer`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.models.adapters import Style, mix_styles
+from pfnn_jax.models.film import Film
+from pfnn_jax.run import Run, list_styles, load_style
+
+StyleChoice: TypeAlias = str | Mapping[str, float] | None
+"""A style's name, names with weights, or None: style-agnostic motion, on a FiLM run the mean of its styles."""
+
+SUM = 1e-3
+"""How far from one the sum of weights may lie: weights are typed with a few decimals."""
+
+
+def parse_style(text: str, styles: Sequence[str], source: str | Path) -> str | dict[str, float]:
+    """A style's name, or a mixture written as `A:0.5+B:0.3+C:0.2`.
+
+    Args:
+        text: what was asked for. A text without a colon, or that is the name of a style, is a name.
+        styles: names that there are.
+        source: for messages.
+
+    Raises:
+        InputError: for a part that is no NAME:WEIGHT, a name that stands twice, or weights that do not sum to one.
+    """
+    if ":" not in text or text in styles:
+        return text
+    weights: dict[str, float] = {}
+    for part in text.split("+"):
+        name, _, number = part.rpartition(":")
+        try:
+            weight = float(number)
+        except ValueError:
+            weight = float("nan")
+        if not name or name in weights or not np.isfinite(weight):
+            raise InputError(source, "style", part, "a mixture is NAME:WEIGHT+NAME:WEIGHT+..., each name once")
+        weights[name] = weight
+    check_weights(tuple(weights.values()), source, "style weights")
+    return weights
+
+
+def file_stem(name: str) -> str:
+    """A style's name, or a mixture as it is written, as part of a file name on every system."""
+    return re.sub(r'[/\\<>:"|?*]', "-", name)
+
+
+def check_weights(weights: Sequence[float] | np.ndarray, source: str | Path, place: str) -> None:
+    """Refuses weights that are not finite or do not sum to one.
+
+    Raises:
+        InputError: naming the weights and their sum.
+    """
+    total = float(np.sum(weights))
+    if not abs(total - 1.0) <= SUM:
+        shown = " + ".join(f"{weight:g}" for weight in weights)
+        raise InputError(source, place, f"{shown} = {total:g}", "must sum to one")
+
+
+def load_choice(run: Run, choice: StyleChoice) -> Style | None:
+    """The parameters of a choice of style; a mixture of CP styles has the sum of their ranks.
+
+    Args:
+        run: as `load_run` returns it.
+        choice: a name; weights by name (any number, also negative ones); or None, which is no style at all, and on a
+            FiLM run, whose network knows no motion without one, the mean of its pretraining styles.
+
+    Raises:
+        InputError: for an unknown style, weights that do not sum to one, or styles of different kinds.
+    """
+    weights = choice_weights(run, choice)
+    if not weights:
+        return None
+    if isinstance(choice, str):
+        return load_style(run, choice)
+    check_weights(tuple(weights.values()), run.path, "style weights")
+    return mix_styles(load_bank(run, tuple(weights)), jnp.asarray(list(weights.values()), jnp.float32))
+
+
+def choice_weights(run: Run, choice: StyleChoice) -> dict[str, float]:
+    """Weights of a choice by name; of none at all where the network moves without a style.
+
+    Raises:
+        InputError: for None on a FiLM run without styles, whose network knows no motion without one.
+    """
+    if choice is None and run.config.adapter.kind == "film":
+        names = [name for name in run.config.styles if name in list_styles(run.path)]
+        need_style(run, names)
+        return dict.fromkeys(names, 1.0 / len(names))
+    return {choice: 1.0} if isinstance(choice, str) else dict(choice or {})
+
+
+def need_style(run: Run, names: Sequence[str]) -> None:
+    """Refuses a FiLM run of which no style is named: its network knows no motion without one.
+
+    Raises:
+        InputError: naming the run.
+    """
+    if not names and run.config.adapter.kind == "film":
+        raise InputError(run.path, "styles", "none", "a FiLM run needs at least one style to move")
+
+
+def load_bank(run: Run, names: Sequence[str]) -> Style:
+    """The parameters of some of a run's styles, stacked [S, ...] in the order of the names.
+
+    Raises:
+        InputError: for an unknown style, or styles of different kinds.
+    """
+    styles = [load_style(run, name) for name in names]
+    shapes = [jax.tree.map(np.shape, style) for style in styles]
+    for name, shape in zip(names, shapes, strict=True):
+        if shape != shapes[0]:
+            rule = f"only styles of one kind can be mixed, and {names[0]} is of another"
+            raise InputError(run.path, "style", name, rule)
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *styles)
+
+
+def mix_rows(bank: Film, indices: jax.Array, weights: jax.Array) -> Film:
+    """One mixture for each row: a bank [S, 2, H], indices [N, M] and weights [N, M] give Films [N, 2, H]."""
+    return jax.tree.map(lambda leaf: jnp.einsum("nm,nmlh->nlh", weights, leaf[indices]), bank)

@@ -1,0 +1,311 @@
+"""A network evaluated on rows of inputs, from arrays or from a file, in the layout's units."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.lib.format import MAGIC_PREFIX
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.inference.lookup import table_phase
+from pfnn_jax.inference.mixture import StyleChoice, check_weights, load_bank, mix_rows
+from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
+from pfnn_jax.io.checkpoint import replacing
+from pfnn_jax.io.files import failure, refuse_existing
+from pfnn_jax.models.adapters import Style
+from pfnn_jax.models.film import Film, layer_norm, layer_norm_sample
+from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.run import Run, load_run
+
+ZIP = b"PK"  # with which an archive begins
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Independent frames.
+
+    Attributes:
+        x: [N, Dx] in layout units.
+        phase: [N] radians, or [N, G] in layout units.
+        styles: [N, M] int, or None.
+        weights: [N, M], or None.
+        style_array: the array in which the styles stood.
+    """
+
+    x: np.ndarray
+    phase: np.ndarray
+    styles: np.ndarray | None = None
+    weights: np.ndarray | None = None
+    style_array: str = "styles"
+
+
+def read_rows(file: Path, layout: FrameLayout) -> Rows:
+    """The rows of a `.npz` file (see `predict_file`).
+
+    Raises:
+        InputError: for a file that cannot be read, an array that is missing, of another shape or type, or holds a
+            number that is not a finite float32: naming array, row and column.
+    """
+    arrays = _read_arrays(file, layout)
+    x = arrays["x"]
+    if x.ndim != 2 or x.shape[1] != layout.input_size or len(x) == 0:
+        rule = f"must be rows of {layout.input_size} columns, at least one"
+        raise InputError(file, "array x", f"shape {x.shape}", rule)
+    name = _phase_array(arrays, layout)
+    phase, size = arrays[name], (len(x), layout.phase_size) if layout.phase_size else (len(x),)
+    if phase.shape != size:
+        each = f"{layout.phase_size} numbers" if layout.phase_size else "one phase"
+        raise InputError(file, f"array {name}", f"shape {phase.shape}", f"must hold {each} for each of {len(x)} rows")
+    x, phase = _as_floats(file, "x", x), _as_floats(file, name, phase)
+    if "styles" in arrays:
+        styles = _as_indices(file, "styles", arrays["styles"], (len(x), None))
+        if "weights" not in arrays:
+            raise InputError(file, "array weights", "absent", "must stand beside styles")
+        weights = _as_floats(file, "weights", arrays["weights"])
+        if weights.shape != styles.shape:
+            rule = f"must have the shape of styles, {styles.shape}"
+            raise InputError(file, "array weights", f"shape {weights.shape}", rule)
+        return Rows(x, phase, styles, weights)
+    if "style" in arrays:
+        styles = _as_indices(file, "style", arrays["style"], (len(x),))[:, None]
+        return Rows(x, phase, styles, np.ones(styles.shape), "style")
+    return Rows(x, phase)
+
+
+def _phase_array(arrays: dict[str, np.ndarray], layout: FrameLayout) -> str:
+    return "gating_x" if layout.phase_size and "gating_x" in arrays else "phase"
+
+
+def _read_arrays(file: Path, layout: FrameLayout) -> dict[str, np.ndarray]:
+    phase = "phase (or gating_x)" if layout.phase_size else "phase"
+    rule = f"must be a NumPy .npz file with arrays x and {phase}"
+    try:
+        with file.open("rb") as stream:  # opened here, because NumPy leaves a damaged file open
+            arrays = _load(stream)
+            if not isinstance(arrays, np.lib.npyio.NpzFile):
+                raise InputError(file, "file", "a single array", rule)
+            names = ("x", "phase", "gating_x", "style", "styles", "weights")
+            found = {name: arrays[name] for name in names if name in arrays}
+    except InputError:
+        raise
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(file, "file", failure(error), rule) from error
+    for name in ("x", _phase_array(found, layout)):
+        if name not in found:
+            raise InputError(file, f"array {name}", "absent", rule)
+    return found
+
+
+def _load(stream: BinaryIO) -> Any:
+    """What a NumPy file holds.
+
+    Raises:
+        ValueError: for any other file. NumPy itself offers to unpickle those, which none of them is to be.
+    """
+    begins = stream.read(len(MAGIC_PREFIX))
+    if begins and not begins.startswith((ZIP, MAGIC_PREFIX)):
+        raise ValueError("not a NumPy file")
+    stream.seek(0)
+    return np.load(stream, allow_pickle=False)
+
+
+def _as_indices(file: Path, name: str, values: np.ndarray, shape: tuple[int | None, ...]) -> np.ndarray:
+    wanted = tuple(have if want is None else want for want, have in zip(shape, values.shape, strict=False))
+    if values.ndim != len(shape) or values.shape != wanted or 0 in values.shape:
+        rule = "must hold one index for each row" if len(shape) == 1 else "must hold indices for each row, [N, M]"
+        raise InputError(file, f"array {name}", f"shape {values.shape}", rule)
+    if values.dtype.kind not in "iu":
+        raise InputError(file, f"array {name}", values.dtype, "must hold whole numbers")
+    return values.astype(np.int64)
+
+
+def _as_floats(file: Path, name: str, values: np.ndarray) -> np.ndarray:
+    """The values in float64, all within the range of float32."""
+    if values.dtype.kind not in "fiu":
+        raise InputError(file, f"array {name}", values.dtype, "must hold real numbers")
+    floats = values.astype(np.float64)
+    bad = np.argwhere(~(np.abs(floats) <= np.finfo(np.float32).max))
+    if len(bad):
+        place = ", ".join(f"{axis} {i}" for axis, i in zip(("row", "column"), bad[0].tolist(), strict=False))
+        raise InputError(file, f"array {name}, {place}", floats[tuple(bad[0])], "must be a finite float32")
+    return floats
+
+
+RowMode = Literal["cubic", "constant50", "nearest50"]
+LayerNorm = Literal["population", "sample"]
+
+NORMS = {"population": layer_norm, "sample": layer_norm_sample}
+"""Layer norm of FiLM styles by name: that of the authors' run time, and that of their training graph."""
+
+CHUNK = 1024
+"""Rows in one call."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowStyles:
+    """A style, or a mixture, for every row.
+
+    Attributes:
+        indices: [N, M] int, into the `styles` of a run's configuration.
+        weights: [N, M], each row with sum one.
+    """
+
+    indices: np.ndarray
+    weights: np.ndarray
+
+
+def predict_rows(
+    run: Run,
+    x: np.ndarray,
+    phase: np.ndarray,
+    style: StyleChoice | RowStyles = None,
+    mode: RowMode = "cubic",
+    layer_norm: LayerNorm = "population",
+) -> np.ndarray:
+    """The network's outputs for independent frames, in float32 without reduced-precision products.
+
+    Args:
+        run: as `load_run` returns it.
+        x: [N, Dx] inputs in layout units.
+        phase: [N] radians, any real numbers; or [N, G] in layout units for a gating network.
+        style: one choice for all rows, as `make_predictor` takes it, or one for every row.
+        mode: the network as it is, or at the phase of the table entry that would serve (see `lookup`).
+        layer_norm: statistics of the layer norm of FiLM styles.
+
+    Returns:
+        [N, Dy] outputs in layout units.
+
+    Raises:
+        InputError: for an unknown style, weights that do not sum to one, or a table where there is no global phase.
+        ValueError: for an unknown mode or layer norm.
+    """
+    if layer_norm not in NORMS:
+        raise ValueError(f"`layer_norm` must be population or sample, got {layer_norm!r}.")
+    if run.layout.phase_size:
+        if mode != "cubic":
+            raise InputError(run.path, "mode", mode, f"must be cubic: layout {run.layout.name} has no global phase")
+        phases = np.asarray(phase, np.float32)
+    else:
+        turned = np.mod(np.asarray(phase, np.float64), 2 * math.pi).astype(np.float32)
+        phases = turned if mode == "cubic" else np.asarray(table_phase(jnp.asarray(turned), mode))
+    rows = np.asarray(x, np.float32), phases
+    with jax.default_matmul_precision("highest"):
+        if isinstance(style, RowStyles):
+            return _predict_each(run, style, rows, layer_norm)
+        return _in_chunks(partial(_evaluate_rows, make_predictor(run, style), layer_norm=layer_norm), rows)
+
+
+def predict_file(
+    run_path: str | Path,
+    in_npz: str | Path,
+    out_npz: str | Path,
+    *,
+    style: StyleChoice = None,
+    mode: RowMode = "cubic",
+    layer_norm: LayerNorm = "population",
+    overwrite: bool = False,
+) -> np.ndarray:
+    """Evaluates a run on the rows of a file and writes its outputs into another.
+
+    Args:
+        run_path: the run directory.
+        in_npz: arrays `x` [N, Dx] in the layout's units; `phase` [N] in radians, or `gating_x` (or `phase`) [N, G] for
+            a gating network; and, where rows differ in style, `style` [N] or `styles` [N, M] with `weights` [N, M]:
+            indices into the run's styles, and weights that sum to one.
+        out_npz: gets `y` [N, Dy] in the layout's units.
+        style: of all rows, where the file tells none.
+        mode, layer_norm: as in `predict_rows`.
+        overwrite: replace an existing output file.
+
+    Returns:
+        y.
+
+    Raises:
+        InputError: for a run, a style or an input file that is not as it should be (naming array, row and column),
+            if both the file and `style` tell a style, or if the output exists and `overwrite` is not set.
+    """
+    run, out = load_run(run_path), Path(out_npz)
+    refuse_existing(out, overwrite)
+    rows = read_rows(Path(in_npz), run.layout)
+    y = predict_rows(run, rows.x, rows.phase, _row_styles(Path(in_npz), rows, run, style), mode, layer_norm)
+    with replacing(out) as new, new.open("wb") as file:
+        np.savez(file, y=y)
+    return y
+
+
+def _row_styles(file: Path, rows: Rows, run: Run, style: StyleChoice) -> StyleChoice | RowStyles:
+    """The file's own styles, checked, or the one choice for all."""
+    if rows.styles is None or rows.weights is None:
+        return style
+    if style is not None:
+        raise InputError(file, f"array {rows.style_array}", "present", "give a style once: in the file or by --style")
+    known = len(run.config.styles)
+    bad = np.argwhere((rows.styles < 0) | (rows.styles >= known))
+    if len(bad):
+        rule = f"must be an index into the {known} styles that the run was trained with"
+        raise InputError(file, f"array {rows.style_array}, row {bad[0][0]}", rows.styles[tuple(bad[0])], rule)
+    for row, weights in enumerate(rows.weights):
+        check_weights(weights, file, f"array weights, row {row}")
+    return RowStyles(rows.styles, rows.weights)
+
+
+def _predict_each(run: Run, styles: RowStyles, rows: tuple[np.ndarray, np.ndarray], layer_norm: LayerNorm):
+    """Rows of different styles; FiLM rows are gathered from a small bank, of other styles one group after another."""
+    used, local = np.unique(styles.indices, return_inverse=True)
+    names = [run.config.styles[index] for index in used]
+    local = local.reshape(styles.indices.shape)
+    weights = np.asarray(styles.weights, np.float32)
+    if run.config.adapter.kind == "film":
+        predictor, bank = make_predictor(run, names[0]), load_bank(run, names)
+        bank = jax.tree.map(jnp.asarray, bank)
+        call = partial(_evaluate_films, predictor, bank, layer_norm=layer_norm)
+        return _in_chunks(call, (*rows, local, weights))
+    y = np.empty((len(rows[0]), run.layout.output_size), np.float32)
+    kinds, group = np.unique(np.concatenate([local, weights], axis=1), axis=0, return_inverse=True)
+    for number, kind in enumerate(kinds):
+        chosen = np.flatnonzero(group.reshape(-1) == number)
+        shares: dict[str, float] = {}
+        for index, weight in zip(*np.split(kind, 2), strict=True):
+            shares[names[int(index)]] = shares.get(names[int(index)], 0.0) + float(weight)
+        call = partial(_evaluate_rows, make_predictor(run, shares), layer_norm=layer_norm)
+        y[chosen] = _in_chunks(call, tuple(array[chosen] for array in rows))
+    return y
+
+
+def _in_chunks(call: Callable[..., jax.Array], arrays: tuple[np.ndarray, ...]) -> np.ndarray:
+    parts = [
+        np.asarray(call(*(jnp.asarray(array[start : start + CHUNK]) for array in arrays)))
+        for start in range(0, len(arrays[0]), CHUNK)
+    ]
+    return np.concatenate(parts)
+
+
+@partial(jax.jit, static_argnames="layer_norm")
+def _evaluate_rows(predictor: Predictor, x: jax.Array, phase: jax.Array, *, layer_norm: LayerNorm) -> jax.Array:
+    return jax.vmap(partial(evaluate, predictor, normalise=NORMS[layer_norm]))(x, phase)
+
+
+@partial(jax.jit, static_argnames="layer_norm")
+def _evaluate_films(
+    predictor: Predictor,
+    bank: Film,
+    x: jax.Array,
+    phase: jax.Array,
+    indices: jax.Array,
+    weights: jax.Array,
+    *,
+    layer_norm: LayerNorm,
+) -> jax.Array:
+    def one(style: Style, x: jax.Array, phase: jax.Array) -> jax.Array:
+        return evaluate(replace(predictor, style=style), x, phase, normalise=NORMS[layer_norm])
+
+    return jax.vmap(one)(mix_rows(bank, indices, weights), x, phase)

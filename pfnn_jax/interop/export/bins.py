@@ -1,0 +1,241 @@
+"""Raw float32 files in the layouts of the authors' demos (Holden 2017, Mason 2018, Mason 2022).
+
+`pfnn2017` and `mason2018` networks become fifty tables over the phase; `mason2018` styles with CP factors stand beside
+them as files of their own, other styles are added into the tables, where they belong. `mason2022` networks keep their
+experts, and a style is four vectors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.inference.mixture import StyleChoice
+from pfnn_jax.interop.export.styles import ExportStyle, choose_styles
+from pfnn_jax.interop.released.holden2017 import NUM_TABLES, spline_design
+from pfnn_jax.models.adapters import OneHot, Style
+from pfnn_jax.models.film import Film
+from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer, Layer
+from pfnn_jax.models.network import Network
+from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
+from pfnn_jax.motion.units import authors2018, convert_columns
+from pfnn_jax.run import Run
+
+LOOP_TABLES = range(0, NUM_TABLES, 5)
+"""Tables from which the reference loop recovers the control points; four would do, ten are better conditioned."""
+
+_STATISTICS = {"x": "X", "y": "Y", "phase": "GT_X"}
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """What was written.
+
+    Attributes:
+        layout, normaliser: of the files.
+        network: for the description: which files hold what.
+        styles: for the description.
+    """
+
+    layout: FrameLayout
+    normaliser: Normaliser
+    network: dict[str, Any]
+    styles: list[dict[str, Any]]
+
+
+def write_bins(folder: Path, run: Run, choice: StyleChoice = None) -> Bins:
+    """Writes a run's network in the layout of the demo that belongs to its frame layout.
+
+    Args:
+        folder: to write into.
+        run: of layout `pfnn2017`, `mason2018`, or `mason2022` with Films.
+        choice: a style or a mixture. None writes all styles of a kind that has files of its own (CP factors beside
+            `mason2018`, Films beside `mason2022`), and else the style-agnostic network.
+
+    Raises:
+        InputError: for a layout without a demo, or styles that the demo cannot hold.
+    """
+    name, kind = run.layout.name, run.config.adapter.kind
+    if name == "mason2022" and kind == "film":
+        return _write_experts(folder, run, choose_styles(run, choice))
+    if name not in ("pfnn2017", "mason2018"):
+        rule = "only pfnn2017, mason2018 and mason2022 have a demo by the authors: use --format onnx"
+        if name == "mason2022":
+            rule = "the demo of mason2022 knows Films alone: use --format onnx"
+        raise InputError(run.path, "layout", f"{name} with {kind} styles", rule)
+    if kind == "film":
+        raise InputError(run.path, "styles", kind, f"the demo of {name} knows no layer norm: use --format onnx")
+    return _write_tables(folder, run, choice)
+
+
+def _write_tables(folder: Path, run: Run, choice: StyleChoice) -> Bins:
+    split = run.layout.name == "mason2018"
+    styles = choose_styles(run, choice, "cp") if split or choice is not None else ()
+    beside = [style for style in styles if split and style.kind == "cp"]
+    folded = [style for style in styles if style not in beside]
+    layout, rows = run.layout, np.arange(run.layout.output_size)
+    normaliser = run.normaliser
+    if split:
+        layout = authors2018(run.layout.num_joints)
+        normaliser, rows = _convert(run.normaliser, run.layout, layout)
+    _write_statistics(folder, normaliser)
+    for index, c in enumerate(spline_design(range(NUM_TABLES))):
+        layers = network_at(run.shared, folded[0].parameters if folded else None, c)
+        for n, (weights, biases) in enumerate(layers):
+            order = rows if n == 2 else slice(None)
+            _write(folder, f"W{n}_{index:03d}", weights[order])
+            _write(folder, f"b{n}_{index:03d}", biases[order])
+    told = [{"name": s.name, "kind": s.kind, "files": _write_cp(folder, s)} for s in beside]
+    told += [{"name": s.name, "kind": s.kind, "files": {}} for s in folded]
+    return Bins(layout, normaliser, _table_network(run), told)
+
+
+def _table_network(run: Run) -> dict[str, Any]:
+    def files(letter: str, layer: int) -> list[str]:
+        return [f"{letter}{layer}_{index:03d}" for index in LOOP_TABLES]
+
+    return {
+        "kind": "pfnn",
+        "hidden": run.config.network.hidden,
+        "tables": NUM_TABLES,
+        "statistics": _statistics_files(run.normaliser),
+        "layers": [{"weights": files("W", n), "biases": files("b", n)} for n in range(3)],
+        # From the tables named above to control points.
+        "mixing": np.linalg.pinv(spline_design(LOOP_TABLES)).tolist(),
+        "gating": [],
+    }
+
+
+def network_at(network: Network, style: Style | None, c: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The network at coefficients c [K] as three affine layers: weights [O, I] and biases [O], float64.
+
+    Args:
+        network: shared parameters.
+        style: added into the layer that it belongs to, or None. No Film.
+        c: blending coefficients.
+    """
+    layers = [layer_at(layer, c) for layer in network.layers]
+    match style:
+        case None:
+            return layers
+        case Film():
+            raise TypeError("`style` must not be a Film: it is not affine.")
+        case OneHot(shift=shift):
+            place, (weights, biases) = 0, layer_at(shift, c)
+        case _:
+            place, (weights, biases) = 1, layer_at(style, c)
+    layers[place] = layers[place][0] + weights, layers[place][1] + biases
+    return layers
+
+
+def layer_at(layer: Layer, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A layer at coefficients c [K]: weights [O, I] (0 where it has none) and biases [O], float64."""
+
+    def blend(values: jax.Array) -> np.ndarray:
+        return np.tensordot(c, np.asarray(values, np.float64), 1)
+
+    match layer:
+        case BlendedLayer(weights=weights, biases=biases):
+            return blend(weights).T, blend(biases)
+        case CPLayer(a=a, b=b, d=d, bias=bias):
+            a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+            return (a * blend(d)) @ b.T, np.asarray(bias, np.float64)
+        case DiagonalLayer(weights=weights, biases=biases):
+            return np.diag(blend(weights)), blend(biases)
+        case BiasLayer(biases=biases):
+            return np.zeros(()), blend(biases)
+        case DenseLayer(weights=weights, biases=biases):
+            return np.asarray(weights, np.float64).T, np.asarray(biases, np.float64)
+    raise TypeError(f"`layer` must be one of the five records, got {type(layer).__name__}.")
+
+
+def _write_cp(folder: Path, style: ExportStyle) -> dict[str, Any]:
+    """The factors A diag(D) B of a style; D stands in one file for each table."""
+    layer = style.parameters
+    assert isinstance(layer, CPLayer)
+    _write(folder, f"{style.stem}_W0", layer.b.T)
+    _write(folder, f"{style.stem}_W2", layer.a)
+    _write(folder, f"{style.stem}_b", layer.bias)
+    for index, c in enumerate(spline_design(range(NUM_TABLES))):
+        _write(folder, f"{style.stem}_W1_{index:03d}", c @ np.asarray(layer.d, np.float64))
+    rank, hidden = layer.d.shape[1], layer.a.shape[0]
+    named = [[f"{style.stem}_W2", hidden], [f"{style.stem}_W0", rank], [f"{style.stem}_b", 1]]
+    return {"cp": named, "cp_diagonal": [f"{style.stem}_W1_{index:03d}" for index in LOOP_TABLES]}
+
+
+def _write_experts(folder: Path, run: Run, styles: tuple[ExportStyle, ...]) -> Bins:
+    network, gating = run.shared, run.shared.gating
+    assert gating is not None
+    experts = network.num_control_points
+    _write_statistics(folder, run.normaliser)
+    for n, layer in enumerate(network.layers):
+        for expert, one_hot in enumerate(np.eye(experts)):
+            weights, biases = layer_at(layer, one_hot)
+            _write(folder, f"cp{n}_a{expert}", weights)
+            _write(folder, f"cp{n}_b{expert}", biases)
+    for n, layer in enumerate(gating.layers):
+        _write(folder, f"wc{n}_w", layer.weights.T)
+        _write(folder, f"wc{n}_b", layer.biases)
+    told = {
+        "kind": "lpn",
+        "hidden": run.config.network.hidden,
+        "experts": experts,
+        "gating_hidden": run.config.network.gating_hidden,
+        "statistics": _statistics_files(run.normaliser),
+        "layers": [
+            {letter: [f"cp{n}_{letter[0]}{e}" for e in range(experts)] for letter in ("a", "b")} for n in range(3)
+        ],
+        "mixing": np.eye(experts).tolist(),
+        "gating": [[f"wc{n}_w", f"wc{n}_b"] for n in range(3)],
+    }
+    told["layers"] = [{"weights": layer["a"], "biases": layer["b"]} for layer in told["layers"]]
+    return Bins(run.layout, run.normaliser, told, [_write_film(folder, n, style) for n, style in enumerate(styles)])
+
+
+def _write_film(folder: Path, index: int, style: ExportStyle) -> dict[str, Any]:
+    film, files = style.parameters, []
+    assert isinstance(film, Film)
+    for layer in range(2):
+        files.append([f"Style_{index:03d}_{kind}{layer + 1}" for kind in ("scale", "shift")])
+        for name, values in zip(files[-1], (film.scale[layer], film.shift[layer]), strict=True):
+            _write(folder, name, values)
+    return {"name": style.name, "kind": style.kind, "files": {"film": files}}
+
+
+def _write_statistics(folder: Path, normaliser: Normaliser) -> None:
+    for side, statistics in _sides(normaliser).items():
+        _write(folder, f"{_STATISTICS[side]}mean", statistics.mean)
+        _write(folder, f"{_STATISTICS[side]}std", statistics.std)
+
+
+def _statistics_files(normaliser: Normaliser) -> dict[str, str]:
+    return {f"{side}_{kind}": f"{_STATISTICS[side]}{kind}" for side in _sides(normaliser) for kind in ("mean", "std")}
+
+
+def _sides(normaliser: Normaliser) -> dict[str, Statistics]:
+    sides = {"x": normaliser.inputs, "y": normaliser.outputs, "phase": normaliser.phases}
+    return {side: statistics for side, statistics in sides.items() if statistics is not None}
+
+
+def _convert(normaliser: Normaliser, source: FrameLayout, target: FrameLayout) -> tuple[Normaliser, np.ndarray]:
+    """Statistics in another layout's order and units, and the order of the outputs. Normalised values do not change."""
+
+    def side(statistics: Statistics, name: str) -> tuple[Statistics, np.ndarray]:
+        columns, factors = convert_columns(source, target, name)
+        # A yaw of the other sense would make a deviation negative; both layouts turn about +Y.
+        mean, std = (values[columns].astype(np.float64) * factors for values in (statistics.mean, statistics.std))
+        return Statistics(mean.astype(np.float32), std.astype(np.float32)), columns
+
+    inputs, _ = side(normaliser.inputs, "inputs")
+    outputs, columns = side(normaliser.outputs, "outputs")
+    return Normaliser(inputs, outputs), columns
+
+
+def _write(folder: Path, name: str, values: Any) -> None:
+    (folder / f"{name}.bin").write_bytes(np.ascontiguousarray(np.asarray(values), "<f4").tobytes())

@@ -1,0 +1,117 @@
+"""description.json: what an engine must know beside the numbers of a network."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from pfnn_jax.control.generate import controller_of, starting_row
+from pfnn_jax.control.loop.state import NUM_POINTS, ROOT
+from pfnn_jax.inference.mixture import StyleChoice
+from pfnn_jax.interop.export.walks import Walk, walks_of
+from pfnn_jax.motion.features.layout import GAITS, TRAJECTORY_OFFSETS, FrameLayout
+from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.motion.skeleton import skeleton_to_json
+from pfnn_jax.motion.units import block_unit
+from pfnn_jax.run import Run
+
+SCHEMA, VERSION = "pfnn_jax.export", 1
+FILE = "description.json"
+
+
+def describe(
+    run: Run,
+    format: str,
+    layout: FrameLayout,
+    normaliser: Normaliser,
+    network: Mapping[str, Any],
+    styles: Sequence[Mapping[str, Any]],
+    choice: StyleChoice,
+) -> dict[str, Any]:
+    """Everything that stands in `description.json`.
+
+    Args:
+        run: exported.
+        format: onnx, stablehlo or bins.
+        layout: of the exported network, the run's own but for `bins` of `mason2018`.
+        normaliser: in that layout's units.
+        network: files of the network and how they are read.
+        styles: name, kind and files of every exported style; where a choice was asked for, of that alone.
+        choice: what was asked for, in whose style the start walks.
+
+    Returns:
+        Numbers, strings, lists and dicts.
+    """
+    exported = [style["name"] for style in styles] if choice is None else [choice] * len(styles)
+    start, *walks = walks_of(run, [choice, *exported])
+    return {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "format": format,
+        "pfnn_jax": importlib.metadata.version("pfnn-jax"),
+        "fingerprint": run.fingerprint,
+        "network": dict(network),
+        "layout": describe_layout(layout),
+        "normaliser": describe_normaliser(normaliser),
+        "skeleton": skeleton_to_json(run.skeleton),
+        "styles": [{**style, **asdict(walk)} for style, walk in zip(styles, walks, strict=True)],
+        "loop": describe_loop(run),
+        "start": describe_start(layout, normaliser, start),
+    }
+
+
+def describe_layout(layout: FrameLayout) -> dict[str, Any]:
+    """Blocks of x and y: columns, the factor to SI units, the unit."""
+
+    def blocks(names: Sequence[str], columns: Any, size: int) -> dict[str, Any]:
+        return {
+            name: {
+                "columns": np.arange(size)[columns(name)].tolist(),
+                "scale": block_unit(layout, name)[0],
+                "unit": block_unit(layout, name)[1],
+            }
+            for name in names
+        }
+
+    return {
+        "name": layout.name,
+        "num_joints": layout.num_joints,
+        "fps": layout.fps,
+        "next_frame": layout.next_frame,
+        "hips_heading": layout.hips_heading,
+        "phase_kind": layout.phase_kind,
+        "phase_size": layout.phase_size,
+        "end_effectors": list(layout.ends),
+        "gaits": list(GAITS) if layout.has_input("gait") else [],
+        "trajectory_offsets": list(TRAJECTORY_OFFSETS),
+        "input_size": layout.input_size,
+        "output_size": layout.output_size,
+        "inputs": blocks(layout.input_blocks, layout.input_slice, layout.input_size),
+        "outputs": blocks(layout.output_blocks, layout.output_slice, layout.output_size),
+    }
+
+
+def describe_normaliser(normaliser: Normaliser) -> dict[str, list[float]]:
+    """Means and deviations, in layout units."""
+    sides = {"x": normaliser.inputs, "y": normaliser.outputs, "phase": normaliser.phases}
+    return {
+        f"{side}_{kind}": np.asarray(getattr(statistics, kind), np.float64).tolist()
+        for side, statistics in sides.items()
+        if statistics is not None
+        for kind in ("mean", "std")
+    }
+
+
+def describe_loop(run: Run) -> dict[str, Any]:
+    """Constants of the published loop (`ControllerConfig`), and where the present stands in the trajectory."""
+    return {**asdict(controller_of(run)), "num_points": NUM_POINTS, "root": ROOT}
+
+
+def describe_start(layout: FrameLayout, normaliser: Normaliser, walk: Walk) -> dict[str, Any]:
+    """A row x and a phase at which a walk along +Z may begin (`starting_row`), and its speeds."""
+    x, phase = (np.asarray(values, np.float64).tolist() for values in starting_row(layout, normaliser, walk.speed))
+    return {"x": x, "phase": phase, **asdict(walk)}

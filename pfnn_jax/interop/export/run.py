@@ -1,0 +1,116 @@
+"""From a run to a folder that engines read: the network, its styles, and description.json; whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.inference.mixture import StyleChoice
+from pfnn_jax.inference.predictor import assemble_predictor, make_predictor
+from pfnn_jax.interop.export.batch import batch_function, sample_rows
+from pfnn_jax.interop.export.bins import write_bins
+from pfnn_jax.interop.export.description import FILE, SCHEMA, describe
+from pfnn_jax.interop.export.onnx import write_onnx
+from pfnn_jax.interop.export.stablehlo import write_stablehlo
+from pfnn_jax.interop.export.styles import choose_styles, style_arrays, write_style
+from pfnn_jax.io.checkpoint import replacing
+from pfnn_jax.io.files import refuse_existing
+from pfnn_jax.run import Run, load_run
+
+Format = Literal["onnx", "stablehlo", "bins"]
+
+NUM_ROWS = 256
+"""Rows on which a network is checked before it is put in place."""
+
+_FILES = {"onnx": "network.onnx", "stablehlo": "network.stablehlo"}
+
+
+def export_run(
+    run_path: str | Path,
+    format: Format,
+    out: str | Path,
+    *,
+    style: StyleChoice = None,
+    film_input: bool = False,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Writes a run's network in a format that engines read.
+
+    Args:
+        run_path: the run.
+        format: `onnx` or `stablehlo`, a function of x and phase with one style inside; or `bins`, see `write_bins`.
+        out: the folder to make.
+        style: a style's name, or weights by name. None is style-agnostic motion, on a FiLM run the mean of its
+            styles; for `bins` and with `film_input` it is all styles.
+        film_input: of a FiLM run: leave the style an input of the network (onnx, stablehlo), so that an engine can
+            change and mix styles; their numbers stand in `styles/`.
+        overwrite: replace an earlier export.
+
+    Returns:
+        What `description.json` tells.
+
+    Raises:
+        InputError: for an unknown style or format, a layout without the format, a check that fails, a missing library,
+            a FiLM run without styles, or if `out` exists and is no export or must not be replaced.
+    """
+    run, out = load_run(run_path), Path(out)
+    if format not in ("onnx", "stablehlo", "bins"):
+        raise InputError(run.path, "format", format, "must be onnx, stablehlo or bins")
+    _check_place(out, overwrite)
+    with replacing(out) as new:
+        new.mkdir()
+        if format == "bins":
+            if film_input:
+                raise InputError(run.path, "film input", format, "files of styles are always apart in bins")
+            made = write_bins(new, run, style)
+            description = describe(run, format, made.layout, made.normaliser, made.network, made.styles, style)
+        else:
+            network, styles = _write_function(new, run, format, style, film_input)
+            description = describe(run, format, run.layout, run.normaliser, network, styles, style)
+        (new / FILE).write_text(json.dumps(description, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return description
+
+
+def _write_function(
+    folder: Path, run: Run, format: Literal["onnx", "stablehlo"], choice: StyleChoice, film_input: bool
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    if film_input and run.config.adapter.kind != "film":
+        rule = "only a Film can be an input of the network: export one network for each style"
+        raise InputError(run.path, "film input", run.config.adapter.kind, rule)
+    chosen = list(choose_styles(run, choice)) if film_input or choice is not None else []
+    x, phase = sample_rows(run.normaliser, run.layout, NUM_ROWS)
+    rows = {"x": x, "phase": phase}
+    if film_input:
+        films = np.stack([style_arrays(style.parameters)["film"] for style in chosen])
+        rows["style"] = films[np.arange(NUM_ROWS) % len(films)].astype(np.float32)
+        predictor = assemble_predictor(run.shared, chosen[0].parameters, run.normaliser)
+    else:
+        predictor = make_predictor(run, choice)
+    function = batch_function(jax.tree.map(jnp.asarray, predictor), film_input)
+    write = {"onnx": write_onnx, "stablehlo": write_stablehlo}[format]
+    info = write(folder / _FILES[format], function, rows)
+    inputs = [{"name": name, "shape": ["B", *a.shape[1:]], "type": "float32"} for name, a in rows.items()]
+    output = {"name": "y", "shape": ["B", run.layout.output_size], "type": "float32"}
+    network = {"kind": "function", "file": _FILES[format], "inputs": inputs, "outputs": [output], **info}
+    return network, [write_style(folder, style) for style in chosen]
+
+
+def _check_place(out: Path, overwrite: bool) -> None:
+    """Refuses to replace what must not be, or what is no export."""
+    if Path.cwd().is_relative_to(out.resolve()):  # it is put in place as a whole, from under who stands in it
+        raise InputError(out, "output", "holds the working folder", "must be a folder of its own")
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    refuse_existing(out, overwrite)
+    try:
+        known = json.loads((out / FILE).read_text(encoding="utf-8")).get("schema") == SCHEMA
+    except (OSError, ValueError, AttributeError):
+        known = False
+    if not known:
+        raise InputError(out, "output", "exists and is no export", "only an earlier export is replaced")

@@ -1,0 +1,91 @@
+"""Which styles go into an export, under which names, and their numbers as files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from pfnn_jax.control.generate import style_label
+from pfnn_jax.inference.mixture import StyleChoice, file_stem, load_choice, need_style
+from pfnn_jax.models.adapters import Style
+from pfnn_jax.models.film import Film, film_to_vector
+from pfnn_jax.models.layers import BiasLayer
+from pfnn_jax.run import Run, adapter_form, list_styles, style_note
+
+
+@dataclass(frozen=True, eq=False)
+class ExportStyle:
+    """One exported style, or a mixture under the name by which it was asked for.
+
+    Attributes:
+        name: as in `style_label`.
+        stem: the name as part of a file name.
+        parameters: of the style.
+    """
+
+    name: str
+    stem: str
+    parameters: Style
+
+    @property
+    def kind(self) -> str:
+        """Kind of the style, as in `AdapterConfig`."""
+        return adapter_form(self.parameters).kind
+
+
+def choose_styles(run: Run, choice: StyleChoice, kind: str | None = None) -> tuple[ExportStyle, ...]:
+    """The style asked for; where none was, all of the run's styles, those of pretraining first.
+
+    Args:
+        run: a loaded run.
+        choice: a name, a mixture, or None for all.
+        kind: leaves out styles of other kinds where all are taken.
+
+    Raises:
+        InputError: for an unknown style, a mixture of different kinds, or a FiLM run without styles.
+    """
+    if choice is not None:
+        return (_style(run, choice),)
+    there = list_styles(run.path)
+    names = [name for name in run.config.styles if name in there]
+    names += [name for name in there if name not in names]
+    wanted = [name for name in names if kind in (None, style_note(run.path, name)["adapter"]["kind"])]
+    need_style(run, wanted)
+    return tuple(_style(run, name) for name in wanted)
+
+
+def write_style(folder: Path, style: ExportStyle) -> dict[str, Any]:
+    """Writes a style's numbers, float32, into `styles/NAME.bin` of a folder.
+
+    Returns:
+        What the description tells of it: name, kind, file, and the arrays that stand in the file in order. A
+        Film is one array: scale 1, shift 1, scale 2, shift 2.
+    """
+    file = Path("styles") / f"{style.stem}.bin"
+    (folder / file).parent.mkdir(exist_ok=True)
+    arrays = style_arrays(style.parameters)
+    (folder / file).write_bytes(b"".join(np.ascontiguousarray(array, "<f4").tobytes() for array in arrays.values()))
+    told = [{"name": name, "shape": list(array.shape)} for name, array in arrays.items()]
+    return {"name": style.name, "kind": style.kind, "file": file.as_posix(), "arrays": told}
+
+
+def style_arrays(parameters: Style) -> dict[str, np.ndarray]:
+    """A style's arrays by the names of their fields; a Film as one vector [4H]."""
+    if isinstance(parameters, Film):
+        return {"film": np.asarray(film_to_vector(parameters))}
+    found: dict[str, np.ndarray] = {}
+    for field in fields(parameters):
+        value = getattr(parameters, field.name)
+        found |= style_arrays(value) if isinstance(value, BiasLayer) else {field.name: np.asarray(value)}
+    return found
+
+
+def _style(run: Run, choice: str | Mapping[str, float]) -> ExportStyle:
+    parameters, name = load_choice(run, choice), style_label(choice)
+    assert parameters is not None
+    return ExportStyle(name, file_stem(name), jax.tree.map(np.asarray, parameters))

@@ -1,0 +1,61 @@
+"""At what speed a style walks, and what speed to ask of its network for that, in the published loop alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+
+from pfnn_jax.control.character import own_share, own_speed
+from pfnn_jax.control.controller import Controller, make_controller
+from pfnn_jax.control.generate import default_speed
+from pfnn_jax.inference.mixture import StyleChoice, choice_weights
+from pfnn_jax.run import Run
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A walk, in metres per second.
+
+    Attributes:
+        speed: at which the style walks.
+        asked_speed: to ask of the network for it; networks answer speeds in their own way.
+    """
+
+    speed: float
+    asked_speed: float
+
+
+def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
+    """The walks of choices of style, found by trying in the published loop (`pfnn_jax.control.calibration.find_walks`).
+
+    Of a skeleton without roles, which no controller can have, they are the speeds that styles tell.
+
+    Args:
+        run: a loaded run.
+        choices: as `load_choice` takes them.
+
+    Raises:
+        InputError: for an unknown style, or a FiLM run without styles.
+    """
+    if run.skeleton.roles is None:
+        speeds = [default_speed(run, choice) for choice in choices]
+        return [Walk(speed, speed) for speed in speeds]
+    weights = [choice_weights(run, choice) for choice in choices]
+    names = tuple(dict.fromkeys(name for each in weights for name in each))
+    styled = _controller(run, names) if names else None
+    plain = _controller(run, ()) if not all(weights) else None
+    found = []
+    for each in weights:
+        controller = styled if each else plain
+        assert controller is not None
+        row = jnp.asarray(controller.style_weights(each or 0))
+        speed = float(own_speed(controller.params, row))
+        asked = speed * float(own_share(controller.params, row))
+        found.append(Walk(speed, asked))
+    return found
+
+
+def _controller(run: Run, names: Sequence[str]) -> Controller:
+    return make_controller(run, names, foot_ik=False, regulated=False)

@@ -1,0 +1,96 @@
+"""Networks with CP styles in the files of the 2018 authors' demo, turned into a run.
+
+The network stands in tables over the phase like the PFNN's (`released`). A style NAME has its factors A diag(D) B in
+`NAME_W2.bin` (A), `NAME_W1_iii.bin` (D at phase 2πi/50), `NAME_W0.bin` (B) and a bias in `NAME_b.bin`. The files
+alone do not name the joints: a `description.json` as `pfnn-jax export` writes it must stand beside them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.inference.mixture import file_stem
+from pfnn_jax.interop.released.files import DESCRIPTION, read_array, read_description, read_statistics
+from pfnn_jax.interop.released.holden2017 import NUM_TABLES, read_tables, recover_control_points
+from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.layers import BlendedLayer, CPLayer
+from pfnn_jax.models.network import Network, config_of
+from pfnn_jax.motion.features.layout import mason2018
+from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
+from pfnn_jax.motion.skeleton import skeleton_to_json
+from pfnn_jax.motion.units import authors2018, convert_columns
+from pfnn_jax.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+
+
+def import_released_cp(directory: str | Path, out: str | Path, overwrite: bool = False) -> Run:
+    """Makes a run of layout `mason2018` from a directory of tables and of CP styles.
+
+    Args:
+        directory: holds `Xmean.bin`, `Xstd.bin`, `Ymean.bin`, `Ystd.bin`, the tables, the styles' files and
+            `description.json`, in the units of the authors' run time (`units.authors2018`).
+        out: the run directory to make.
+        overwrite: replace an existing run.
+
+    Raises:
+        InputError: for a file that is missing, of a wrong size or not finite; for tables of another spline; if `out`
+            exists.
+    """
+    directory = Path(directory)
+    told = read_description(directory, "mason2018")
+    if told is None:
+        rule = "must stand beside the files: they do not name the joints"
+        raise InputError(directory / DESCRIPTION, "file", "absent", rule)
+    theirs, ours = (make(told["skeleton"].num_joints) for make in (authors2018, mason2018))
+    sides = (("X", "inputs", theirs.input_size), ("Y", "outputs", theirs.output_size))
+    statistics = []
+    for side, name, size in sides:
+        columns, factors = convert_columns(theirs, ours, name)
+        found = read_statistics(directory, side, size)
+        values = [(part[columns].astype(np.float64) * factors).astype(np.float32) for part in (found.mean, found.std)]
+        statistics.append(Statistics(*values))
+    shared, facts = read_tables(directory, theirs.input_size, theirs.output_size)
+    shared = _reorder(shared, convert_columns(theirs, ours, "outputs")[0])
+    styles = {file_stem(s["name"]): s for s in told["styles"] if s["files"]}
+    hidden = config_of(shared).hidden
+    layers = {name: _read_style(directory, Path(s["files"]["cp"][1][0]).name, hidden) for name, s in styles.items()}
+    rank = next((layer.d.shape[1] for layer in layers.values()), AdapterConfig().rank)
+    config = RunConfig(
+        network=config_of(shared),
+        adapter=AdapterConfig("cp", rank),
+        layout=ours.name,
+        num_joints=ours.num_joints,
+        styles=tuple(styles),
+        skeleton=skeleton_to_json(told["skeleton"]),
+        pretrain={"source": f"tables with CP styles in {directory}", **facts},
+    )
+    create_run(out, config, Normaliser(*statistics), overwrite)
+    save_shared(out, shared)
+    for name, layer in layers.items():
+        save_style(out, name, layer, {"source": f"CP factors in {directory}", "speed": styles[name]["speed"]})
+    return load_run(out, ours.name)
+
+
+def _reorder(network: Network, columns: np.ndarray) -> Network:
+    """The network with its outputs in another order."""
+    first, second, last = network.layers
+    assert isinstance(last, BlendedLayer)
+    last = BlendedLayer(weights=last.weights[:, :, columns], biases=last.biases[:, columns])
+    return replace(network, layers=(first, second, last))
+
+
+def _read_style(directory: Path, down: str, hidden: int) -> CPLayer:
+    """The factors of the style whose first file's name without suffix is `down`, `NAME_W0`."""
+    stem = down.removesuffix("_W0")
+    rank = len(read_array(directory / f"{stem}_W1_000.bin", None))
+    tables = np.stack([read_array(directory / f"{stem}_W1_{index:03d}.bin", (rank,)) for index in range(NUM_TABLES)])
+    return CPLayer(
+        a=jnp.asarray(read_array(directory / f"{stem}_W2.bin", (hidden, rank))),
+        b=jnp.asarray(read_array(directory / f"{stem}_W0.bin", (rank, hidden)).T),
+        d=jnp.asarray(recover_control_points(tables, range(NUM_TABLES))[0], jnp.float32),
+        bias=jnp.asarray(read_array(directory / f"{stem}_b.bin", (hidden,))),
+    )

@@ -1,0 +1,239 @@
+"""From a clip to the rows a network reads and writes, and back. The frame rule is in `layout`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.features.layout import Blocks, FrameLayout, block_columns, column_names
+from pfnn_jax.motion.features.local_motion import localise
+from pfnn_jax.motion.features.normaliser import require_finite
+from pfnn_jax.motion.features.rows_2018 import current_frame_rows
+from pfnn_jax.motion.features.rows_2022 import end_velocities, next_frame_rows
+from pfnn_jax.motion.kinematics import (
+    quat_conjugate,
+    quat_exp,
+    quat_from_forward_up,
+    quat_from_yaw,
+    quat_multiply,
+)
+from pfnn_jax.motion.labels.footsteps import NoGaitError
+from pfnn_jax.motion.labels.local_phase import clip_local_phases
+from pfnn_jax.motion.labels.phase import PhaseLabels, label_phase
+from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.trajectory import EXTRAPOLATION_SECONDS, to_world
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Rows of one clip, in layout units.
+
+    Attributes:
+        x: [N, Dx] float32.
+        y: [N, Dy] float32.
+        phase: what the blending coefficients depend on, float32: [N] radians, or [N, G] for layouts of `phase_size` G:
+            local phases (left hand, right hand, left toe, right toe; sin and cos each), or velocities of the four in
+            metres per second.
+        frames: [N] index of each row's frame in the clip.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    phase: np.ndarray
+    frames: np.ndarray
+
+
+def select_rows(part: Features, rows: slice | np.ndarray) -> Features:
+    """Some rows of a part: a slice, indices or a mask."""
+    return Features(part.x[rows], part.y[rows], part.phase[rows], part.frames[rows])
+
+
+def join_rows(parts: Sequence[Features]) -> Features:
+    """The rows of all parts, one after another."""
+    return Features(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("x", "y", "phase", "frames")))
+
+
+def clip_features(
+    clip: MotionClip,
+    layout: FrameLayout,
+    labels: PhaseLabels | None = None,
+    gait: np.ndarray | None = None,
+    local_phases: np.ndarray | None = None,
+) -> Features:
+    """Rows of every frame of a clip but the first and last, which lack a neighbour.
+
+    Layouts with a global phase use only frames i for which i and i+1 have one. Trajectories go on beyond the clip's
+    ends (`trajectory_windows`). Under `pfnn2017`, heights are above the ground of a flat clip: the mean height of the
+    feet in contact less `STANDING_HEIGHTS`; terrain is therefore 0, and contacts follow the authors' rule of speed
+    alone. Under the other layouts heights are the file's.
+
+    Args:
+        clip: T frames at the layout's frame rate, with roles.
+        layout: of J joints; `layout_for` makes it.
+        labels: phase of the T frames, for layouts with a global phase; None finds them with `label_phase`.
+        gait: [T, 6] for `pfnn2017`; None estimates it from speed.
+        local_phases: [T, 4, 2] as `clip_local_phases` returns them, for layouts with local phases; None computes them
+            with axes of this clip alone.
+
+    Raises:
+        NoGaitError: for a clip shorter than half a second or, with a global phase, without steps or without two
+            labelled frames in a row.
+        InputError: for another frame rate or number of joints or frames, or values that are not finite.
+    """
+    _check_clip(clip, layout)
+    local = localise(clip, layout)
+    frames = np.arange(1, clip.num_frames - 1)
+    if layout.phase_kind == "global":
+        labels = label_phase(clip) if labels is None else labels
+        frames, phases = _labelled_frames(clip, labels), labels.phase
+    elif layout.phase_kind == "local":
+        phases = _flat_phases(clip, clip_local_phases(clip) if local_phases is None else local_phases)
+    else:
+        phases = end_velocities(clip, layout, local)
+    if layout.next_frame:
+        rows = next_frame_rows(clip, layout, local, phases, frames)
+    else:
+        rows = current_frame_rows(clip, layout, local, phases, gait, frames)
+    x = _fill(layout.inputs, len(frames), rows.input)
+    y = _fill(layout.outputs, len(frames), rows.output)
+    require_finite(x, layout.input_names, clip.source, "x")
+    require_finite(y, layout.output_names, clip.source, "y")
+    return Features(x, y, phases[frames].astype(np.float32), frames)
+
+
+def _labelled_frames(clip: MotionClip, labels: PhaseLabels) -> np.ndarray:
+    if labels.num_frames != clip.num_frames:
+        raise InputError(clip.source, "phase", f"{labels.num_frames} frames", f"the clip has {clip.num_frames}")
+    usable = labels.labelled[:-1] & labels.labelled[1:]
+    usable[0] = False
+    if not usable.any():
+        raise NoGaitError(clip.source, "phase", "no two frames in a row are labelled", "a clip must hold steps")
+    return np.flatnonzero(usable)
+
+
+def _flat_phases(clip: MotionClip, local_phases: np.ndarray) -> np.ndarray:
+    """[T, 8] of [T, 4, 2]."""
+    if local_phases.shape != (clip.num_frames, 4, 2):
+        rule = f"the clip has {clip.num_frames} frames, of two numbers for each of four end effectors"
+        raise InputError(clip.source, "local phases", f"shape {local_phases.shape}", rule)
+    return local_phases.reshape(clip.num_frames, 8)
+
+
+def root_steps(layout: FrameLayout, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How the root moves to the next frame, as outputs of any layout tell it.
+
+    Under `next_frame` layouts the next root is the first trajectory sample.
+
+    Args:
+        layout: of the outputs.
+        y: [N, Dy] in layout units.
+
+    Returns:
+        velocity [N, 2] metres per second (x, z) seen from the current root, and yaw rate [N] radians per second.
+    """
+
+    def block(name: str) -> np.ndarray:
+        return y[:, layout.output_slice(name)]
+
+    if not layout.next_frame:
+        velocity = block("root_velocity") * (layout.length_unit / layout.time_unit)
+        return velocity, block("root_yaw_rate")[:, 0] * (layout.yaw_unit / layout.time_unit)
+    x, z, forward_x, forward_z = (
+        block(f"trajectory_{kind}_{axis}")[:, 0] for kind in ("position", "direction") for axis in "xz"
+    )
+    velocity = np.stack([x, z], axis=-1) * (layout.length_unit * layout.fps)
+    return velocity, np.arctan2(forward_x, forward_z) * layout.fps
+
+
+def usual_speed(layout: FrameLayout, y: np.ndarray) -> float:
+    """Metres per second along the ground, the median over rows y [N, Dy] in layout units: of walks and a few runs, that
+    of a walk."""
+    velocity, _ = root_steps(layout, y)
+    return float(np.median(np.linalg.norm(velocity, axis=1)))
+
+
+def clip_from_outputs(
+    skeleton: Skeleton,
+    layout: FrameLayout,
+    y: np.ndarray,
+    root_positions: np.ndarray,
+    root_yaw: np.ndarray,
+    fps: float = 60.0,
+) -> MotionClip:
+    """The motion that outputs describe, on roots that the caller has integrated (`root_steps`).
+
+    Joint rotations come from the output; joint 0 stands where the output has it; the other joints follow from the
+    skeleton's bones, so that bones are rigid whatever the output says.
+
+    Args:
+        skeleton: J joints.
+        layout: of J joints.
+        y: [T, Dy] in layout units.
+        root_positions: [T, 2] metres on the ground: of the roots that the outputs are relative to, which under
+            `next_frame` layouts are those of the frame before.
+        root_yaw: [T] radians about +Y, likewise.
+        fps: frames per second.
+
+    Raises:
+        InputError: for another width, or values that are not finite.
+    """
+    y = np.asarray(y, np.float64)
+    if y.ndim != 2 or y.shape[1] != layout.output_size or skeleton.num_joints != layout.num_joints:
+        raise InputError(
+            "outputs",
+            "array",
+            f"shape {y.shape} on {skeleton.num_joints} joints",
+            f"layout {layout.name} has {layout.output_size} columns for {layout.num_joints}",
+        )
+    require_finite(y, layout.output_names, "outputs", "y")
+    yaw = np.asarray(root_yaw, np.float64)
+    hips = y[:, layout.output_slice("joint_position")][:, :3] * layout.length_unit
+    hips = to_world(yaw, hips)
+    hips[:, [0, 2]] += root_positions
+    world = quat_multiply(quat_from_yaw(yaw)[:, None], _output_rotations(layout, y))
+    above = world[:, np.maximum(skeleton.parents, 0)]
+    local = quat_multiply(quat_conjugate(above), world)
+    local[:, 0] = world[:, 0]
+    return MotionClip(skeleton, fps, hips, local)
+
+
+def _output_rotations(layout: FrameLayout, y: np.ndarray) -> np.ndarray:
+    """[T, J, 4] rotations relative to the root."""
+
+    def block(name: str) -> np.ndarray:
+        return y[:, layout.output_slice(name)].reshape(len(y), layout.num_joints, 3)
+
+    if layout.has_output("joint_rotation"):
+        return quat_exp(block("joint_rotation"))
+    return quat_from_forward_up(block("joint_forward"), block("joint_up"))
+
+
+def _check_clip(clip: MotionClip, layout: FrameLayout) -> None:
+    if abs(clip.fps - layout.fps) > 0.01:
+        raise InputError(clip.source, "frame rate", f"{clip.fps:g} fps", f"layout {layout.name} needs {layout.fps:g}")
+    if clip.skeleton.num_joints != layout.num_joints:
+        raise InputError(
+            clip.source,
+            "skeleton",
+            f"{clip.skeleton.num_joints} joints",
+            f"layout {layout.name} was made for {layout.num_joints}",
+        )
+    least = round(EXTRAPOLATION_SECONDS * layout.fps)
+    if clip.num_frames < least:
+        raise NoGaitError(clip.source, "frames", clip.num_frames, f"one trajectory window needs at least {least}")
+    for name, values in (("root position", clip.root_positions), ("rotation", clip.rotations)):
+        bad = ~np.isfinite(values)
+        if bad.any():
+            place = tuple(int(i) for i in np.argwhere(bad)[0])
+            raise InputError(clip.source, f"frame {place[0]}, {name}", values[place], "every value must be finite")
+
+
+def _fill(blocks: Blocks, rows: int, block: Callable[[str], np.ndarray]) -> np.ndarray:
+    filled = np.empty((rows, len(column_names(blocks))), np.float32)
+    for name, columns in block_columns(blocks).items():
+        filled[:, columns] = block(name).reshape(rows, -1)
+    return filled

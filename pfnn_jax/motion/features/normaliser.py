@@ -1,0 +1,248 @@
+"""Mean and standard deviation of network inputs and outputs: fitted once over all styles, reused by every later one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.features.layout import FrameLayout
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Of some rows of D columns.
+
+    Attributes:
+        count: rows.
+        mean: [D] float64.
+        squares: [D] float64, sum of squared deviations from the mean.
+    """
+
+    count: int
+    mean: np.ndarray
+    squares: np.ndarray
+
+    def merge(self, other: Moments) -> Moments:
+        """Of the rows of both (Chan, Golub and LeVeque 1979)."""
+        if not self.count or not other.count:
+            return other if not self.count else self
+        count = self.count + other.count
+        step = other.mean - self.mean
+        share = other.count / count
+        return Moments(
+            count, self.mean + share * step, self.squares + other.squares + step * step * (self.count * share)
+        )
+
+    def rows(self) -> np.ndarray:
+        """[2, D] float64 two rows of the same mean and deviation, to stand for all rows in `fit_normaliser`."""
+        std = np.sqrt(self.squares / max(self.count, 1))
+        return np.stack([self.mean - std, self.mean + std])
+
+
+NO_ROWS = Moments(0, np.zeros(1), np.zeros(1))
+"""Of no rows, of any number of columns."""
+
+
+def moments_of(rows: np.ndarray) -> Moments:
+    """Of rows [N, D]."""
+    values = rows.astype(np.float64)
+    mean = values.mean(axis=0) if len(values) else np.zeros(values.shape[1])
+    values -= mean
+    return Moments(len(values), mean, np.einsum("nd,nd->d", values, values))
+
+
+JOINT_INPUT_WEIGHT = 0.1
+"""Scale of normalised joint inputs under grouped statistics, as the authors' code has it."""
+
+CONSTANT = 1e-6
+"""A deviation below this share of (1 + |mean|) is rounding of float32: the column is constant."""
+
+CHUNK = 16384  # rows per pass: bounds memory where the arrays are memory-mapped
+
+Arrays = np.ndarray | Sequence[np.ndarray]
+
+SIDES = ("x", "y", "p")  # first letters of the files
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Mean and standard deviation of each column.
+
+    Attributes:
+        mean: [D] float32.
+        std: [D] float32, never zero.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
+
+    def apply(self, v: Any) -> Any:
+        """Normalised values of v [..., D]; NumPy or JAX arrays."""
+        return (v - self.mean) / self.std
+
+    def invert(self, v: Any) -> Any:
+        """Values in layout units of normalised v [..., D]; NumPy or JAX arrays."""
+        return v * self.std + self.mean
+
+
+@dataclass(frozen=True, eq=False)
+class Normaliser:
+    """Statistics of x, of y and, where it is no scalar, of what the blending coefficients depend on.
+
+    Attributes:
+        inputs: of x.
+        outputs: of y.
+        phases: of `phase` [N, G]; None for a scalar phase.
+    """
+
+    inputs: Statistics
+    outputs: Statistics
+    phases: Statistics | None = None
+
+
+def fit_normaliser(
+    x: Arrays, y: Arrays, layout: FrameLayout, grouped: bool = False, phase: Arrays | None = None
+) -> Normaliser:
+    """One normaliser over all rows of all styles.
+
+    By default every column has its own deviation (the paper); constant columns get 1. With `grouped`, as the authors'
+    code does, deviations are averaged over each block (x and z of the outputs' trajectory together), and those of
+    the input blocks `joint_position` and `joint_velocity` are divided by 0.1, so that joints weigh a tenth of the
+    trajectory at the network's input. The 0.1 exists only with `grouped`, and only for inputs.
+
+    Args:
+        x: [N, Dx] in layout units, or several such arrays (as one for each style).
+        y: [N, Dy] likewise.
+        layout: names the blocks.
+        grouped: average deviations over blocks.
+        phase: [N, G] likewise, where the layout's `phase_size` is G > 0; None leaves its statistics out. Every column
+            has its own deviation. A scalar phase is not normalised.
+
+    Raises:
+        InputError: for no rows, another width than the layout's, or a value that is not finite.
+    """
+    inputs = _fit(x, layout.input_names, "x", layout)
+    outputs = _fit(y, layout.output_names, "y", layout)
+    phases = None
+    if phase is not None and layout.phase_size:
+        phases = _guard(_fit(phase, (layout.phase_kind,) * layout.phase_size, "phase", layout))
+    if grouped:
+        inputs = _average(inputs, layout.input_names, _input_group)
+        outputs = _average(outputs, layout.output_names, _output_group)
+    return Normaliser(_guard(inputs), _guard(outputs), phases)
+
+
+def save_normaliser(folder: Path, normaliser: Normaliser) -> None:
+    """Writes four `.npy` files, or six where phases have statistics, into a folder, made where it is absent."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for side, statistics in zip(SIDES, (normaliser.inputs, normaliser.outputs, normaliser.phases), strict=True):
+        for name in ("mean", "std"):
+            path = folder / f"{side}_{name}.npy"
+            if statistics is None:
+                path.unlink(missing_ok=True)  # of a normaliser that stood here before
+            else:
+                np.save(path, getattr(statistics, name), allow_pickle=False)
+
+
+def load_normaliser(folder: Path) -> Normaliser:
+    """Inverse of `save_normaliser`, exact to the last bit.
+
+    Raises:
+        InputError: if a file is missing, is no array of one axis, or holds a value that is not finite.
+    """
+    phases = any((folder / f"p_{name}.npy").exists() for name in ("mean", "std"))
+    return Normaliser(*(_load_side(folder, side) for side in (SIDES if phases else SIDES[:2])))
+
+
+def require_finite(values: np.ndarray, names: Sequence[str], source: str | Path, name: str) -> None:
+    """Refuses rows that hold NaN or infinity.
+
+    Args:
+        values: [N, D].
+        names: [D] block of every column, as `layout.input_names`.
+        source: file the rows come from.
+        name: of the array.
+
+    Raises:
+        InputError: naming the first row and block.
+    """
+    finite = np.isfinite(values)
+    if finite.all():
+        return
+    row, column = (int(i) for i in np.argwhere(~finite)[0])
+    raise InputError(source, f"{name} row {row}, {names[column]}", values[row, column], "every value must be finite")
+
+
+def _fit(arrays: Arrays, names: Sequence[str], name: str, layout: FrameLayout) -> Statistics:
+    arrays = [arrays] if isinstance(arrays, np.ndarray) else list(arrays)
+    width = len(names)
+    for array in arrays:
+        if array.ndim != 2 or array.shape[1] != width:
+            raise InputError(name, "array", f"shape {array.shape}", f"layout {layout.name} has {width} columns")
+    count = sum(len(array) for array in arrays)
+    if count == 0:
+        raise InputError(name, "array", "0 rows", "statistics need at least one row")
+    total = np.zeros(width)
+    for chunk in _chunks(arrays):
+        require_finite(chunk, names, name, "array")
+        total += chunk.sum(axis=0, dtype=np.float64)
+    mean, square = total / count, np.zeros(width)
+    for chunk in _chunks(arrays):
+        deviation = chunk - mean
+        square += np.einsum("nd,nd->d", deviation, deviation)
+    return Statistics(mean, np.sqrt(square / count))
+
+
+def _chunks(arrays: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
+    for array in arrays:
+        for start in range(0, len(array), CHUNK):
+            yield np.asarray(array[start : start + CHUNK])
+
+
+def _input_group(block: str) -> tuple[str, float]:
+    return block, JOINT_INPUT_WEIGHT if block in ("joint_position", "joint_velocity") else 1.0
+
+
+def _output_group(block: str) -> tuple[str, float]:
+    return block.removesuffix("_x").removesuffix("_z"), 1.0
+
+
+def _average(found: Statistics, blocks: Sequence[str], group: Callable[[str], tuple[str, float]]) -> Statistics:
+    grouped = [group(block) for block in blocks]
+    names, weights = np.array([name for name, _ in grouped]), np.array([weight for _, weight in grouped])
+    std = np.empty_like(found.std)
+    for name in dict.fromkeys(names):
+        std[names == name] = found.std[names == name].mean()
+    return Statistics(found.mean, std / weights)
+
+
+def _guard(found: Statistics) -> Statistics:
+    constant = found.std <= CONSTANT * (1.0 + np.abs(found.mean))
+    return Statistics(found.mean.astype(np.float32), np.where(constant, 1.0, found.std).astype(np.float32))
+
+
+def _load_side(folder: Path, side: str) -> Statistics:
+    mean, std = (_load(folder / f"{side}_{name}.npy") for name in ("mean", "std"))
+    if mean.shape != std.shape or not (std > 0).all():
+        raise InputError(
+            folder / f"{side}_std.npy",
+            "array",
+            f"shape {std.shape}, least {std.min(initial=np.inf)}",
+            f"deviations are positive, one for each of {len(mean)} means",
+        )
+    return Statistics(mean, std)
+
+
+def _load(path: Path) -> np.ndarray:
+    try:
+        value = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(path, "array", error, "statistics are written by save_normaliser") from error
+    if value.ndim != 1 or not np.isfinite(value).all():
+        raise InputError(path, "array", f"shape {value.shape}", "one axis of finite values")
+    return value

@@ -1,0 +1,121 @@
+"""Rows by the frame rule of Holden et al. 2017: layouts `pfnn2017` and `mason2018`. The rule is in `layout`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.features.layout import NOW, FrameLayout
+from pfnn_jax.motion.features.local_motion import LocalMotion, joint_axis, trajectory_block
+from pfnn_jax.motion.kinematics import quat_log
+from pfnn_jax.motion.labels.contacts import estimate_gait, foot_joints, leg_length, slow_feet
+from pfnn_jax.motion.skeleton import need_roles
+from pfnn_jax.motion.trajectory import sample_offsets, wrap_angle
+
+CONTACT_SPEED = 0.01 * np.sqrt(0.02) * 60
+"""Metres per second: a squared displacement of 0.02 cm² in a frame (Holden's `contacts`; no height test)."""
+
+STANDING_HEIGHTS = (0.05, 0.04, 0.05, 0.04)
+"""Metres from the ground to left heel, left toe, right heel and right toe of a standing foot, as Holden's terrain has
+them: the ground under a flat clip is the mean over contacts of a foot joint's height less this."""
+
+
+@dataclass(frozen=True, eq=False)
+class CurrentFrameRows:
+    """Blocks of the rows of some frames: y_i describes frame i, x_i the joints of the frame before.
+
+    Attributes:
+        clip: T frames.
+        layout: one whose `next_frame` is false.
+        local: the clip seen from its roots.
+        phases: [T] radians.
+        gait: [T, 6], or None to estimate it from speed.
+        frames: [N] indices, none of them the first or last frame.
+        ground: height of the ground in metres, taken off the joints' heights.
+    """
+
+    clip: MotionClip
+    layout: FrameLayout
+    local: LocalMotion
+    phases: np.ndarray
+    gait: np.ndarray | None
+    frames: np.ndarray
+    ground: float
+
+    def input(self, block: str) -> np.ndarray:
+        """[N, ...] one block of x in layout units."""
+        if block.startswith("trajectory"):
+            return self._trajectory(block, self.frames, 0)
+        if block.startswith("joint"):
+            return self._joints(block, self.frames - 1)
+        if block == "gait":
+            return self._gait_windows()
+        # terrain: a flat clip stands on its ground
+        return np.zeros((len(self.frames), self.layout.input_width(block)))
+
+    def output(self, block: str) -> np.ndarray:
+        """[N, ...] one block of y in layout units."""
+        layout, frames, local = self.layout, self.frames, self.local
+        rate = layout.time_unit * self.clip.fps
+        if block.startswith("trajectory"):
+            return self._trajectory(block, frames + 1, NOW)
+        if block.startswith("joint"):
+            return self._joints(block, frames)
+        if block == "contacts":
+            roles = need_roles(self.clip.skeleton, self.clip.source)
+            return slow_feet(local.world_positions, roles, self.clip.fps, CONTACT_SPEED)[frames]
+        if block == "root_velocity":
+            return local.velocities[frames][:, 0, [0, 2]] * (layout.time_unit / layout.length_unit)
+        if block == "root_yaw_rate":
+            yaw = local.root.yaw
+            return wrap_angle(yaw[frames + 1] - yaw[frames]) * (rate / layout.yaw_unit)
+        return wrap_angle(self.phases[frames + 1] - self.phases[frames]) * (rate / layout.phase_unit)
+
+    def _trajectory(self, block: str, frames: np.ndarray, first: int) -> np.ndarray:
+        windows = self.local.windows[0][frames, first:], self.local.windows[1][frames, first:]
+        return trajectory_block(windows, block) / (self.layout.length_unit if "position" in block else 1.0)
+
+    def _joints(self, block: str, frames: np.ndarray) -> np.ndarray:
+        layout, local = self.layout, self.local
+        if block == "joint_position":
+            return (local.positions[frames] - np.array([0.0, self.ground, 0.0])) / layout.length_unit
+        if block == "joint_velocity":
+            return local.velocities[frames] * (layout.time_unit / layout.length_unit)
+        if block == "joint_rotation":
+            return quat_log(local.rotations[frames])
+        return joint_axis(local, block, frames)
+
+    def _gait_windows(self) -> np.ndarray:
+        """[N, 6, 12]: beyond the clip's ends the first and last label hold."""
+        clip, gait = self.clip, self.gait
+        if gait is None:
+            leg = leg_length(self.local.world_positions, need_roles(clip.skeleton, clip.source))
+            gait = estimate_gait(self.local.root.positions, leg, clip.fps)
+        if len(gait) != clip.num_frames:
+            raise InputError(clip.source, "gait", f"{len(gait)} frames", f"the clip has {clip.num_frames}")
+        index = np.clip(self.frames[:, None] + sample_offsets(clip.fps), 0, clip.num_frames - 1)
+        return np.moveaxis(gait[index], 2, 1)
+
+
+def current_frame_rows(
+    clip: MotionClip,
+    layout: FrameLayout,
+    local: LocalMotion,
+    phases: np.ndarray,
+    gait: np.ndarray | None,
+    frames: np.ndarray,
+) -> CurrentFrameRows:
+    """The blocks of a clip's rows; arguments as `CurrentFrameRows` has them."""
+    ground = _ground(clip, local.world_positions) if layout.has_input("terrain_height") else 0.0
+    return CurrentFrameRows(clip, layout, local, phases, gait, frames, ground)
+
+
+def _ground(clip: MotionClip, positions: np.ndarray) -> float:
+    """Height of the ground of a flat clip, metres; 0 where no foot ever stands."""
+    roles = need_roles(clip.skeleton, clip.source)
+    contact = slow_feet(positions, roles, clip.fps, CONTACT_SPEED)[:-1]
+    heights = positions[:-1, foot_joints(roles), 1] - np.array(STANDING_HEIGHTS)
+    return float(heights[contact].mean()) if contact.any() else 0.0

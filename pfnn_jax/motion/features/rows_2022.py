@@ -1,0 +1,108 @@
+"""Rows by the frame rule of Mason et al. 2022: layouts `mason2022`, `mason2022_mann` and `mason2022_pfnn`.
+
+The rule is in `layout`. What y_i holds of frame i+1 is what x_{i+1} holds of it, turned and moved from root i+1 into
+root i.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.features.layout import NOW, FrameLayout, end_joints
+from pfnn_jax.motion.features.local_motion import LocalMotion, joint_axis, trajectory_block
+from pfnn_jax.motion.labels.local_phase import toe_contacts
+from pfnn_jax.motion.trajectory import to_local, to_world, wrap_angle
+
+
+@dataclass(frozen=True, eq=False)
+class NextFrameRows:
+    """Blocks of the rows of some frames: x_i describes frame i, y_i the frame after it, both seen from root i.
+
+    Attributes:
+        clip: T frames.
+        layout: one whose `next_frame` is true, in metres and seconds.
+        local: the clip seen from its roots.
+        phases: [T, G] what the blending coefficients depend on; [T] for a scalar phase.
+        frames: [N] indices, none of them the first or last frame.
+        turn: [N] radians, yaw of root i+1 seen from root i.
+        step: [N, 2] metres, position of root i+1 seen from root i.
+    """
+
+    clip: MotionClip
+    layout: FrameLayout
+    local: LocalMotion
+    phases: np.ndarray
+    frames: np.ndarray
+    turn: np.ndarray
+    step: np.ndarray
+
+    def input(self, block: str) -> np.ndarray:
+        """[N, ...] one block of x."""
+        if block.startswith("trajectory"):
+            return trajectory_block((self.local.windows[0][self.frames], self.local.windows[1][self.frames]), block)
+        return self._joints(block, self.frames)
+
+    def output(self, block: str) -> np.ndarray:
+        """[N, ...] one block of y."""
+        after = self.frames + 1
+        if block.startswith("trajectory"):
+            return self._trajectory_after(block)
+        if block.startswith("joint"):
+            return self._joints_after(block)
+        if block == "local_phase":
+            return self.phases[after]
+        if block == "local_phase_change":
+            return self.phases[after] - self.phases[self.frames]
+        if block == "foot_contacts":
+            return toe_contacts(self.clip)[after]
+        rate = self.layout.time_unit * self.clip.fps / self.layout.phase_unit
+        return wrap_angle(self.phases[after] - self.phases[self.frames]) * rate
+
+    def _joints(self, block: str, frames: np.ndarray) -> np.ndarray:
+        if block == "joint_position":
+            return self.local.positions[frames]
+        if block == "joint_velocity":
+            return self.local.velocities[frames]
+        return joint_axis(self.local, block, frames)
+
+    def _joints_after(self, block: str) -> np.ndarray:
+        joints = to_world(self.turn, self._joints(block, self.frames + 1))
+        if block == "joint_position":
+            joints[..., [0, 2]] += self.step[:, None]
+        return joints
+
+    def _trajectory_after(self, block: str) -> np.ndarray:
+        positions, directions = (to_world(self.turn, w[self.frames + 1, NOW:]) for w in self.local.windows)
+        return trajectory_block((positions + self.step[:, None], directions), block)
+
+
+def next_frame_rows(
+    clip: MotionClip, layout: FrameLayout, local: LocalMotion, phases: np.ndarray, frames: np.ndarray
+) -> NextFrameRows:
+    """The blocks of a clip's rows; arguments as `NextFrameRows` has them."""
+    yaw, path = local.root.yaw, local.root.positions
+    turn = yaw[frames + 1] - yaw[frames]
+    step = to_local(yaw[frames], path[frames + 1] - path[frames])
+    return NextFrameRows(clip, layout, local, phases, frames, turn, step)
+
+
+def end_velocities(clip: MotionClip, layout: FrameLayout, local: LocalMotion) -> np.ndarray:
+    """[T, 12] velocities of left hand, right hand, left toe and right toe, metres per second seen from the root.
+
+    Args:
+        clip: T frames, with roles.
+        layout: whose `ends` must be the clip's.
+        local: the clip seen from its roots.
+
+    Raises:
+        InputError: if the layout's end effectors are not the clip's.
+    """
+    ends = end_joints(clip.skeleton)
+    if layout.ends != ends:
+        rule = f"the clip's end effectors are joints {ends}; layout_for makes a skeleton's layout"
+        raise InputError(clip.source, f"layout {layout.name}", f"end effectors {layout.ends}", rule)
+    return local.velocities[:, list(ends)].reshape(clip.num_frames, -1)

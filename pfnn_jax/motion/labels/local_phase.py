@@ -1,0 +1,273 @@
+"""Local phases: for each hand and foot, where it is in its own cycle of movement (Mason et al. 2022, section 4.1).
+
+A source function per bone says how the cycle goes: its contacts with the ground where it has some, else its way along
+the first principal axis of its movement. The source is normalised in a window of one second and smoothed, a sinusoid is
+fitted around every frame, and the sinusoid's phase at that frame is written as a vector (sin, cos) whose length is the
+fitted amplitude times the speed of the bone: a bone that hardly moves has no phase, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import butter, sosfiltfilt
+
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
+from pfnn_jax.motion.labels.sinusoid import HIGHEST, fit_sinusoids
+from pfnn_jax.motion.skeleton import Skeleton, need_roles
+from pfnn_jax.motion.trajectory import to_local
+
+END_EFFECTORS = ("left hand", "right hand", "left toe", "right toe")
+"""Order of the four bones in every array of local phases."""
+
+
+@dataclass(frozen=True, eq=False)
+class EndEffectors:
+    """Tips of hands and feet, in the order of `END_EFFECTORS`.
+
+    Attributes:
+        world: [T, 4, 3] metres.
+        local: [T, 4, 3] metres from the hips, in axes that turn with the heading of the hips: x to the left, y up, z
+            forward.
+        fps: frames per second.
+    """
+
+    world: np.ndarray
+    local: np.ndarray
+    fps: float
+
+
+def end_effectors(clip: MotionClip) -> EndEffectors:
+    """Tips of a clip's hands and feet: the End Site beyond the joint where it has one, else the joint.
+
+    The local frame stands at the hips and turns about the vertical with the line between the hip joints. The rig's own
+    hip frame would do for one skeleton, but its axes mean something else in every rig (in the Bandai-Namco files z is
+    not forward), and the axes of movement are directed by what is forward.
+
+    Raises:
+        InputError: if the skeleton's roles are not known.
+    """
+    roles = need_roles(clip.skeleton, clip.source or "clip")
+    positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    joints = (roles.left_hand, roles.right_hand, roles.left_foot[1], roles.right_foot[1])
+    world = np.stack([_tip(clip.skeleton, joint, positions, rotations) for joint in joints], axis=1)
+    across = positions[:, roles.left_hip] - positions[:, roles.right_hip]
+    yaw = np.arctan2(-across[:, 2], across[:, 0])  # across × up
+    return EndEffectors(world, to_local(yaw, world - positions[:, None, roles.hips]), clip.fps)
+
+
+def _tip(skeleton: Skeleton, joint: int, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    offsets = [offset for parent, offset in skeleton.end_sites if parent == joint]
+    if not offsets:
+        return positions[:, joint]
+    return positions[:, joint] + quat_rotate(rotations[:, joint], max(offsets, key=lambda o: float(np.linalg.norm(o))))
+
+
+WINDOW_SECONDS = 1.0
+"""Window of the normalisation and of the speed."""
+
+FIT_SECONDS = 0.5
+"""Window of the fit: 31 frames at 60 fps."""
+
+REST_PERCENTILE = 25.0  # height of a toe at rest, among the frames in which it is slow
+FLAT = 1e-6  # share of a source's range below which its deviation in a window is rounding
+MOST = 0.98  # of the frames in contact, or out of it: such a foot has no cycle of contacts
+
+
+@dataclass(frozen=True)
+class LocalPhaseConfig:
+    """How local phases are extracted.
+
+    Attributes:
+        max_height: metres above its resting height up to which a toe touches the ground.
+        max_speed: metres per second below which a toe touches the ground.
+        majority_seconds: each frame's contact becomes that of most frames this near to it (5 frames at 60 fps in the
+            published code, absent from the paper); 0 for none.
+    """
+
+    max_height: float = 0.01
+    max_speed: float = 0.15
+    majority_seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.max_height > 0 and self.max_speed > 0 and self.majority_seconds >= 0):
+            raise ValueError("max_height and max_speed must be positive, and majority_seconds not negative.")
+
+
+@dataclass(frozen=True, eq=False)
+class PrincipalAxes:
+    """First principal axis of each bone's movement, in the order of `END_EFFECTORS`.
+
+    Attributes:
+        directions: [4, 3] unit, directed forward.
+        means: [4, 3] metres, mean positions from the hips.
+    """
+
+    directions: np.ndarray
+    means: np.ndarray
+
+
+def principal_axis(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Direction of greatest variance of points [N, 3], directed to positive z (to positive x where z is 0), and mean.
+
+    Directed, so that bones that move forward together have equal phases, and bones that take turns opposite ones.
+    """
+    mean = points.mean(axis=0)
+    centred = points - mean
+    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
+    return (-axis if (axis[2] or axis[0]) < 0 else axis), mean
+
+
+def fit_axes(clips: Sequence[MotionClip | EndEffectors]) -> PrincipalAxes:
+    """Principal axes of the bones over all takes of one style and gait."""
+    local = np.concatenate([_ends(clip).local for clip in clips])
+    axes = [principal_axis(local[:, bone]) for bone in range(local.shape[1])]
+    return PrincipalAxes(np.stack([axis for axis, _ in axes]), np.stack([mean for _, mean in axes]))
+
+
+def contact_source(points: np.ndarray, fps: float, config: LocalPhaseConfig | None = None) -> np.ndarray:
+    """[T] bool: frames in which points [T, 3] of the world stand on the ground: low and slow.
+
+    Height counts from the point's own resting height in the clip: floors of recorded files are not at zero.
+    """
+    config = config or LocalPhaseConfig()
+    speed = speeds(points, fps)
+    slow = speed < config.max_speed
+    rest = np.percentile(points[slow, 1], REST_PERCENTILE) if slow.any() else points[:, 1].min()
+    contact = slow & (points[:, 1] < rest + config.max_height)
+    around = round(config.majority_seconds * fps)
+    if around == 0:
+        return contact
+    return uniform_filter1d(contact.astype(float), 2 * around + 1, mode="nearest") > 0.5
+
+
+def toe_contacts(clip: MotionClip | EndEffectors, config: LocalPhaseConfig | None = None) -> np.ndarray:
+    """[T, 2] bool: right and left toe on the ground."""
+    ends = _ends(clip)
+    return np.stack([contact_source(ends.world[:, bone], ends.fps, config) for bone in (3, 2)], axis=1)
+
+
+def speeds(points: np.ndarray, fps: float) -> np.ndarray:
+    """[T, ...] metres per second of points [T, ..., 3] by central differences."""
+    if len(points) < 2:
+        return np.zeros(points.shape[:-1])
+    return np.linalg.norm(np.gradient(points, 1 / fps, axis=0), axis=-1)
+
+
+def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarray:
+    """Phase vectors of bones: amplitude times speed times (sin φ, cos φ) (Mason et al. 2022, Eq. 1).
+
+    The speed is the root mean square over a window of one second. The paper writes the norm of the velocity over that
+    window; of mean, root mean square and maximum, the root mean square gives the spread of the published statistics and
+    the lengths that the authors' network predicts for real walks.
+
+    The vectors are smoothed like the source. Where two fits beside each other disagree their vectors cancel, so the
+    phase turns without a jump and the length says that it is uncertain. Frames within a quarter of a second of an end
+    take the phase that the outermost whole window's sinusoid has there.
+
+    Args:
+        source: [T] or [T, B] source functions in any unit; neither their scales nor their offsets matter.
+        speed: of the same shape, metres per second of the bones seen from the hips.
+        fps: frames per second.
+
+    Returns:
+        [T, 2] or [T, B, 2] metres per second, φ growing with time; zero for clips shorter than five frames.
+    """
+    if source.ndim == 1:
+        return local_phases(source[:, None], speed[:, None], fps)[:, 0]
+    frames, bones = source.shape
+    half = min(round(FIT_SECONDS * fps / 2), (frames - 1) // 2)
+    if half < 2:
+        return np.zeros((frames, bones, 2))
+    wave = _smooth(normalise_source(source, fps), fps)
+    windows = np.lib.stride_tricks.sliding_window_view(wave, 2 * half + 1, axis=0)
+    fit = fit_sinusoids(windows.reshape(-1, 2 * half + 1), fps)  # all bones at once
+    nearest = np.clip(np.arange(frames), half, frames - 1 - half)
+    amplitude, frequency, phase = (
+        values.reshape(-1, bones)[nearest - half] for values in (fit.amplitude, fit.frequency, fit.phase)
+    )
+    phase = phase + 2 * np.pi * frequency * ((np.arange(frames) - nearest) / fps)[:, None]
+    around = 2 * round(WINDOW_SECONDS * fps / 2) + 1
+    square = uniform_filter1d(speed**2, around, axis=0, mode="nearest")  # a running sum: zero may come out below it
+    length = amplitude * np.sqrt(np.maximum(square, 0.0))
+    return _smooth(length[..., None] * np.stack([np.sin(phase), np.cos(phase)], axis=-1), fps)
+
+
+def clip_local_phases(
+    clip: MotionClip | EndEffectors, *, axes: PrincipalAxes | None = None, config: LocalPhaseConfig | None = None
+) -> np.ndarray:
+    """Local phases of a clip: [T, 4, 2] as (sin, cos), in the order left hand, right hand, left toe, right toe.
+
+    Args:
+        clip: the motion, or its `end_effectors` where they are known already.
+        axes: principal axes of the clip's style and gait; fitted on this clip by default.
+        config: contacts' thresholds.
+
+    Raises:
+        InputError: if the skeleton's roles are not known.
+    """
+    ends = _ends(clip)
+    axes = axes or fit_axes([ends])
+    sources = source_functions(ends, axes, config)
+    return local_phases(sources, speeds(ends.local, ends.fps), ends.fps)
+
+
+def source_functions(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhaseConfig | None = None) -> np.ndarray:
+    """[T, 4] source of each bone: its contact (0 or 1) for toes that have any, else metres along its principal axis."""
+    sources = np.einsum("tbi,bi->tb", ends.local - axes.means, axes.directions)
+    contacts = toe_contacts(ends, config)
+    stepping = np.flatnonzero(goes_by_contacts(contacts))
+    sources[:, stepping] = contacts[:, ::-1][:, stepping - 2]
+    return sources
+
+
+def goes_by_contacts(contacts: np.ndarray) -> np.ndarray:
+    """[4] bool: whose source is their contact with the ground: toes that now and then touch it.
+
+    Args:
+        contacts: [T, 2] right and left toe, as `toe_contacts` returns them.
+    """
+    share = contacts[:, ::-1].mean(axis=0)
+    return np.concatenate([[False, False], (share > 1 - MOST) & (share < MOST)])
+
+
+def smooth_sources(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhaseConfig | None = None) -> np.ndarray:
+    """[T, 4] sources as sinusoids are fitted to them: normalised in a window of a second, and smoothed."""
+    return _smooth(normalise_source(source_functions(ends, axes, config), ends.fps), ends.fps)
+
+
+def mirror_local_phases(phases: np.ndarray) -> np.ndarray:
+    """Local phases [..., 4, 2] of the mirrored clip: left and right exchanged."""
+    return phases[..., [1, 0, 3, 2], :]
+
+
+def _ends(clip: MotionClip | EndEffectors) -> EndEffectors:
+    return clip if isinstance(clip, EndEffectors) else end_effectors(clip)
+
+
+def normalise_source(source: np.ndarray, fps: float) -> np.ndarray:
+    """Sources [T, ...] less their mean and over their deviation in the second around each frame; zero if constant.
+
+    At the ends of the clip the window holds what there is of that second.
+    """
+    source = source - source.mean(axis=0)
+    largest = np.abs(source).max(axis=0)
+    source, half = source / np.where(largest > 0, largest, 1.0), round(WINDOW_SECONDS * fps / 2)
+    frames = np.arange(len(source))
+    first, last = np.maximum(frames - half, 0), np.minimum(frames + half + 1, len(source))
+    count = (last - first).reshape(-1, *[1] * (source.ndim - 1))
+    zero = np.zeros_like(source[:1])
+    sums, squares = (np.cumsum(np.concatenate([zero, values]), axis=0) for values in (source, source**2))
+    mean = (sums[last] - sums[first]) / count
+    deviation = np.sqrt(np.maximum((squares[last] - squares[first]) / count - mean**2, 0.0))
+    return (source - mean) / np.where(deviation > FLAT, deviation, 1.0)
+
+
+def _smooth(values: np.ndarray, fps: float) -> np.ndarray:
+    """Butterworth of two poles at `HIGHEST` Hz, forwards and backwards along the first axis."""
+    low_pass = butter(2, HIGHEST, fs=fps, output="sos")
+    return sosfiltfilt(low_pass, values, axis=0, padlen=min(round(fps / HIGHEST), len(values) - 1))

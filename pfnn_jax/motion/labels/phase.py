@@ -1,0 +1,198 @@
+"""The phase of the gait: 0 where the right foot comes down, π where the left foot does, linear in time between.
+
+Labels are found from the motion (`label_phase`) or read from `.phase` files that a person has corrected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.io.files import read_rows, refuse_existing, write_whole
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.labels.footsteps import find_steps, half_cycles
+from pfnn_jax.motion.trajectory import wrap_angle
+
+CYCLE = 2 * np.pi
+ROUNDING = 1e-9  # radians; whole cycles stay exactly 0 through wrapping
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseLabels:
+    """Phase of every frame of a clip.
+
+    Attributes:
+        phase: [T] radians in [0, 2π); 0 in frames that have no label.
+        labelled: [T] bool.
+        contacts_right: frame indices at which the right foot comes down (phase 0).
+        contacts_left: frame indices at which the left foot comes down (phase π).
+    """
+
+    phase: np.ndarray
+    labelled: np.ndarray
+    contacts_right: np.ndarray
+    contacts_left: np.ndarray
+
+    @property
+    def num_frames(self) -> int:
+        """T."""
+        return len(self.phase)
+
+
+def label_phase(clip: MotionClip) -> PhaseLabels:
+    """Phase of a clip from its foot contacts.
+
+    Steps are found by `footsteps.find_steps`. Between two contacts the phase is linear in time. Before the first and
+    after the last contact it goes on at the rate of the nearest half cycle of the same foot, for as long as the
+    character moves and over about half a cycle at most: cutting there would lose a quarter of a short walk, and more
+    than half of a short run. Standing has no label.
+
+    Args:
+        clip: with roles on its skeleton.
+
+    Raises:
+        NoGaitError: where there are no alternating steps.
+        InputError: where the skeleton has no roles.
+    """
+    runs = find_steps(clip)
+    unwrapped = np.full(clip.num_frames, np.nan)
+    frames = np.arange(clip.num_frames)
+    for run in runs:
+        # half cycles: right contacts even, left contacts odd
+        half = np.arange(len(run.times)) + (1 if run.left_first else 0)
+        inside = slice(run.start, run.stop)
+        unwrapped[inside] = np.pi * _extend(frames[inside], run.times, half.astype(float))
+    return _labels(unwrapped)
+
+
+def mirror_phase(labels: PhaseLabels) -> PhaseLabels:
+    """Labels of the mirrored clip: left and right exchanged, the phase half a cycle on."""
+    phase = np.where(labels.labelled, (labels.phase + np.pi) % CYCLE, 0.0)
+    return replace(labels, phase=phase, contacts_right=labels.contacts_left, contacts_left=labels.contacts_right)
+
+
+def cut_phase(labels: PhaseLabels, start: int, stop: int) -> PhaseLabels:
+    """Labels of frames start to stop, counted from 0 again."""
+    right, left = ((c[(c >= start) & (c < stop)] - start) for c in (labels.contacts_right, labels.contacts_left))
+    return PhaseLabels(labels.phase[start:stop], labels.labelled[start:stop], right, left)
+
+
+def read_phase(path: Path, num_frames: int | None = None) -> PhaseLabels:
+    """Labels from a `.phase` file: one number in cycles [0, 1] for each frame of the BVH file; 1 is the same as 0.
+
+    A frame has no label where the file holds two or more zeros in a row, or a zero at either end of the file: files
+    labelled by hand hold 0 before their first and after their last step.
+
+    Args:
+        path: text file.
+        num_frames: frames of the BVH file, where the count is to be checked.
+
+    Raises:
+        InputError: for another number of lines, a value that is no number or lies outside [0, 1], or no label at all.
+    """
+    cycles = read_rows(path, 1, num_frames)[:, 0]
+    zero = np.concatenate([[True], cycles == 0, [True]])
+    labelled = ~(zero[1:-1] & (zero[:-2] | zero[2:]))
+    if not labelled.any():
+        raise InputError(path, "file", f"{len(cycles)} zeros", "some frame must have a phase")
+    unwrapped = np.full(len(cycles), np.nan)
+    for start, stop in _runs(labelled):
+        unwrapped[start:stop] = np.unwrap(cycles[start:stop] * CYCLE)
+    return _labels(unwrapped)
+
+
+def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> None:
+    """Writes a `.phase` file, six decimals of a cycle to a line; frames without a label are 0.
+
+    A labelled 0 beside a frame without a label, or at an end of the file, is written as 1: reading gives every label
+    back. Only a gap of a single frame cannot be told from a contact, and is widened by a frame.
+
+    Args:
+        path: text file.
+        labels: at the frame rate of the BVH file.
+        overwrite: replace an existing file.
+
+    Raises:
+        InputError: if the file exists and is not to be replaced, or cannot be written.
+    """
+    path = Path(path)
+    refuse_existing(path, overwrite)
+    labelled = labels.labelled.copy()
+    labelled[[stop for start, stop in _runs(~labels.labelled) if stop - start == 1 and stop < len(labelled)]] = False
+    values = np.round(np.where(labelled, labels.phase / CYCLE, 0.0), 6)
+    zero = np.concatenate([[True], values == 0, [True]])
+    values[labelled & zero[1:-1] & (zero[:-2] | zero[2:])] = 1.0
+    write_whole(path, "".join(f"{value:.6f}\n" for value in values))
+
+
+def resample_phase(labels: PhaseLabels, fps_from: float, fps_to: float, num_frames: int) -> PhaseLabels:
+    """Labels at another frame rate; frame k stands at k / fps_to seconds.
+
+    A frame has a label where both of its neighbours in the source have one.
+
+    Args:
+        labels: at `fps_from`.
+        fps_from: frames per second of the labels.
+        fps_to: frames per second wanted.
+        num_frames: frames wanted.
+    """
+    source = np.arange(num_frames) * (fps_from / fps_to)
+    source = np.where(np.abs(source - np.round(source)) < 1e-6, np.round(source), source)
+    below = np.minimum(source.astype(int), labels.num_frames - 1)
+    above = np.minimum(np.ceil(source).astype(int), labels.num_frames - 1)
+    unwrapped = np.full(labels.num_frames, np.nan)
+    for start, stop in _runs(labels.labelled):
+        unwrapped[start:stop] = np.unwrap(labels.phase[start:stop])
+    between = source - below
+    # runs are unwrapped apart: a NaN lies between two of them, so that no frame mixes two runs
+    values = unwrapped[below] + between * wrap_angle(unwrapped[above] - unwrapped[below])
+    continuous = np.full(num_frames, np.nan)
+    for start, stop in _runs(np.isfinite(values)):
+        continuous[start:stop] = np.unwrap(values[start:stop])
+    return _labels(continuous)
+
+
+def _extend(frames: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Linear interpolation that goes on beyond both ends at the rate of `half_cycles`."""
+    before, after = half_cycles(times)
+    first, last = 1 / before, 1 / after
+    inside = np.interp(frames, times, values)
+    inside = np.where(frames < times[0], values[0] + (frames - times[0]) * first, inside)
+    return np.where(frames > times[-1], values[-1] + (frames - times[-1]) * last, inside)
+
+
+def _labels(unwrapped: np.ndarray) -> PhaseLabels:
+    """Labels from the continuous phase [T] radians, NaN where there is none."""
+    labelled = np.isfinite(unwrapped)
+    phase = np.where(labelled, unwrapped, 0.0) % CYCLE
+    phase = np.where(np.minimum(phase, CYCLE - phase) < ROUNDING, 0.0, phase)
+    right, left = [], []
+    for start, stop in _runs(labelled):
+        right.append(start + _crossings(unwrapped[start:stop]))
+        left.append(start + _crossings(unwrapped[start:stop] - np.pi))
+    join = [np.concatenate(c) if c else np.zeros(0, np.int64) for c in (right, left)]
+    return PhaseLabels(phase, labelled, *join)
+
+
+def _crossings(unwrapped: np.ndarray) -> np.ndarray:
+    """Frames nearest to each whole cycle that the phase reaches or passes."""
+    cycles = unwrapped / CYCLE
+    nearest = np.round(cycles)
+    if len(cycles) < 2:
+        return np.flatnonzero(np.abs(cycles - nearest) < 1e-6)
+    away = np.abs(cycles - nearest)
+    # a crossing's nearest frame lies less than half a frame's advance from the whole cycle
+    step = np.abs(np.gradient(cycles))
+    near = away <= np.maximum(0.5 * step, 1e-6)
+    frames = np.flatnonzero(near)
+    _, first = np.unique(nearest[frames], return_index=True)
+    return np.sort(frames[first])
+
+
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """(start, stop) of every stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

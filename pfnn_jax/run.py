@@ -1,0 +1,383 @@
+"""The run directory: everything that training leaves and that generation needs.
+
+RUN/config.json     sizes, adapter, layout, skeleton, styles, settings, versions: enough to rebuild the run
+RUN/normaliser/     statistics of the pretraining data, reused by every later style
+RUN/shared/         style-agnostic parameters, with shared.json (their fingerprint)
+RUN/generator/      the FiLM generator, where styles come from one, with generator.json
+RUN/styles/NAME/    one style's adapter or Film, with style.json (fingerprint of the shared parameters beside which
+                    it was trained, form of the style, source clip, settings, metrics)
+RUN/train_state/    optimiser state and step, with train_state.json, to resume exactly
+RUN/metrics.jsonl   one line for each interval of training
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.io.checkpoint import (
+    fingerprint,
+    load_record,
+    locate,
+    read_json,
+    read_note,
+    replacing,
+    save_record,
+    saved_names,
+    write_json,
+)
+from pfnn_jax.io.files import refuse_existing
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, OneHot, Style, init_adapter
+from pfnn_jax.models.film import Film
+from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
+from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
+from pfnn_jax.models.network import Network, NetworkConfig, init_network, num_parameters
+from pfnn_jax.motion.datasets.sources import check_style_name
+from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout, layout_for
+from pfnn_jax.motion.features.normaliser import Normaliser, load_normaliser, save_normaliser
+from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
+
+RUN_RULE = "must be a run directory, as `pfnn-jax pretrain` or `pfnn-jax import-released` writes it"
+
+
+def _versions() -> dict[str, str]:
+    return {"pfnn_jax": importlib.metadata.version("pfnn-jax"), "jax": jax.__version__}
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything needed to rebuild a run.
+
+    Attributes:
+        network: sizes of the shared network.
+        adapter: form of the styles that pretraining learned. A later style may be an adapter of another kind, but
+            Films and adapters do not stand beside one network: it was trained with layer norms, or without.
+        layout: name of the frame layout.
+        num_joints: J.
+        styles: names of the pretraining styles, in the order of the adapter bank.
+        skeleton: as `skeleton_to_json` returns it.
+        pretrain: settings of pretraining, or where the parameters came from.
+        generator: sizes of the FiLM generator in RUN/generator/, or None where there is none.
+        command_gain: what commanded speeds are multiplied by before they reach the network.
+        versions: of pfnn_jax and jax at the time of writing.
+    """
+
+    network: NetworkConfig
+    adapter: AdapterConfig
+    layout: str
+    num_joints: int
+    styles: tuple[str, ...]
+    skeleton: Mapping[str, Any]
+    pretrain: Mapping[str, Any] = field(default_factory=dict)
+    generator: GeneratorConfig | None = None
+    command_gain: float = 1.0
+    versions: Mapping[str, str] = field(default_factory=_versions)
+
+    def __post_init__(self):
+        if self.layout not in LAYOUTS:
+            raise ValueError(f"RunConfig.layout must be one of {', '.join(LAYOUTS)}, got {self.layout!r}.")
+        layout = LAYOUTS[self.layout](self.num_joints)
+        if self.network.phase_size != layout.phase_size:
+            raise ValueError(
+                f"RunConfig.network must have phase_size {layout.phase_size} for layout {self.layout}, "
+                f"got {self.network.phase_size}."
+            )
+        if self.command_gain <= 0:
+            raise ValueError(f"RunConfig.command_gain must be positive, got {self.command_gain}.")
+        sizes = (self.network.input_size, self.network.output_size)
+        if sizes != (layout.input_size, layout.output_size):
+            raise ValueError(
+                f"RunConfig.network must have {layout.input_size} inputs and {layout.output_size} outputs "
+                f"for layout {self.layout} with {self.num_joints} joints, got {sizes[0]} and {sizes[1]}."
+            )
+
+
+def load_config(path: str | Path) -> RunConfig:
+    """Reads RUN/config.json; the shared parameters need not exist yet.
+
+    Raises:
+        InputError: if it is absent or malformed, or a value breaks a rule.
+    """
+    file = (locate(Path(path)) or Path(path)) / "config.json"
+    data = read_json(file, RUN_RULE)
+    try:
+        network, adapter = NetworkConfig(**data.pop("network")), AdapterConfig(**data.pop("adapter"))
+        sizes = data.pop("generator", None)
+        generator = None if sizes is None else GeneratorConfig(**sizes)
+        styles = tuple(data.pop("styles"))
+        return RunConfig(network=network, adapter=adapter, styles=styles, generator=generator, **data)
+    except KeyError as error:
+        raise InputError(file, "entry", f"{error.args[0]} is absent", RUN_RULE) from error
+    except (TypeError, ValueError) as error:
+        raise InputError(file, "entries", str(error).removesuffix("."), RUN_RULE) from error
+
+
+State = TypeVar("State")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A loaded run.
+
+    Attributes:
+        path: its directory.
+        config: as stored.
+        layout: what the network reads and writes.
+        skeleton: of the pretraining data.
+        normaliser: statistics of the pretraining data.
+        shared: style-agnostic parameters.
+        fingerprint: of `shared`, see `fingerprint`.
+    """
+
+    path: Path
+    config: RunConfig
+    layout: FrameLayout
+    skeleton: Skeleton
+    normaliser: Normaliser
+    shared: Network
+    fingerprint: str
+
+
+def create_run(path: str | Path, config: RunConfig, normaliser: Normaliser, overwrite: bool = False) -> Path:
+    """Makes a run directory that holds the configuration and the normaliser, complete or not at all.
+
+    Args:
+        path: the directory.
+        config: what to rebuild the run from.
+        normaliser: statistics of the pretraining data.
+        overwrite: replace an existing run, with everything in it.
+
+    Raises:
+        InputError: if the path exists and `overwrite` is not set; if it is no run (that is never replaced); if a
+            style's name cannot be a folder's; if the disk is full.
+    """
+    path = Path(path)
+    if path.exists() and not _is_empty_folder(path):
+        refuse_existing(path, overwrite)
+        if not (path / "config.json").is_file():
+            raise InputError(path, "output", "exists and is no run", "only a run directory is replaced")
+    for name in config.styles:
+        check_style_name(name, path)
+    with replacing(path) as new:
+        save_normaliser(new / "normaliser", normaliser)
+        write_json(new / "config.json", asdict(config))
+    return path
+
+
+def load_run(path: str | Path, layout: str | None = None) -> Run:
+    """Loads a run as it was after its last completed save.
+
+    Args:
+        path: the run directory.
+        layout: name of the layout it must have been written by, or None for any.
+
+    Raises:
+        InputError: if it is no run, damaged, written by another layout, or its pretraining has saved nothing yet.
+    """
+    config = load_config(path)
+    path = locate(Path(path)) or Path(path)
+    if layout is not None and layout != config.layout:
+        raise InputError(path, "layout", config.layout, f"must be {layout}: layouts cannot be mixed")
+    normaliser = load_normaliser(path / "normaliser")
+    widths = (len(normaliser.phases.mean) if normaliser.phases else 0), config.network.phase_size
+    if widths[0] != widths[1]:
+        rule = f"must equal phase_size {widths[1]} of config.json"
+        raise InputError(path / "normaliser", "phase columns", widths[0], rule)
+    for statistics, size in ((normaliser.inputs, "input_size"), (normaliser.outputs, "output_size")):
+        if len(statistics.mean) != getattr(config.network, size):
+            rule = f"must equal {size} {getattr(config.network, size)} of config.json"
+            raise InputError(path / "normaliser", "columns", len(statistics.mean), rule)
+    if locate(path / "shared") is None:
+        raise InputError(path, "shared", "absent", "pretraining must have saved once; run it (again) to the end")
+    shared = load_record(path / "shared", _abstract(lambda: init_network(config.network, jax.random.key(0))))
+    skeleton = skeleton_from_json(config.skeleton, path / "config.json")
+    return Run(
+        path=path,
+        config=config,
+        layout=layout_for(config.layout, skeleton),
+        skeleton=skeleton,
+        normaliser=normaliser,
+        shared=shared,
+        fingerprint=fingerprint(shared),
+    )
+
+
+def save_shared(path: str | Path, shared: Network) -> None:
+    """Saves the style-agnostic parameters; styles saved beside others are refused from then on."""
+    note = {"fingerprint": fingerprint(shared), "parameters": num_parameters(shared)}
+    save_record(Path(path) / "shared", shared, "shared.json", note)
+
+
+def save_generator(path: str | Path, parameters: Any) -> None:
+    """Saves the FiLM generator of a run whose configuration has one."""
+    note = {"shared": shared_fingerprint(path), "parameters": num_parameters(parameters)}
+    save_record(Path(path) / "generator", parameters, "generator.json", note)
+
+
+def load_generator(run: Run) -> Any:
+    """The parameters of the run's FiLM generator.
+
+    Raises:
+        InputError: if the run has none, it is damaged, or was trained beside another shared network.
+    """
+    folder, sizes = run.path / "generator", run.config.generator
+    if sizes is None or locate(folder) is None:
+        raise InputError(run.path, "generator", "absent", "must be a run pretrained with `--adapter.kind film`")
+    note = read_note(folder, "generator.json", RUN_RULE)
+    if note.get("shared") != run.fingerprint:
+        rule = f"must be {_short(run.fingerprint)}: the generator was trained beside another shared network"
+        raise InputError(folder, "shared network", _short(note.get("shared")), rule)
+    return load_record(folder, _abstract(lambda: film_generator(sizes).init(jax.random.key(0))))
+
+
+def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, Any], overwrite: bool = False) -> Path:
+    """Saves one style's adapter, tied to the run's shared parameters as they are on disk.
+
+    Args:
+        path: the run directory.
+        name: of the style and of its folder.
+        adapter: its parameters, of any kind; a CP adapter has the run's rank.
+        info: source clip, settings, metrics: whatever style.json should tell.
+        overwrite: replace a style of this name.
+
+    Returns:
+        The style's folder.
+
+    Raises:
+        InputError: if the name cannot be a folder's, the style exists, the adapter does not fit the run, or the disk
+            is full.
+    """
+    path = Path(path)
+    folder = path / "styles" / check_style_name(name, path)
+    if locate(folder) is not None and not overwrite:
+        raise InputError(folder, "output", "exists", "an existing style is replaced only with --overwrite")
+    config, form = load_config(path), adapter_form(adapter)
+    check_adapter(config, form, folder)
+    shapes = [leaf.shape for leaf in jax.tree.leaves(_abstract_adapter(config, form))]
+    if [leaf.shape for leaf in jax.tree.leaves(adapter)] != shapes:
+        raise InputError(folder, "adapter", num_parameters(adapter), f"must fit {config.network.hidden} hidden units")
+    note = {"name": name, "shared": shared_fingerprint(path), "adapter": asdict(form), "info": info}
+    save_record(folder, adapter, "style.json", note)
+    return folder
+
+
+def load_style(run: Run, name: str | None) -> Style | None:
+    """One style's adapter, or None for style-agnostic motion where `name` is None.
+
+    Raises:
+        InputError: for an unknown style (listing those there are), and for one that was trained beside another
+            shared network or is a CP adapter of another rank.
+    """
+    if name is None:
+        return None
+    note, folder = style_note(run.path, name), run.path / "styles" / name
+    if note.get("shared") != run.fingerprint:
+        rule = f"must be {_short(run.fingerprint)}: style {name} was trained beside another shared network"
+        raise InputError(folder, "shared network", _short(note.get("shared")), rule)
+    try:
+        form = AdapterConfig(**note["adapter"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(folder / "style.json", "adapter", error, "must be a kind and a rank") from error
+    check_adapter(run.config, form, folder)
+    return load_record(folder, _abstract_adapter(run.config, form))
+
+
+def list_styles(path: str | Path) -> tuple[str, ...]:
+    """Names of the run's styles, sorted."""
+    return saved_names(Path(path) / "styles")
+
+
+def style_note(path: str | Path, name: str) -> dict[str, Any]:
+    """What style.json tells: `name`, `shared` (fingerprint), `adapter` (kind and rank) and `info`.
+
+    Raises:
+        InputError: for an unknown style, listing those there are.
+    """
+    names = list_styles(path)
+    if name not in names:
+        raise InputError(path, "style", name, f"must be one of {', '.join(names) or '(this run has no styles yet)'}")
+    return read_note(Path(path) / "styles" / name, "style.json", "must be a style saved by `pfnn-jax few-shot`")
+
+
+def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) -> None:
+    """Refuses a style that does not fit the run's network; training asks this first.
+
+    Raises:
+        InputError: for a CP adapter of another rank than the run's, where that has CP adapters, and for a Film beside
+            a network trained with adapters or the reverse: with a Film the hidden layers are normalised.
+    """
+    own = config.adapter
+    if form.kind == own.kind == "cp" and form.rank != own.rank:
+        raise InputError(source, "adapter rank", form.rank, f"must be {own.rank}, the rank of the run's adapters")
+    if (form.kind == "film") != (own.kind == "film"):
+        asked = "must be film (few-shot: --method film or --recipe generator)"
+        rule = asked if own.kind == "film" else "must not be film"
+        raise InputError(source, "adapter kind", form.kind, f"{rule}, as the run's styles are {own.kind}")
+
+
+_KINDS: dict[type, AdapterKind] = {
+    BlendedLayer: "full",
+    DiagonalLayer: "diagonal",
+    BiasLayer: "bias",
+    DenseLayer: "dense",
+    OneHot: "one_hot",
+    Film: "film",
+}
+
+
+def adapter_form(adapter: Style) -> AdapterConfig:
+    """Kind and rank of a style's parameters."""
+    if isinstance(adapter, CPLayer):
+        return AdapterConfig(kind="cp", rank=adapter.d.shape[-1])
+    return AdapterConfig(kind=_KINDS[type(adapter)])
+
+
+def save_train_state(path: str | Path, state: Any, step: int) -> None:
+    """Saves the state of training; the last good one is replaced when this one is complete."""
+    save_record(Path(path) / "train_state", state, "train_state.json", {"step": int(step)})
+
+
+def load_train_state(path: str | Path, abstract_state: State) -> State | None:
+    """The last completely saved state as the types of `abstract_state`, or None where there is none.
+
+    Raises:
+        InputError: if it is damaged or of other shapes.
+    """
+    folder = Path(path) / "train_state"
+    return None if locate(folder) is None else load_record(folder, abstract_state)
+
+
+def train_step(path: str | Path) -> int | None:
+    """Step of the last completely saved state, or None where there is none."""
+    folder = Path(path) / "train_state"
+    return None if locate(folder) is None else int(read_note(folder, "train_state.json", RUN_RULE)["step"])
+
+
+def shared_fingerprint(path: str | Path) -> str:
+    """Fingerprint of the shared parameters on disk, read from their note."""
+    return read_note(Path(path) / "shared", "shared.json", "the shared parameters must be saved first")["fingerprint"]
+
+
+def _abstract(make: Callable[[], State]) -> State:
+    """The shapes of what `make` makes; parameters are float32 on disk, also where the program runs in float64."""
+    return jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, np.float32), jax.eval_shape(make))
+
+
+def _abstract_adapter(config: RunConfig, form: AdapterConfig) -> Style:
+    network = config.network
+    return _abstract(lambda: init_adapter(form, network.hidden, network.num_control_points, jax.random.key(0)))
+
+
+def _short(digest: object) -> str:
+    return str(digest)[:12]
+
+
+def _is_empty_folder(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())

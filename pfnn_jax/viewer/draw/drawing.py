@@ -1,0 +1,209 @@
+"""How a body and its time line look in pictures and films: the one drawing of both, on matplotlib's axes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from pfnn_jax.io.files import write_whole
+from pfnn_jax.viewer.draw.body import Capsule, capsule_ends
+from pfnn_jax.viewer.draw.palette import MUTED, PANEL, PHASE, SIDES
+from pfnn_jax.viewer.draw.tracks import Track, foot_bars, phase_lines
+
+LIGHT = np.array([-0.5, 0.85])  # on the page: from above left
+SMALLER = np.linspace(0.0, 0.72, 9)  # of nested outlines: how much smaller each is
+WHITE = np.interp(SMALLER, [0.3, 0.72], [0.0, 0.3])  # ... and its shares of white
+BLACK = np.interp(SMALLER, [0.0, 0.3], [0.22, 0.0])  # ... and of black
+ARC = 11  # corners of each of an outline's two ends
+FOOT_ROW, PHASE_ROW, BONE_ROW, ROW_GAP = 0.11, 0.3, 0.17, 0.035  # inches
+
+
+def blank_figure(width: float, height: float) -> Figure:
+    """A white figure of a size in inches that no window manager knows of."""
+    figure = Figure(figsize=(width, height), facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def png_bytes(figure: Figure, dpi: int = 144) -> bytes:
+    """The figure as the bytes of a PNG file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, facecolor=figure.get_facecolor())
+    return buffer.getvalue()
+
+
+def save_figure(figure: Figure, path: str | Path, dpi: int = 144) -> None:
+    """Write the figure as a PNG file, whole or not at all.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    write_whole(Path(path), png_bytes(figure, dpi))
+
+
+def draw_body(axes: Axes, points: np.ndarray, capsules: Sequence[Capsule]) -> None:
+    """Draw a body seen from far along its third coordinate.
+
+    Args:
+        axes: where to draw, in metres.
+        points: [P, 3] metres: across, up, and towards the viewer.
+        capsules: from `body_capsules`.
+    """
+    starts, ends = all_ends(points, capsules)
+    radii = radii_of(capsules)
+    shapes, colours = body_shapes(starts[:, :2], ends[:, :2], radii, starts[:, 2] + ends[:, 2], tones(capsules))
+    # not clipped: an arm held out may leave the axes
+    axes.add_collection(PolyCollection(list(shapes), facecolors=colours, edgecolors="none", clip_on=False, zorder=2))
+
+
+def all_ends(points: np.ndarray, capsules: Sequence[Capsule]) -> tuple[np.ndarray, np.ndarray]:
+    """Centres [..., C, 3] of the first and of the second ends of all capsules, from points [..., P, 3]."""
+    ends = [capsule_ends(points, capsule) for capsule in capsules]
+    return np.stack([a for a, _ in ends], axis=-2), np.stack([b for _, b in ends], axis=-2)
+
+
+def radii_of(capsules: Sequence[Capsule]) -> np.ndarray:
+    """[C, 2] metres."""
+    return np.array([(capsule.start_radius, capsule.end_radius) for capsule in capsules])
+
+
+def tones(capsules: Sequence[Capsule]) -> np.ndarray:
+    """[C, S, 3] colours of every capsule's nested outlines, from the dark rim to the light."""
+    base = np.array([to_rgb(SIDES[capsule.side]) for capsule in capsules])[:, None]
+    return (base + WHITE[:, None] * (1.0 - base)) * (1.0 - BLACK[:, None])
+
+
+def body_shapes(
+    starts: np.ndarray, ends: np.ndarray, radii: np.ndarray, nearness: np.ndarray, colours: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Polygons of a body on the page, the farthest first.
+
+    Every capsule is a dark outline with lighter ones nested inside it towards the light, which makes it round.
+
+    Args:
+        starts: [C, 2] first ends on the page.
+        ends: [C, 2] second ends.
+        radii: [C, 2] on the page.
+        nearness: [C] greater for nearer capsules.
+        colours: [C, S, 3] from `tones`.
+
+    Returns:
+        (polygons [C * S, N, 2], colours [C * S, 3]).
+    """
+    order = np.argsort(nearness, kind="stable")
+    starts, ends, radii = starts[order], ends[order], radii[order]
+    along = ends - starts
+    length = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+    along = along / length
+    # light from the side of a long limb, from its own direction on a limb that points at the viewer
+    seen = np.minimum(1.0, length / np.maximum(radii.sum(axis=-1, keepdims=True), 1e-9))
+    towards = LIGHT - seen * np.sum(LIGHT * along, axis=-1, keepdims=True) * along
+    inner = radii[:, None] * (1.0 - SMALLER[:, None])  # [C, S, 2]
+    shift = radii[:, None] * SMALLER[:, None]
+    a = starts[:, None] + shift[..., :1] * towards[:, None]
+    b = ends[:, None] + shift[..., 1:] * towards[:, None]
+    shapes = outlines(a, b, inner[..., 0], inner[..., 1])
+    return shapes.reshape(-1, *shapes.shape[-2:]), colours[order].reshape(-1, 3)
+
+
+def outlines(a: np.ndarray, b: np.ndarray, ra: np.ndarray, rb: np.ndarray) -> np.ndarray:
+    """Outlines [..., N, 2] around pairs of circles with centres a and b [..., 2] and radii [...], counter-clockwise."""
+    along = b - a
+    length = np.maximum(np.linalg.norm(along, axis=-1), 1e-9)
+    angle = np.arctan2(along[..., 1], along[..., 0])[..., None]
+    spread = np.arccos(np.clip((ra - rb) / length, -1.0, 1.0))[..., None]  # where the tangents touch
+    far = angle + spread * np.linspace(-1, 1, ARC)
+    near = angle + spread + (2 * np.pi - 2 * spread) * np.linspace(0, 1, ARC)
+
+    def circle(centre: np.ndarray, radius: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        return centre[..., None, :] + radius[..., None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+    return np.concatenate([circle(b, rb, far), circle(a, ra, near)], axis=-2)
+
+
+def strip_height(track: Track) -> float:
+    """Inches of a track's time line; zero where it has neither contacts nor phases."""
+    heights = _row_heights(track)
+    return sum(heights) + ROW_GAP * max(0, len(heights) - 1)
+
+
+def _row_heights(track: Track) -> list[float]:
+    lines = phase_lines(track)
+    return [FOOT_ROW] * len(foot_bars(track)) + [PHASE_ROW if len(lines) == 1 else BONE_ROW] * len(lines)
+
+
+def draw_strip(axes: Axes, track: Track) -> None:
+    """Draw a track's time line: a bar while a foot stands, a line that rises from 0 to 2π with every cycle.
+
+    Args:
+        axes: `strip_height` high; its x are seconds.
+        track: the clip.
+    """
+    bars, lines = foot_bars(track), phase_lines(track)
+    heights = _row_heights(track)
+    top = strip_height(track)
+    axes.set_ylim(0, top)
+    names = [*(f"{name} foot" for name, _ in bars), *(line.name for line in lines)]
+    for row, (name, height) in enumerate(zip(names, heights, strict=True)):
+        top -= height
+        # as long as the clip: nothing is known of what comes after
+        axes.broken_barh([(0.0, track.clip.num_frames / track.clip.fps)], (top, height), color=PANEL, lw=0, zorder=0)
+        scaled = height == PHASE_ROW
+        _beside(axes, name, top + height / 2, -14 if scaled else -6, 7.5)
+        if scaled:
+            _beside(axes, "2π", top + 0.84 * height, -3, 6)
+            _beside(axes, "0", top + 0.16 * height, -3, 6)
+        if row < len(bars):
+            spans = [(first / track.clip.fps, (past - first) / track.clip.fps) for first, past in bars[row][1]]
+            axes.broken_barh(spans, (top, height), facecolors=SIDES[bars[row][0]], linewidth=0, zorder=1)
+        else:
+            line = lines[row - len(bars)]
+            draw_phase(axes, np.arange(track.clip.num_frames) / track.clip.fps, line.angle, line.weight, top, height)
+        top -= ROW_GAP
+    axes.set_yticks([])
+    axes.set_frame_on(False)
+    axes.tick_params(colors=MUTED, labelsize=7.5, length=0, pad=2)
+    axes.xaxis.set_major_formatter(lambda second, _: f"{second:g} s")
+
+
+def _beside(axes: Axes, text: str, y: float, points: float, size: float) -> None:
+    """Text that ends so many points left of the axes."""
+    place = {"xytext": (points, 0), "textcoords": "offset points", "ha": "right", "va": "center"}
+    axes.annotate(text, (0, y), xycoords=("axes fraction", "data"), fontsize=size, color=MUTED, **place)
+
+
+def draw_phase(
+    axes: Axes,
+    seconds: np.ndarray,
+    angle: np.ndarray,
+    weight: np.ndarray,
+    low: float,
+    height: float,
+    width: float = 1.5,
+) -> None:
+    """A phase as a line from `low` up by `height` with every cycle, transparent where there is little of it.
+
+    Args:
+        axes: where to draw.
+        seconds: [T].
+        angle: [T] radians in [0, 2π), NaN where there is none.
+        weight: [T] in [0, 1].
+        low: y of phase 0.
+        height: of a cycle.
+        width: of the line, points.
+    """
+    points = np.stack([seconds, low + height * (0.06 + 0.88 * angle / (2 * np.pi))], axis=-1)
+    with np.errstate(invalid="ignore"):
+        whole = np.flatnonzero(np.abs(np.diff(angle)) < np.pi)
+    colours = np.empty((len(whole), 4))
+    colours[:, :3], colours[:, 3] = to_rgb(PHASE), weight[whole]
+    segments = np.stack([points[whole], points[whole + 1]], axis=1)
+    axes.add_collection(LineCollection(list(segments), colors=colours, linewidths=width, capstyle="butt", zorder=1))

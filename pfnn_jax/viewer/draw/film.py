@@ -1,0 +1,207 @@
+"""Clips as frames of a film: the scene of the HTML player, drawn frame by frame without a browser."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb, to_rgba
+from matplotlib.patches import FancyBboxPatch, PathPatch
+from matplotlib.path import Path
+
+from pfnn_jax.viewer.draw.camera import Camera
+from pfnn_jax.viewer.draw.drawing import (
+    all_ends,
+    blank_figure,
+    body_shapes,
+    draw_strip,
+    outlines,
+    radii_of,
+    strip_height,
+    tones,
+)
+from pfnn_jax.viewer.draw.palette import GROUND, INK, MUTED, PANEL, SHADE, SHADOW
+from pfnn_jax.viewer.draw.scene import make_scene
+from pfnn_jax.viewer.draw.tracks import Track
+
+PER_ROW = 4
+PANES = {1: (6.4, 4.2), 2: (4.4, 4.2), 3: (3.6, 3.8), 4: (3.0, 3.5)}  # inches, by how many stand beside each other
+EDGE, APART, CAPTION, NAMES, SECONDS, ABOVE_STRIP = 0.12, 0.16, 0.28, 0.75, 0.2, 0.08  # inches
+WINDOW = 10.0  # seconds of a time line; of longer clips it shows the part around now
+REACH = 7  # how many of the ground's lines lie to every side
+TRAIL, TRAIL_STEP = 20.0, 0.1  # seconds of the path drawn before and after now, and between its points
+PALE = 0.62  # share of the background in a clip that has ended
+
+
+class Film:
+    """The frames of clips side by side and in step.
+
+    Args:
+        tracks: clips to show; shorter ones hold their last frame and turn pale.
+        fps: frames per second.
+        dpi: pixels per inch; a film of one clip is about 6.6 inches wide.
+    """
+
+    def __init__(self, tracks: Sequence[Track], fps: float, dpi: int):
+        if not tracks:
+            raise ValueError("A film needs at least one track.")
+        columns = min(len(tracks), PER_ROW)
+        rows = math.ceil(len(tracks) / columns)
+        wide, high = PANES[columns]
+        strip = max(strip_height(track) for track in tracks)
+        below = strip + SECONDS + ABOVE_STRIP if strip else 0.0
+        row = CAPTION + high + below
+        inches = (2 * EDGE + columns * wide + (columns - 1) * APART, 2 * EDGE + rows * row + (rows - 1) * APART)
+        size = [2 * math.ceil(length * dpi / 2) for length in inches]  # even, as video needs
+        self.fps, self.seconds = fps, max(track.seconds for track in tracks)
+        self.width, self.height = size
+        figure = blank_figure(size[0] / dpi, size[1] / dpi)
+        figure.set_dpi(dpi)
+        self._canvas = FigureCanvasAgg(figure)
+        self._panes: list[_Pane | _Strip] = []
+        self._background = None
+        for number, track in enumerate(tracks):
+            left = EDGE + (number % columns) * (wide + APART)
+            top = inches[1] - EDGE - (number // columns) * (row + APART)
+            box = np.array([left, top - CAPTION - high, wide, high]) / [*inches, *inches]
+            self._panes.append(_Pane(figure.add_axes(tuple(box)), track, dpi))
+            if strip_height(track):
+                at = [left + NAMES, top - CAPTION - high - ABOVE_STRIP - strip_height(track)]
+                box = np.array([*at, wide - NAMES, strip_height(track)]) / [*inches, *inches]
+                self._panes.append(_Strip(figure.add_axes(tuple(box)), track, self.seconds))
+
+    @property
+    def num_frames(self) -> int:
+        """Frames from the first second to the last of the longest clip."""
+        return int(math.floor(self.seconds * self.fps + 1e-6)) + 1
+
+    def frames(self) -> Iterator[np.ndarray]:
+        """[height, width, 3] bytes of every frame."""
+        return (self.frame_at(number / self.fps) for number in range(self.num_frames))
+
+    def frame_at(self, second: float) -> np.ndarray:
+        """[height, width, 3] bytes of the frame at a second."""
+        if self._background is None:
+            self._canvas.draw()  # what stays
+            self._background = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
+        self._canvas.restore_region(self._background)
+        for pane in self._panes:
+            pane.draw(second, self._canvas.get_renderer())
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+
+class _Pane:
+    """A scene that is drawn anew for every frame, in pixels."""
+
+    def __init__(self, axes: Axes, track: Track, dpi: int):
+        self.scene, self.track, self.pixel = make_scene(track.clip), track, dpi / 100
+        box = axes.get_window_extent()
+        self.size = (box.width, box.height)
+        axes.set_xlim(0, box.width)
+        axes.set_ylim(0, box.height)
+        axes.axis("off")
+        axes.annotate(
+            track.name, (0, 1), (2, 6), "axes fraction", "offset points", color=INK, fontsize=9.5, weight="bold"
+        )
+        if track.note:
+            place = {"xycoords": axes.texts[0], "xytext": (8, 0), "textcoords": "offset points"}
+            axes.annotate(track.note, (1, 0), **place, fontsize=8.5, color=MUTED, va="bottom")
+        rounding = f"round,pad=0,rounding_size={8 * self.pixel}"
+        panel = axes.add_patch(FancyBboxPatch((0, 0), *self.size, boxstyle=rounding, facecolor=PANEL, linewidth=0))
+        self.grid = LineCollection([], linewidths=0.8)
+        self.past = LineCollection([], linewidths=1.6, colors=[to_rgba(INK, 0.55)])
+        self.future = LineCollection([], linewidths=1.6, colors=[to_rgba(INK, 0.18)])
+        self.shadow = PathPatch(Path(np.zeros((0, 2))), facecolor=to_rgba(SHADOW, SHADE), linewidth=0)
+        self.body = PolyCollection([], edgecolors="none")
+        self.artists = [self.grid, self.past, self.future, self.shadow, self.body]
+        for artist in self.artists:
+            artist.set_animated(True)
+            axes.add_artist(artist)
+            artist.set_clip_path(panel)
+        self.clock = axes.text(0.985, 0.025, "", transform=axes.transAxes, ha="right", color=MUTED, fontsize=8.5)
+        self.clock.set_animated(True)
+        self.artists.append(self.clock)
+        self.radii, self.tones = radii_of(self.scene.capsules), tones(self.scene.capsules)
+
+    def draw(self, time: float, renderer) -> None:
+        scene = self.scene
+        frame = min(time * scene.fps, len(scene.points) - 1)
+        before = int(frame)
+        after, share = min(before + 1, len(scene.points) - 1), frame - before
+        points, focus = ((1 - share) * values[before] + share * values[after] for values in (scene.points, scene.focus))
+        camera = Camera(focus, scene.heading, scene.tall, *self.size)
+        over = time > self.track.over
+        self._draw_ground(camera)
+        self._draw_trail(camera, before)
+        self._draw_body(camera, points, over)
+        self.clock.set_text(f"ended at {self.track.seconds:.1f} s" if over else f"{time:.1f} s")
+        for artist in self.artists:
+            artist.draw(renderer)
+
+    def _draw_ground(self, camera: Camera) -> None:
+        step = 1.0 if 0.3 <= self.scene.tall <= 3 else 10.0 ** round(math.log10(self.scene.tall))
+        centre = np.round(camera.target[[0, 2]] / step)
+        i, j = np.meshgrid(np.arange(-REACH, REACH + 1), np.arange(-REACH, REACH), indexing="ij")
+        one = np.stack([i, j], axis=-1).reshape(-1, 2)
+        starts = np.concatenate([one, one[:, ::-1]])
+        ends = starts + np.repeat([[0, 1], [1, 0]], len(one), axis=0)
+        away = np.linalg.norm((starts + ends) / 2 + centre - camera.target[[0, 2]] / step, axis=-1)
+        near = away < REACH
+        lines = (np.stack([starts[near], ends[near]], axis=1) + centre) * step
+        xy, size, _ = camera.project(np.stack([lines[..., 0], np.zeros(lines.shape[:-1]), lines[..., 1]], axis=-1))
+        seen = np.isfinite(size).all(axis=1)
+        colours = [to_rgba(GROUND, alpha) for alpha in (1 - away[near] / REACH)[seen].tolist()]
+        self.grid.set_segments(list(xy[seen]))
+        self.grid.set_color(colours)
+
+    def _draw_trail(self, camera: Camera, now: int) -> None:
+        scene = self.scene
+        reach, step = round(TRAIL * scene.fps), max(1, round(TRAIL_STEP * scene.fps))
+        for lines, first, last in (
+            (self.past, max(0, now - reach), now),
+            (self.future, now, min(len(scene.points) - 1, now + reach)),
+        ):
+            frames = np.unique([*range(first, last, step), last])
+            xy, size, _ = camera.project(scene.focus[frames] * [1.0, 0.0, 1.0])
+            lines.set_segments([xy[np.isfinite(size)]])
+
+    def _draw_body(self, camera: Camera, points: np.ndarray, over: bool) -> None:
+        starts, ends = all_ends(points, self.scene.capsules)
+        flat = np.array([1.0, 0.0, 1.0])
+        (a, size_a, _), (b, size_b, _) = camera.project(starts * flat), camera.project(ends * flat)
+        squash = np.array([1.0, max(0.25, math.sin(camera.pitch))])
+        ra, rb = (0.9 * self.radii[:, end] * size for end, size in enumerate((size_a, size_b)))
+        round_ = outlines(a / squash, b / squash, ra, rb) * squash
+        closed = np.concatenate([round_, round_[:, :1]], axis=1)
+        self.shadow.set_path(Path.make_compound_path(*(Path(outline) for outline in closed)))
+        (a, size_a, near_a), (b, size_b, near_b) = camera.project(starts), camera.project(ends)
+        shades = self.tones + PALE * (np.array(to_rgb(PANEL)) - self.tones) if over else self.tones
+        radii = self.radii * np.stack([size_a, size_b], axis=-1)
+        shapes, colours = body_shapes(a, b, radii, near_a + near_b, shades)
+        self.body.set_verts(list(shapes))
+        self.body.set_facecolor(list(colours))
+
+
+class _Strip:
+    """A time line with a line for now; that of a long film moves along."""
+
+    def __init__(self, axes: Axes, track: Track, seconds: float):
+        self.axes, self.seconds = axes, seconds
+        draw_strip(axes, track)
+        self.cursor = axes.axvline(0.0, color=INK, linewidth=1.3, zorder=3)
+        self.moves = seconds > WINDOW
+        axes.set_xlim(0, min(seconds, WINDOW) or 1.0)
+        (axes if self.moves else self.cursor).set_animated(True)
+
+    def draw(self, time: float, renderer) -> None:
+        self.cursor.set_xdata([time, time])
+        if not self.moves:
+            self.cursor.draw(renderer)
+            return
+        first = max(0.0, min(time - WINDOW / 2, self.seconds - WINDOW))
+        self.axes.set_xlim(first, first + WINDOW)
+        self.axes.draw(renderer)

@@ -1,0 +1,260 @@
+"""Small pictures of a panel, as HTML: phase dials, the pad with stick and keys, the triangle of styles, readouts."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from importlib import resources
+
+from pfnn_jax.viewer.draw.palette import INK, MUTED
+from pfnn_jax.viewer.page.colours import (
+    ACCENT,
+    FACE,
+    FAINT,
+    LEFT,
+    LETTER,
+    LINE,
+    MESSAGES,
+    PALE_LEFT,
+    PALE_RIGHT,
+    PASSIVE,
+    RIGHT,
+)
+from pfnn_jax.viewer.page.view import Dial, View
+
+TRIANGLE = ((120.0, 16.0), (26.0, 150.0), (214.0, 150.0))
+"""Corners of the styles' triangle in the units of its picture."""
+
+TRIANGLE_WIDTH = "76%"
+"""Of the panel: what comes below it shall be seen in a window of 720 points' height too."""
+
+UNSEEN = "walk to see it"
+"""Of a style that was chosen while the character stands: it stands in that pose until it walks."""
+
+READOUT_WIDTH = 282.0
+"""CSS pixels of the panel of numbers."""
+
+_DIAL_COLOURS = {
+    "gait": ACCENT,
+    "left hand": PALE_LEFT,
+    "right hand": PALE_RIGHT,
+    "left toe": LEFT,
+    "right toe": RIGHT,
+}
+_FONT = "font-family:system-ui,-apple-system,'Segoe UI',Roboto,sans-serif"
+
+
+def script() -> str:
+    """An invisible element that brings the page's script along (see page.js); it takes effect once in a page."""
+    code = resources.files("pfnn_jax.viewer.page").joinpath("page.js").read_text(encoding="utf-8")
+    image = f'<img alt="" src="data:," style="display:none" onerror="{html.escape(code, quote=True)}">'
+    return f"<style>{_PAGE_STYLE}</style>{image}"
+
+
+def phase_dial(dials: Sequence[Dial]) -> str:
+    """Clocks of the phases; noon is the right foot's contact for the gait's."""
+    if not dials:
+        return _note("This network reads velocities, no phase.")
+    if len(dials) == 1:
+        return _svg(240, 104, _clock(dials[0], 120.0, 52.0, 42.0, ticks=True))
+    width = 240 / len(dials)
+    clocks = [_clock(dial, (i + 0.5) * width, 36.0, 25.0) for i, dial in enumerate(dials)]
+    names = [_text((i + 0.5) * width, 78.0, dial.name, 10.5) for i, dial in enumerate(dials)]
+    return _svg(240, 86, "".join(clocks + names))
+
+
+def pad() -> str:
+    """The stick with W A S D at its rim, and keys for turning and running."""
+    letter = "position:absolute;pointer-events:none;font-weight:600;font-size:12px"
+    letters = "".join(
+        f'<span class="pfnn-letter" data-drive="{key}" style="{letter};{place}">{key.upper()}</span>'
+        for key, place in (
+            ("w", "left:0;right:0;top:6px;text-align:center"),
+            ("s", "left:0;right:0;bottom:6px;text-align:center"),
+            ("a", "left:9px;top:42px"),
+            ("d", "right:9px;top:42px"),
+        )
+    )
+    knob = '<div data-knob class="pfnn-knob"></div>'
+    stick = f'<div data-stick class="pfnn-stick" title="Drag to walk; or W A S D">{letters}{knob}</div>'
+    keys = "".join(
+        f'<div class="pfnn-key" role="button" data-drive="{key}" title="{title}">{sign}<small>{label}</small></div>'
+        for key, sign, label, title in (
+            ("q", "&#8630;", "Q", "Turn left"),
+            ("e", "&#8631;", "E", "Turn right"),
+            ("shift", "&#8679;", "Shift: run", "Faster, until pressed again"),
+        )
+    )
+    return f'<style>{_PAD_STYLE}</style><div class="pfnn-pad">{stick}<div class="pfnn-keys">{keys}</div></div>'
+
+
+def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str:
+    """Three styles as corners and their shares as a point between them, which the mouse can drag.
+
+    Args:
+        names: of the three corners: top, left, right.
+        shares: weights that sum to one.
+        active: whether the character is in this mixture.
+    """
+    corners = " ".join(f"{x:g},{y:g}" for x, y in TRIANGLE)
+    x, y = (sum(share * corner[axis] for share, corner in zip(shares, TRIANGLE, strict=True)) for axis in (0, 1))
+    labels = zip(names, percents(shares), strict=True)
+    places = ((120.0, 11.0, "middle"), (4.0, 165.0, "start"), (236.0, 165.0, "end"))
+    texts = "".join(
+        _text(*place[:2], f"{_short(name, 13)} {percent}%", 12.0, place[2], INK if active else MUTED)
+        for (name, percent), place in zip(labels, places, strict=True)
+    )
+    thirds = "".join(
+        f'<line x1="{a[0]:g}" y1="{a[1]:g}" x2="{(b[0] + c[0]) / 2:g}" y2="{(b[1] + c[1]) / 2:g}" stroke="{LINE}"/>'
+        for a, b, c in (TRIANGLE[i:] + TRIANGLE[:i] for i in range(3))
+    )
+    colour = ACCENT if active else PASSIVE
+    shape = (
+        f'<polygon points="{corners}" fill="{ACCENT if active else FAINT}" fill-opacity="{0.1 if active else 1}" '
+        f'stroke="{colour}" stroke-width="1.6" stroke-linejoin="round"/>{thirds}'
+        f'<circle data-dot="" cx="{x:.2f}" cy="{y:.2f}" r="7.5" fill="{colour}" stroke="white" stroke-width="2"/>'
+    )
+    attributes = f'data-triangle="{corners}" style="cursor:pointer;touch-action:none"'
+    return _svg(240, 172, shape + texts, attributes, TRIANGLE_WIDTH)
+
+
+def readout(view: View, drawn: float, browser: float, hint: str = "") -> str:
+    """Numbers of the moment: where the character is, how fast, in what style, and how long a step takes.
+
+    Args:
+        view: the moment.
+        drawn: pictures sent per second.
+        browser: pictures per second that the browser manages, 0 if that is not known.
+        hint: what to say beside the style.
+    """
+    styles = ", ".join(
+        html.escape(name) + (f" {weight:.0%}" if weight < 0.995 else "")
+        for name, weight in sorted(view.style_weights.items(), key=lambda item: -item[1])[:3]
+    )
+    rows = {
+        "Style": styles,
+        "Root": f"x {view.root[0]:+.2f} m, z {view.root[1]:+.2f} m",
+        "Heading": f"{math.degrees(math.atan2(view.facing[0], view.facing[1])):+.0f}°",
+        "Speed": f"{view.speed:.2f} m/s <span style='color:{MUTED}'>of {view.wanted_speed:.2f} wanted</span>",
+        "Steps": f"{view.steps_per_second:.0f} per s",
+        "Pictures": f"{drawn:.0f} per s" + (f", browser {browser:.0f}" if browser else ""),
+        "Inference": f"{view.step_milliseconds:.2f} ms per step",
+    }
+    beside = f' <span data-hint style="color:{ACCENT};white-space:nowrap">· {hint}</span>' if hint else ""
+    cells = "".join(
+        f'<div style="color:{MUTED}">{name}</div><div><span data-readout="{name.lower()}">{value}</span>'
+        + (beside if name == "Style" else "")
+        + "</div>"
+        for name, value in rows.items()
+    )
+    grid = "display:grid;grid-template-columns:68px 1fr;gap:1px 6px;font-variant-numeric:tabular-nums"
+    return f'<div style="{_FONT};font-size:12.5px;line-height:1.45;padding:2px 12px 8px;{grid}">{cells}</div>'
+
+
+def message(kind: str, text: str) -> str:
+    """One line in a box: `good`, `bad` or `plain`."""
+    colour, back = MESSAGES[kind]
+    style = f"{_FONT};font-size:12.5px;line-height:1.4;color:{colour};background:{back};overflow-wrap:anywhere"
+    box = "border-radius:7px;padding:7px 10px;margin:2px 12px 9px"
+    return f'<div data-message="{kind}" style="{style};{box}">{html.escape(text)}</div>'
+
+
+def shares_of(text: str) -> tuple[float, float, float] | None:
+    """Three shares from a text like `50 30 20`, scaled to sum to one; None unless it is three such numbers."""
+    parts = text.replace(",", " ").replace("%", " ").split()
+    if len(parts) != 3:
+        return None
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        return None
+    total = sum(values)
+    if not all(math.isfinite(value) and value >= 0.0 for value in values) or not 0.0 < total < math.inf:
+        return None
+    a, b, c = (value / total for value in values)
+    return a, b, c
+
+
+def percents(shares: Sequence[float]) -> list[int]:
+    """Shares that sum to one in whole percent that sum to a hundred: the largest takes what rounding leaves."""
+    rounded = [round(100.0 * share) for share in shares]
+    rounded[rounded.index(max(rounded))] += 100 - sum(rounded)
+    return rounded
+
+
+def legend(colours: Mapping[str, str], note: str = "") -> str:
+    """Names with their colours in one line, and a note at its end."""
+    items = "".join(
+        f'<span style="margin-right:12px"><i style="display:inline-block;width:9px;height:9px;border-radius:2px;'
+        f'background:{colour};margin-right:5px"></i>{html.escape(name)}</span>'
+        for name, colour in colours.items()
+    )
+    return f'<div style="{_FONT};font-size:11.5px;color:{MUTED};padding:0 12px 8px">{items}{html.escape(note)}</div>'
+
+
+def _clock(dial: Dial, x: float, y: float, radius: float, ticks: bool = False) -> str:
+    colour = _DIAL_COLOURS.get(dial.name, ACCENT)
+    length = radius * min(max(dial.amplitude, 0.0), 1.0)
+    tip = x + length * math.sin(dial.angle), y - length * math.cos(dial.angle)
+    face = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{FACE}" stroke="{LINE}" stroke-width="1.5"/>'
+    if ticks:
+        face += f'<circle cx="{x}" cy="{y - radius}" r="4" fill="{RIGHT}"/>'
+        face += f'<circle cx="{x}" cy="{y + radius}" r="4" fill="{LEFT}"/>'
+        face += _text(x + radius + 12, y - radius + 8, "right foot", 10.5, "start", RIGHT)
+        face += _text(x + radius + 12, y + radius, "left foot", 10.5, "start", LEFT)
+        face += _text(x - radius - 12, y + 4, f"{math.degrees(dial.angle):.0f}°", 15.0, "end", INK)
+    hand = (
+        f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{tip[0]:.2f}" y2="{tip[1]:.2f}" stroke="{colour}" stroke-width="3" '
+        f'stroke-linecap="round"/><circle cx="{tip[0]:.2f}" cy="{tip[1]:.2f}" r="4.5" fill="{colour}"/>'
+    )
+    return face + hand
+
+
+def _svg(width: int, height: int, content: str, attributes: str = "", shown: str = "100%") -> str:
+    size = f'viewBox="0 0 {width} {height}" width="{shown}"'
+    return f'<div style="padding:0 12px 6px;text-align:center"><svg {size} {attributes}>{content}</svg></div>'
+
+
+def _text(x: float, y: float, text: str, size: float, anchor: str = "middle", colour: str = MUTED) -> str:
+    return (
+        f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}" fill="{colour}" '
+        f'style="{_FONT};font-size:{size}px;font-variant-numeric:tabular-nums">{html.escape(text)}</text>'
+    )
+
+
+def _note(text: str) -> str:
+    return f'<div style="{_FONT};font-size:12px;color:{MUTED};padding:2px 12px 8px">{html.escape(text)}</div>'
+
+
+def _short(name: str, length: int) -> str:
+    return name if len(name) <= length else name[: length - 1] + "…"
+
+
+_PAGE_STYLE = f"""
+@media (min-width: 990px) {{ /* notices between the panels, where there is room: not over what is read */
+  .mantine-Notifications-root[data-position=top-left] {{ left: {READOUT_WIDTH + 30:g}px !important; }}
+}}
+.pfnn-ended {{ position: fixed; left: 50%; top: 38%; transform: translate(-50%, -50%); z-index: 1000;
+  box-sizing: border-box; width: min(380px, 90vw); padding: 14px 18px; border-radius: 9px; text-align: center;
+  background: {MESSAGES["bad"][1]}; color: {MESSAGES["bad"][0]}; font-size: 14px; line-height: 1.5; {_FONT};
+  box-shadow: 0 3px 18px rgba(20, 30, 50, 0.25); }}
+.pfnn-ended[hidden] {{ display: none; }}
+"""
+
+_PAD_STYLE = f"""
+.pfnn-pad {{ display: flex; gap: 14px; align-items: center; padding: 4px 12px 10px; user-select: none;
+  -webkit-user-select: none; }}
+.pfnn-stick {{ position: relative; width: 104px; height: 104px; border-radius: 50%; flex: none; cursor: grab;
+  background: radial-gradient(circle at 50% 40%, #ffffff, #e7ebf1); border: 1px solid {LINE}; touch-action: none; }}
+.pfnn-knob {{ position: absolute; left: 34px; top: 34px; width: 34px; height: 34px; border-radius: 50%;
+  background: {ACCENT}; box-shadow: 0 1px 4px rgba(20, 30, 50, 0.35); pointer-events: none; }}
+.pfnn-letter {{ color: {LETTER}; }} .pfnn-letter.on {{ color: {ACCENT}; }}
+.pfnn-keys {{ display: grid; grid-template-columns: 1fr 1fr; gap: 7px; flex: 1; }}
+.pfnn-key {{ border: 1px solid {LINE}; border-radius: 8px; background: #fff; text-align: center; padding: 6px 2px 4px;
+  font-size: 17px; line-height: 1.05; cursor: pointer; color: {INK}; touch-action: none; }}
+.pfnn-key small {{ display: block; font-size: 11px; color: {MUTED}; margin-top: 2px; }}
+.pfnn-key:last-child {{ grid-column: 1 / 3; }}
+.pfnn-key.on {{ background: {ACCENT}; color: #fff; border-color: {ACCENT}; }}
+.pfnn-key.on small {{ color: #fff; }}
+"""

@@ -1,0 +1,268 @@
+"""The panel of a tab: everything that can be pressed, chosen, dragged, read or downloaded."""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.viewer.page import dials
+from pfnn_jax.viewer.page.actor import Actor
+from pfnn_jax.viewer.page.colours import HEEL, LEFT, PLAIN, RIGHT, TOE, rgb
+from pfnn_jax.viewer.page.recording import bvh_bytes
+from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look
+from pfnn_jax.viewer.page.stage import Stage
+from pfnn_jax.viewer.page.style_picker import StylePicker
+from pfnn_jax.viewer.page.timeline import SECONDS, Timeline
+from pfnn_jax.viewer.page.view import View
+from pfnn_jax.viewer.page.words import Values, word_of
+
+if TYPE_CHECKING:
+    import viser
+
+DRIVE = "Stick and keys"
+"""Label of the text field through which the page's script tells what is held; the script hides it."""
+
+SILENCE = 1.0
+"""Seconds after which a stick or key held counts as let go: the script repeats itself five times a second."""
+
+SPEEDS = (0.3, 3.0)  # metres per second
+KEYS = {
+    "w": "Ahead",
+    "a": "Left",
+    "s": "Back",
+    "d": "Right",
+    "q": "Turn left",
+    "e": "Turn right",
+}
+FEET = {"left": LEFT, "right": RIGHT, "heel": HEEL, "toe": TOE}
+STILL = 0.05  # metres per second: slower is standing
+TURNED = math.radians(0.5)  # of a camera: less is no one's wish
+QUEUED = 64  # presses and clicks that may wait
+
+
+class Panel:
+    """Controls and readouts.
+
+    Clicks and keys wait in a bounded queue and values in their fields until `serve` is called, so that a tab's
+    thread alone moves its character.
+
+    Args:
+        client: the tab.
+        stage: the runs.
+        actor: the tab's character.
+        scene: its picture.
+
+    Attributes:
+        clicks: what waits to be done, functions without arguments.
+        upload: the button that takes a file.
+        rate: pictures per second that the browser manages, 0 while that is not known.
+    """
+
+    def __init__(self, client: viser.ClientHandle, stage: Stage, actor: Actor, scene: PageScene) -> None:
+        self._client, self._gui, self._stage, self._actor, self._scene = client, client.gui, stage, actor, scene
+        self.clicks: queue.Queue[Any] = queue.Queue(QUEUED)
+        self.rate = 0.0
+        self._held, self._heard = "", -math.inf
+        self._look: float | None = None
+        self._walked = (actor.run, actor.shares)
+        self._values = Values()
+        self._character()
+        self._drive()
+        with self._gui.add_folder("Style"):
+            self._picker = StylePicker(self._gui, stage, actor)
+        self._files()
+        self._gait()
+        self._camera()
+        self._commands()
+        self._gui.add_html(dials.script())
+
+    def serve(self, now: float) -> None:
+        """Carries out what has been pressed and chosen since the last call; `now` in seconds of the actor's clock."""
+        self._picker.refresh()
+        for _ in range(QUEUED):
+            try:
+                self.clicks.get_nowait()()
+            except queue.Empty:
+                break
+            except InputError as error:
+                self.tell("bad", str(error))
+        self._hear_stick(now)
+        try:
+            self._hear_values(now)
+        except (InputError, ValueError) as error:  # a browser can send what its page does not offer
+            self.tell("bad", str(error))
+
+    def show(self, view: View, now: float, drawn: float) -> None:
+        """Brings the readouts up to date.
+
+        Args:
+            view: the moment.
+            now: seconds of the actor's clock.
+            drawn: pictures per second.
+        """
+        self._readout.content = dials.readout(view, drawn, self.rate, dials.UNSEEN if self._unseen(view) else "")
+        self._dial.content = dials.phase_dial(view.dials)
+        self._timeline.show(now)
+        seconds = view.recorded_seconds
+        stop = "Stop and download" if view.recording else "Download"
+        self._record.label = "Record" if seconds is None else f"{stop} ({seconds:.1f} s)"
+
+    def add_contacts(self, view: View, now: float) -> None:
+        """One more moment for the timeline."""
+        self._timeline.add(now, view.contacts)
+
+    def tell(self, kind: str, text: str) -> None:
+        """A message under the upload button: `good`, `bad` or `plain`."""
+        self._message.content = dials.message(kind, text)
+
+    def notify(self, title: str, text: str) -> None:
+        """A message above everything that stays until it is closed."""
+        self._client.add_notification(title, text, color="red")
+
+    def progress(self, share: float, text: str) -> None:
+        """How far learning has come, 0 to 1; from any thread."""
+        self._bar.value = 100.0 * min(max(share, 0.0), 1.0)
+        self.tell("plain", text)
+
+    def learning(self, active: bool) -> None:
+        """Shows or hides the progress bar; no second file is taken meanwhile."""
+        self._bar.visible = active
+        self.upload.disabled = active
+
+    def learned(self, run: str, style: str) -> None:
+        """Puts the character into a style that it has waited for, unless it has gone on to another run meanwhile."""
+        stays = self._actor.run == self._picker.run == run
+        self._picker.refresh()
+        if stays:
+            self._picker.select(run, style)
+        then = f". In it now: {dials.UNSEEN}" if stays else ": choose that run"
+        self.tell("good", f"{style} is learned and among the styles of {run}{then}.")
+
+    def _unseen(self, view: View) -> bool:
+        """Whether the character stands in another style than it has walked in last, and so looks as it did."""
+        wears = (self._actor.run, self._actor.shares)
+        if view.speed > STILL or view.wanted_speed > 0.0:
+            self._walked = wears
+        return wears != self._walked
+
+    # Building
+
+    def _drive(self) -> None:
+        with self._gui.add_folder("Drive"):
+            self._gui.add_html(dials.pad())
+            self._channel = self._gui.add_text(DRIVE, "")
+            self._gui.add_button("Reset", color=rgb(PLAIN)).on_click(self._later(self._reset))
+
+    def _gait(self) -> None:
+        with self._gui.add_folder("Speed and sidestep", expand_by_default=False):
+            self._own = self._gui.add_checkbox("Own speed", True, hint="Walk as fast as the style does.")
+            self._speed = self._gui.add_slider("Speed", *SPEEDS, step=0.05, initial_value=1.2, disabled=True)
+            self._strafe = self._gui.add_checkbox("Sidestep", False, hint="Face ahead while stepping aside or back.")
+
+    def _character(self) -> None:
+        """A panel of its own for everything that is only read."""
+        panel = self._gui.add_panel()
+        with panel.add_tab("Character"):
+            self._readout = self._gui.add_html("")
+            self._dial = self._gui.add_html("")
+            self._timeline = Timeline(self._gui)
+            self._gui.add_html(dials.legend(FEET, f"last {SECONDS:.0f} s"))
+        panel.float(x=15, y=15, width=dials.READOUT_WIDTH)
+
+    def _files(self) -> None:
+        with self._gui.add_folder("Clips"):
+            self._record = self._gui.add_button("Record", color=rgb(PLAIN), hint="Keep what it does, as a BVH file.")
+            self._record.on_click(self._later(self._record_or_stop))
+            self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
+            self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
+            note = "A walk of a few seconds: its style is learned here."
+            self._message = self._gui.add_html(dials.message("plain", note))
+
+    def _camera(self) -> None:
+        with self._gui.add_folder("Camera", expand_by_default=False):
+            self._follow = self._gui.add_checkbox("Follow", True)
+            self._turn = self._gui.add_checkbox("Turn along", True, hint="Else W leads where you look.")
+            self._gui.add_button("Behind the character", color=rgb(PLAIN)).on_click(self._later(self._look_again))
+
+    def _commands(self) -> None:
+        """Keys for pages whose script is not at work; they know of presses only."""
+        for key, label in KEYS.items():
+            for shift in (False, True):
+                command = self._gui.add_command(
+                    f"{label}, running" if shift else label,
+                    hotkey=key.upper(),  # type: ignore[arg-type]
+                    modifier="shift" if shift else None,
+                )
+                command.on_trigger(self._later(lambda key=key, shift=shift: self._actor.press(key, shift)))
+
+    # Serving
+
+    def _later(self, action: Any) -> Any:
+        async def put(_: Any) -> None:
+            try:
+                self.clicks.put_nowait(action)
+            except queue.Full:
+                pass  # more than a person can press between two pictures
+
+        return put
+
+    def _hear_stick(self, now: float) -> None:
+        text = self._channel.value
+        if text != self._held:
+            self._held, self._heard = text, now
+            word = word_of(text)
+            if word is not None:
+                self._actor.set_stick(*word.stick)
+                self.rate = word.rate
+        elif now - self._heard > SILENCE:
+            self._heard = math.inf
+            self._actor.set_stick(0.0, 0.0)
+
+    def _hear_values(self, now: float) -> None:
+        own, speed = self._own.value, float(self._speed.value)
+        if self._values.changed("speed", (own, speed)):
+            self._speed.disabled = own
+            self._actor.set_speed(None if own else speed)
+        if self._values.changed("strafe", self._strafe.value):
+            self._actor.set_strafe(self._strafe.value)
+        self._scene.follow, self._scene.turn = self._follow.value, self._turn.value
+        self._hear_camera()
+        self._picker.hear(now)
+
+    def _hear_camera(self) -> None:
+        """A camera that does not turn with the heading leads instead, whenever it is turned by hand."""
+        if self._follow.value and self._turn.value:
+            self._look = None
+            return
+        camera = self._client.camera
+        yaw, before = camera_yaw(camera.position, camera.look_at), self._look
+        if yaw is not None and (before is None or abs(math.remainder(yaw - before, 2.0 * math.pi)) > TURNED):
+            self._look = yaw
+            self._actor.set_heading(math.remainder(yaw + self._scene.yaw, 2.0 * math.pi))
+
+    def _reset(self) -> None:
+        self._actor.reset()
+        self._scene.settle(self._actor.advance(time.monotonic()))
+
+    def _record_or_stop(self) -> None:
+        clip = self._actor.stop_recording()
+        if clip is None:
+            self._actor.start_recording()
+            return
+        name = f"{'_'.join(self._actor.shares)[:60]}_{clip.num_frames}.bvh"
+        # Ten minutes take seconds to write, during which the character would stand still.
+        threading.Thread(target=self._send, args=(name, clip), name="download", daemon=True).start()
+
+    def _send(self, name: str, clip: MotionClip) -> None:
+        try:
+            self._client.send_file_download(name, bvh_bytes(clip), save_immediately=True)
+        except (InputError, OSError) as error:
+            self.tell("bad", f"{name}: {error}")
+
+    def _look_again(self) -> None:
+        look(self._client)

@@ -1,0 +1,245 @@
+"""What a tab shows of its character in three dimensions.
+
+The camera belongs to the person at the mouse. A following camera is therefore made by moving the world, not the
+camera: everything is drawn relative to a point that goes along with the character, and, if wanted, turns with its
+heading. Orbiting then stays smooth whatever the network does, and no camera message is ever sent.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply
+from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.viewer.draw.solids import TAPER, Body, Mesh, frustum, sphere
+from pfnn_jax.viewer.page.colours import BODY, CELL, FUTURE, GROUND, HORIZON, PAST, SECTION, SKY
+from pfnn_jax.viewer.page.view import View
+
+if TYPE_CHECKING:
+    import viser
+
+CELL_SIZE, SECTION_SIZE = 0.5, 2.0  # metres
+EASE = 0.18  # seconds in which a following camera comes up with its character
+EASE_TURN = 0.45  # seconds in which it turns
+ARROW = 0.15  # metres, length of a direction's mark
+LAMP = (2.4, 5.2, -2.8)
+"""Metres from the character: behind its left, so that the camera sees the lit side. One lamp that goes along needs one
+shadow map; the default lights need three and leave the back dark."""
+
+MARK = 0.075  # metres, radius of a full contact's mark
+LIFT = 0.006  # metres above the ground at which flat things are drawn
+
+CAMERA_POSITION, CAMERA_TARGET = (1.05, 1.75, -4.1), (0.0, 0.84, 0.25)
+"""Behind the left shoulder, in the frame of the heading."""
+
+CAMERA_FIELD = math.radians(40.0)
+"""Vertical field of view."""
+
+
+class PageScene:
+    """Body, ground, trajectory and contact marks of one tab.
+
+    Args:
+        scene: the tab's own.
+
+    Attributes:
+        follow: whether the camera goes along.
+        turn: whether it turns with the heading.
+    """
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        self._scene = scene
+        self._skeleton: Skeleton | None = None
+        self._parts: list[Any] = []
+        self.follow, self.turn = True, True
+        self.origin, self.yaw = np.zeros(2), 0.0
+        self._light()
+        self._grid = scene.add_grid(
+            "/ground",
+            plane="xz",
+            infinite_grid=True,
+            cell_size=CELL_SIZE,
+            section_size=SECTION_SIZE,
+            cell_color=CELL,
+            section_color=SECTION,
+            section_thickness=1.4,
+            plane_color=GROUND,
+            plane_opacity=1.0,
+            shadow_opacity=0.3,
+            fade_distance=28.0,
+            fade_strength=1.6,
+        )
+
+    def wear(self, skeleton: Skeleton) -> None:
+        """Builds the body of a skeleton in place of the one before."""
+        for part in self._parts:
+            part.remove()
+        self._skeleton, self._body = skeleton, Body(skeleton)
+        colours = np.array([BODY[capsule.side] for capsule in self._body.capsules], np.uint8)
+        self._limbs = [
+            (chosen, self._batch(name, frustum(ratio), colours[chosen], self._body.limb_scales[chosen]))
+            for name, ratio, chosen in (
+                ("/body/tapered", TAPER, np.flatnonzero(self._body.tapered)),
+                ("/body/straight", 1.0, np.flatnonzero(~self._body.tapered)),
+            )
+            if len(chosen)
+        ]
+        radii = np.repeat(self._body.ball_radii[:, None], 3, axis=1)
+        self._balls = self._batch("/body/balls", sphere(), np.concatenate([colours, colours]), radii)
+        self._parts = [handle for _, handle in self._limbs] + [self._balls, *self._tracks(skeleton)]
+
+    def settle(self, view: View) -> None:
+        """Puts the camera's point onto the character at once: at the start, and after a reset."""
+        self.origin, self.yaw = np.array(view.root, float), view.heading if self.turn else self.yaw
+
+    def draw(self, view: View, seconds: float) -> None:
+        """Shows a moment.
+
+        Args:
+            view: what there is to see, of the skeleton worn.
+            seconds: since the last drawing.
+        """
+        self._go_along(view, seconds)
+        limbs, orientations, balls = self._body.place(self._local(view.joints), self._turned(view.world_rotations))
+        for chosen, handle in self._limbs:
+            handle.batched_positions = limbs[chosen]
+            handle.batched_wxyzs = orientations[chosen]
+        self._balls.batched_positions = balls
+        self._lamp.position = self._local(np.array([view.root[0], 0.0, view.root[1]])) + np.array(LAMP)
+        self._ground()
+        self._draw_tracks(view)
+
+    def _light(self) -> None:
+        scene = self._scene
+        scene.set_background_image(_sky(), format="png")
+        scene.configure_default_lights(False)
+        scene.configure_environment_map(None)
+        scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(150, 156, 168), intensity=1.5)
+        self._lamp = scene.add_light_spot(
+            "/lamp",
+            position=LAMP,
+            direction=(-LAMP[0], -LAMP[1], -LAMP[2]),
+            angle=0.42,
+            penumbra=1.0,
+            decay=0.0,
+            intensity=2.3,
+            cast_shadow=True,
+        )
+        scene.configure_fog(12.0, 34.0, color=HORIZON)
+
+    def _batch(self, name: str, mesh: Mesh, colours: np.ndarray | tuple[int, int, int], scales: np.ndarray) -> Any:
+        still = np.tile([1.0, 0.0, 0.0, 0.0], (len(scales), 1))
+        return self._scene.add_batched_meshes_simple(
+            name,
+            mesh.vertices,
+            mesh.faces,
+            still,
+            np.zeros((len(scales), 3)),
+            batched_scales=scales,
+            batched_colors=colours,
+            lod="off",
+            receive_shadow=False,  # of itself it would be speckled
+        )
+
+    def _tracks(self, skeleton: Skeleton) -> list[Any]:
+        nothing = np.zeros((0, 2, 3))
+        scene = self._scene
+        self._past = scene.add_line_segments("/trajectory/past", nothing, PAST, thickness=0.012)
+        self._future = scene.add_line_segments("/trajectory/future", nothing, FUTURE, thickness=0.018)
+        self._arrows = self._batch("/trajectory/arrows", _arrow(), FUTURE, np.ones((1, 3)))
+        parts = [self._past, self._future, self._arrows]
+        if skeleton.roles is None:
+            return parts
+        self._feet = np.array([*skeleton.roles.left_foot, *skeleton.roles.right_foot])
+        sides = np.array([BODY["left"]] * 2 + [BODY["right"]] * 2, np.uint8)
+        self._marks = self._batch("/contacts", _disc(), sides, np.full((4, 3), MARK))
+        return [*parts, self._marks]
+
+    def _draw_tracks(self, view: View) -> None:
+        past, future = self._flat(view.past_positions), self._flat(view.future_positions)
+        self._past.points = np.stack([past[:-1], past[1:]], axis=1)
+        self._future.points = np.stack([future[:-1], future[1:]], axis=1)
+        self._draw_arrows(np.concatenate([past[:-1], future]), len(past) - 1, view)
+        if self._skeleton is not None and self._skeleton.roles is not None:
+            feet = self._local(view.joints[self._feet])
+            feet[:, 1] = LIFT
+            self._marks.batched_positions = feet
+            size = MARK * np.clip(view.contacts, 0.0, 1.0)[:, None] + 1e-4
+            self._marks.batched_scales = np.concatenate([size, np.ones_like(size), size], axis=1)
+
+    def _draw_arrows(self, points: np.ndarray, behind: int, view: View) -> None:
+        directions = np.concatenate([view.past_directions[:behind], view.future_directions])
+        yaws = np.arctan2(directions[:, 0], directions[:, 1]) - self.yaw
+        if len(points) != len(self._arrows.batched_positions):
+            self._arrows.remove()
+            colours = np.array([PAST] * behind + [FUTURE] * (len(points) - behind), np.uint8)
+            self._parts = [part for part in self._parts if part is not self._arrows]
+            self._arrows = self._batch("/trajectory/arrows", _arrow(), colours, np.ones((len(points), 3)))
+            self._parts.append(self._arrows)
+        self._arrows.batched_positions = points + np.array([0.0, LIFT, 0.0])
+        self._arrows.batched_wxyzs = quat_from_yaw(yaws)
+
+    def _go_along(self, view: View, seconds: float) -> None:
+        if self.follow:
+            self.origin = self.origin + (view.root - self.origin) * (1.0 - math.exp(-seconds / EASE))
+        if self.follow and self.turn:
+            behind = math.remainder(view.heading - self.yaw, 2.0 * math.pi)
+            self.yaw += behind * (1.0 - math.exp(-seconds / EASE_TURN))
+
+    def _ground(self) -> None:
+        """The pattern repeats, so that the plane never has to go far."""
+        shift = -(self.origin % SECTION_SIZE)
+        self._grid.position = self._rotated(np.array([shift[0], 0.0, shift[1]]))
+        self._grid.wxyz = quat_from_yaw(-self.yaw)
+
+    def _rotated(self, vectors: np.ndarray) -> np.ndarray:
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        x, z = vectors[..., 0], vectors[..., 2]
+        return np.stack([c * x - s * z, vectors[..., 1], s * x + c * z], axis=-1)
+
+    def _local(self, points: np.ndarray) -> np.ndarray:
+        return self._rotated(points - np.array([self.origin[0], 0.0, self.origin[1]]))
+
+    def _flat(self, points: np.ndarray) -> np.ndarray:
+        return self._local(np.stack([points[:, 0], np.full(len(points), LIFT), points[:, 1]], axis=1))
+
+    def _turned(self, rotations: np.ndarray) -> np.ndarray:
+        return quat_multiply(quat_from_yaw(-self.yaw), rotations)
+
+
+def look(client: viser.ClientHandle) -> None:
+    """Puts a tab's camera behind its character."""
+    client.camera.fov = CAMERA_FIELD
+    client.camera.position = CAMERA_POSITION
+    client.camera.look_at = CAMERA_TARGET
+
+
+def camera_yaw(position: Any, target: Any) -> float | None:
+    """Radians about +Y from +Z at which a camera looks, both [3]; None for one that looks straight down."""
+    ahead, left = float(target[2] - position[2]), float(target[0] - position[0])
+    return math.atan2(left, ahead) if math.hypot(ahead, left) > 1e-3 else None
+
+
+def _sky(height: int = 64) -> np.ndarray:
+    """A vertical gradient [H, 2, 3]."""
+    share = np.clip(np.linspace(0.0, 1.8, height), 0.0, 1.0)[:, None, None]
+    colours = (1.0 - share) * np.array(SKY, float) + share * np.array(HORIZON, float)
+    return np.broadcast_to(colours, (height, 2, 3)).round().astype(np.uint8)
+
+
+def _arrow() -> Mesh:
+    """A flat arrowhead around the origin that points along +Z."""
+    tip, wing, notch = 0.6 * ARROW, 0.32 * ARROW, -0.12 * ARROW
+    vertices = np.array([[0.0, 0.0, tip], [wing, 0.0, -0.4 * ARROW], [0.0, 0.0, notch], [-wing, 0.0, -0.4 * ARROW]])
+    return Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def _disc(segments: int = 24) -> Mesh:
+    angles = 2.0 * np.pi * np.arange(segments) / segments
+    rim = np.stack([np.cos(angles), np.zeros(segments), np.sin(angles)], axis=1)
+    here = np.arange(segments)
+    faces = np.stack([np.zeros(segments, int), 1 + (here + 1) % segments, 1 + here], axis=1)
+    return Mesh(np.concatenate([np.zeros((1, 3)), rim]), faces)

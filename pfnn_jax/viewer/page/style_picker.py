@@ -1,0 +1,148 @@
+"""The part of a panel that chooses: run, style, and the triangle in which three styles are mixed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from pfnn_jax.viewer.page import dials
+from pfnn_jax.viewer.page.actor import Actor
+from pfnn_jax.viewer.page.stage import Stage
+from pfnn_jax.viewer.page.words import Values
+
+if TYPE_CHECKING:
+    import viser
+
+SHARES = "Shares"
+"""Label of the text field with the mixture's shares, in percent."""
+
+MIXTURE = "mixture: three"
+"""What the list of styles shows while the point in the triangle decides. No style can be called so (see
+`check_style_name`): two equal options would take the whole page down."""
+
+REDRAWN = 0.3
+"""Seconds after which the triangle is drawn anew: not while its point is being dragged."""
+
+
+class StylePicker:
+    """Lists of runs and styles, and the triangle.
+
+    Args:
+        gui: the tab's own, in whose present folder the picker is put.
+        stage: the runs.
+        actor: the tab's character.
+    """
+
+    def __init__(self, gui: viser.GuiApi, stage: Stage, actor: Actor) -> None:
+        self._stage, self._actor = stage, actor
+        self._version = stage.version
+        self._mixing, self._shares = False, (1 / 3, 1 / 3, 1 / 3)
+        self._redraw_at = math.inf
+        self._values = Values()
+        runs, names = stage.runs, self._names(actor.run)
+        self._run = gui.add_dropdown("Run", runs, initial_value=actor.run, visible=len(runs) > 1)
+        self._style = gui.add_dropdown("Style", (*names, MIXTURE), initial_value=next(iter(actor.shares)))
+        with gui.add_folder("Mix three", expand_by_default=len(names) > 2):
+            self._triangle = gui.add_html("")
+            with gui.add_folder("Corners and shares", expand_by_default=False):
+                self._corners = [
+                    gui.add_dropdown(label, names, initial_value=name)
+                    for label, name in zip(("Top", "Left", "Right"), spread(("",) * 3, names), strict=True)
+                ]
+                self._share_field = gui.add_text(SHARES, " ".join(map(str, dials.percents(self._shares))))
+        self._set_seen(self._run.value, self._style.value)
+        self._values.set(shares=self._share_field.value)
+        self._draw()
+
+    @property
+    def run(self) -> str:
+        """The run chosen in the list, whether it has been heard or not."""
+        return self._run.value
+
+    def refresh(self) -> None:
+        """Offers what any tab has learned since; what has been chosen meanwhile is left to be heard."""
+        if self._stage.version != self._version:
+            self._version = self._stage.version
+            self._offer(self._actor.run)
+
+    def hear(self, now: float) -> None:
+        """Puts the character into what has been chosen since the last call; `now` in seconds of its clock.
+
+        Raises:
+            InputError: for what the lists do not offer.
+        """
+        if self._values.changed("run", self._run.value):
+            self.select(self._run.value, self._names(self._run.value)[0])
+        corners = self._corner_names()
+        chosen = self._values.changed("style", self._style.value)
+        if chosen and self._style.value != MIXTURE:
+            self.select(self._run.value, self._style.value)
+        moved = self._values.changed("corners", corners) | self._values.changed("shares", self._share_field.value)
+        if moved or (chosen and self._style.value == MIXTURE):
+            self._mix(corners, now)
+        if now >= self._redraw_at:
+            self._draw()
+
+    def select(self, run: str, style: str) -> None:
+        """Puts the character, and the lists, into a style.
+
+        Raises:
+            InputError: for an unknown run or style.
+        """
+        self._actor.choose(run, style)
+        self._mixing = False
+        self._offer(run)
+        self._run.value, self._style.value = run, style
+        self._set_seen(run, style)
+        self._draw()
+
+    def _mix(self, corners: tuple[str, ...], now: float) -> None:
+        shares = dials.shares_of(self._share_field.value)
+        if shares is None:
+            return  # half typed
+        self._shares, self._mixing = shares, True
+        self._actor.mix(corners, shares)
+        self._style.value = MIXTURE
+        self._values.set(style=MIXTURE)
+        self._redraw_at = now + REDRAWN
+
+    def _offer(self, run: str) -> None:
+        """The options of a run; fields keep their values where it has them."""
+        names, corners = self._names(run), self._corner_names()
+        if not set(self._corners[0].options) <= set(names):  # another run: none that only learned a style
+            corners = spread(corners, names)
+        style = self._style.value
+        values = (*corners, style if style in (*names, MIXTURE) else names[0])
+        for field, value in zip((*self._corners, self._style), values, strict=True):
+            options = names if field is not self._style else (*names, MIXTURE)
+            if tuple(field.options) != options:
+                field.options = options
+            if field.value != value:
+                field.value = value
+
+    def _set_seen(self, run: str, style: str) -> None:
+        self._values.set(run=run, style=style, corners=self._corner_names())
+
+    def _corner_names(self) -> tuple[str, ...]:
+        return tuple(corner.value for corner in self._corners)
+
+    def _names(self, run: str) -> tuple[str, ...]:
+        return tuple(self._stage.cast(run).styles)
+
+    def _draw(self) -> None:
+        self._redraw_at = math.inf
+        self._triangle.content = dials.triangle(self._corner_names(), self._shares, self._mixing)
+
+
+def spread(kept: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """Corners among `names`: those kept that are, each once, and styles that no corner has for the others.
+
+    Where there are fewer styles than corners, some are at several.
+    """
+    corners = [name if name in names and name not in kept[:place] else None for place, name in enumerate(kept)]
+    free = [name for name in names if name not in corners]
+    found: list[str] = []
+    for place, name in enumerate(corners):
+        found.append(name or (free.pop(0) if free else names[place % len(names)]))
+    return tuple(found)

@@ -1,0 +1,109 @@
+"""Motion that plays in a notebook: inline, without a server, and still in the saved file and in its HTML export."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.viewer.draw.tracks import Track, as_tracks, foot_bars, phase_lines
+from pfnn_jax.viewer.player.player import player_page
+
+SCENE_HEIGHT, STACKED_HEIGHT = 330, 250  # pixels of a scene alone in its column, and of one of several rows
+PER_ROW = 3
+AROUND = 130  # pixels of captions, controls and margins
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What `show` returns; a notebook draws it.
+
+    Attributes:
+        tracks: the clips with their contacts and phases.
+        height: pixels.
+    """
+
+    tracks: Sequence[Track]
+    height: int
+
+    @property
+    def html(self) -> str:
+        """A page of its own, to be written to a file.
+
+        Raises:
+            InputError: for clips too long for a page.
+        """
+        return player_page(self.tracks, title=", ".join(track.name for track in self.tracks))
+
+    def _repr_html_(self) -> str:
+        """A frame that holds the whole page.
+
+        Frames cannot disturb each other or the notebook, whatever its own styles are. The sandbox lets the player's
+        script run and nothing else: no access to the notebook, no forms, no windows.
+        """
+        page = html.escape(self.html, quote=True)
+        return (
+            f'<iframe srcdoc="{page}" sandbox="allow-scripts" loading="lazy" title="motion" '
+            f'style="width: 100%; height: {self.height}px; border: 0; display: block"></iframe>'
+        )
+
+    def __repr__(self) -> str:
+        longest = max(track.seconds for track in self.tracks)
+        return f"Shown({', '.join(track.name for track in self.tracks)}; {longest:.1f} s)"
+
+
+def show(
+    *clips: MotionClip,
+    names: Sequence[str] | None = None,
+    phase: Sequence[np.ndarray | None] | None = None,
+    contacts: Sequence[np.ndarray | None] | None = None,
+) -> Shown:
+    """Play clips in a notebook, side by side and in step, with contacts and phases below.
+
+    Drag to look around; press on a time line to go there. Feet and phases are found from the motion; where a clip has
+    none, a note says why.
+
+    Args:
+        clips: the motions; rates and lengths may differ.
+        names: captions, one for each clip; style and content, or the file's name, by default.
+        phase: for each clip [T] radians (NaN where there is none), or local phases [T, B, 2], or None for those found.
+        contacts: for each clip [T, 4] or [T, 2] bool, or None for those found.
+
+    Returns:
+        An object that a notebook shows where it is a cell's last value; `.html` is a page of its own.
+
+    Raises:
+        ValueError: without clips; if names, phases or contacts are not one for each clip, or not its shape.
+        InputError: for clips without frames or with numbers that are not finite. Clips too long for a page are refused
+            where the page is made: by `.html`, and as the cell's result.
+    """
+    if not clips:
+        raise ValueError("show needs at least one clip.")
+    tracks = as_tracks(clips, names)
+    for field, given in (("phase", phase), ("contacts", contacts)):
+        if given is not None:
+            tracks = _with(tracks, field, given)
+    return Shown(tracks, _height(tracks))
+
+
+def _with(tracks: Sequence[Track], field: str, given: Sequence[np.ndarray | None]) -> list[Track]:
+    if len(given) != len(tracks):
+        raise ValueError(f"There are {len(tracks)} clips and {len(given)} entries of {field}.")
+    changed: list[Track] = []
+    for track, values in zip(tracks, given, strict=True):
+        new: dict[str, Any] = {} if values is None else {field: np.asarray(values)}
+        if "phase" in new:  # the note is about the one that was found
+            new["note"] = ""
+        changed.append(replace(track, **new))
+    return changed
+
+
+def _height(tracks: Sequence[Track]) -> int:
+    rows = math.ceil(len(tracks) / PER_ROW)
+    strip = max(14 * len(foot_bars(track)) + 34 * min(2, len(phase_lines(track))) for track in tracks)
+    return rows * ((SCENE_HEIGHT if rows == 1 else STACKED_HEIGHT) + strip) + AROUND

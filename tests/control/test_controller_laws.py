@@ -1,0 +1,144 @@
+"""A trained network under commands: it goes where it is sent, as fast as it is sent, in every style, and stands."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.controller_laws import (
+    ASIDE,
+    CIRCLES,
+    DRIFT,
+    FPS,
+    SPEED,
+    SPEEDS,
+    TURNS,
+    WALK_OFF,
+    commands,
+    walk,
+    walk_all,
+    wander_all,
+)
+from pfnn_jax.control.controller import Controller, make_controller, step
+from pfnn_jax.control.drive_along import drive_along
+from pfnn_jax.control.loop.step import Command
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.datasets.dataset import prepare
+from pfnn_jax.motion.datasets.labelled import LabelledClip
+from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.paths import straight
+from pfnn_jax.motion.synthetic.walks import synthetic_clips
+from pfnn_jax.run import Run
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.pretrain import pretrain
+
+STYLES = ("neutral", "old", "proud")
+MIRRORED = 0.25  # m between a turn and the reflected one to the other side in two seconds: they begin on other feet
+DOWN = 0.03  # m above the least height that both feet come down to together, at a halt: the mean of all walks
+HALT = 1.5  # s from the command to stand to standing, the mean of all walks: no more than a step
+BODY = 2.2  # metres above which no joint of a body of 1.7 m rises
+ASTRAY, STRIDE = 0.25, 0.8  # m from a straight path, and from its end: hips sway, and a last step is taken to its end
+LEAP = 12.0  # m/s, faster than any hand or foot of these walks
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Run:
+    """A small network with three styles and their mirror images."""
+    folder = tmp_path_factory.mktemp("driven")
+    takes = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 20.0)]
+    dataset = prepare(takes, folder / "data", PrepareConfig())
+    settings = PretrainConfig(hidden=64, steps=500, learning_rate=1e-3)
+    return pretrain(dataset, folder / "run", settings)
+
+
+@pytest.fixture(scope="module")
+def controller(run) -> Controller:
+    """Feet are not held, which is not the question."""
+    return make_controller(run, foot_ik=False)
+
+
+@pytest.fixture(scope="module")
+def judged(controller) -> dict:
+    return walk_all(controller, 128)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_commands_are_reached(judged, style):
+    """Within 20 % of the speed and 10 degrees of the way, at 0.75, 1 and 1.25 times its own speed, on every turn."""
+    found = judged["styles"][style]
+    assert found["speed and way"] == 1.0, found
+    assert found["speed on circles"] == 1.0 and found["rate on circles"] == 1.0, found
+    assert found["facing"] == 1.0 and found["aside and back"] == 1.0, found
+    assert found["finite"] == 1.0 and found["stops"] == 1.0, found
+    assert found["feet at a halt, m"] < DOWN and found["seconds to a halt"] < HALT, found
+
+
+def test_left_and_right_turns_mirror_each_other(controller):
+    """Statistically: the data was mirrored, so that neither side is the network's favourite."""
+    yaws = np.deg2rad([90.0, -90.0]).astype(np.float32)
+    for index in range(len(STYLES)):
+        style, speed = jnp.eye(controller.capacity)[index], controller.params.speeds[index]
+        one, other = (
+            np.asarray(walk(controller.setup, controller.params, style, speed, yaw, *jnp.zeros(2)).root) for yaw in yaws
+        )
+        turning = slice(WALK_OFF, WALK_OFF + 2 * FPS)
+        apart = (one - one[WALK_OFF])[turning] - ((other - other[WALK_OFF]) * [-1.0, 1.0])[turning]
+        assert np.linalg.norm(apart, axis=-1).max() < MIRRORED
+        assert np.linalg.norm((one - other)[turning][-1]) > 5.0 * MIRRORED
+
+
+def test_random_commands_leave_a_body(controller):
+    worst = wander_all(controller, 0.5)
+    assert worst["not finite"] == 0.0
+    assert worst["height of a joint, m"] < BODY and worst["speed of a joint, m/s"] < LEAP
+
+
+def test_a_change_of_style_is_no_jump(controller):
+    """The largest step of a joint while the style changes is near to that of walking in one style or the other."""
+
+    def fastest(styles):
+        direction = jnp.asarray([0.0, 1.0])
+        velocity = 1.1 * direction
+
+        def frame(state, style):
+            after = step(
+                controller.setup, controller.params, state, Command(velocity=velocity, direction=direction, style=style)
+            )
+            return after, jnp.max(jnp.linalg.norm(after.joints - state.joints, axis=-1))
+
+        return jax.lax.scan(frame, controller.start(style=0), styles)[1][180:]
+
+    names = controller.styles
+    first, last = (jnp.asarray(controller.style_weights(name)) for name in (names[0], names[-1]))
+    stays = [jnp.tile(style[None], (420, 1)) for style in (first, last)]
+    change = jnp.concatenate([stays[0][:240], stays[1][:180]])
+    changing, *walking = (np.asarray(jax.jit(fastest)(styles)) for styles in (change, *stays))
+    assert changing.max() < 1.25 * max(steps.max() for steps in walking)
+
+
+def test_a_driven_character_keeps_to_a_path_and_stands_at_its_end(run, controller):
+    path = straight(4.0)
+    clip = drive_along(run, {"neutral": 0.5, "proud": 0.5}, path, seconds=8.0, foot_ik=False)
+    speeds, root = np.asarray(controller.params.speeds), clip.root_positions[:, [0, 2]]
+    steps = np.linalg.norm(np.diff(root, axis=0), axis=-1) * clip.fps
+    walking = steps[60:150].mean()
+    assert abs(walking / speeds[[STYLES.index("neutral"), STYLES.index("proud")]].mean() - 1.0) < SPEED
+    assert np.abs(root[:, 0]).max() < ASTRAY and abs(root[-1, 1] - 4.0) < STRIDE and steps[-1] < DRIFT
+    assert clip.skeleton == run.skeleton and clip.style == "neutral:0.5+proud:0.5" and clip.num_frames == 480
+    with pytest.raises(InputError, match="speed: -1.0; must be above 0"):
+        drive_along(run, "old", path, speed=-1.0, foot_ik=False)
+
+
+def test_the_commands_that_are_judged():
+    zero = jnp.float32(0.0)
+    velocity, direction = commands(jnp.float32(1.2), jnp.float32(np.pi / 2), zero, zero)
+    np.testing.assert_allclose(velocity[100], [0.0, 1.2], atol=1e-6)
+    np.testing.assert_allclose(velocity[300], [1.2, 0.0], atol=1e-6)
+    np.testing.assert_allclose(velocity[-1], [0.0, 0.0])
+    np.testing.assert_allclose(direction[-1], [1.0, 0.0], atol=1e-6)
+    velocity, direction = commands(jnp.float32(1.2), zero, zero, jnp.float32(np.pi))
+    np.testing.assert_allclose(velocity[300], [0.0, -1.2], atol=1e-6)
+    np.testing.assert_allclose(direction[300], [0.0, 1.0], atol=1e-6)
+    assert SPEEDS == (0.75, 1.0, 1.25) and 90.0 in TURNS and 45.0 in CIRCLES and 180.0 in ASIDE

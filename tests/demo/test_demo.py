@@ -1,0 +1,65 @@
+"""The demo at toy size: everything it promises is there, and its ground truth is exact."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from pfnn_jax.demo.pipeline import DemoConfig, demo, straight_walk
+from pfnn_jax.errors import InputError
+from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, FIXED, GRIDS
+from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.labels.phase import read_phase
+from pfnn_jax.run import list_styles, load_run, style_note
+
+TINY = DemoConfig(seconds_per_style=4, test_seconds=3.5, hidden=8, steps=20, epochs=1, walk_seconds=2)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    out = tmp_path_factory.mktemp("demo") / "demo"
+    return out, demo(out, TINY)
+
+
+def test_the_demo_leaves_a_run_with_the_ninth_style(made):
+    out, _ = made
+    run = load_run(out / "run")
+    assert len(list_styles(run.path)) == 9
+    info = style_note(run.path, "zombie")["info"]
+    assert 175 <= info["frames"] <= 180  # three seconds less the clip's ends
+    assert info["choice"]["epochs"] in info["config"]["stops"]
+
+
+def test_the_clip_is_what_a_user_would_have(made):
+    out, _ = made
+    clip = read_bvh(out / "clip" / "zombie_straight.bvh")
+    labels = read_phase(out / "clip" / "zombie_straight.phase", clip.num_frames)
+    np.testing.assert_allclose(np.diff(clip.root_positions[:, 0]).sum(), 0.0, atol=0.1)  # straight ahead
+    assert labels.labelled.all()
+
+
+def test_the_report_has_every_method_and_plays_without_a_server(made):
+    out, result = made
+    report = json.loads((out / "report.json").read_text())
+    wanted = {"no adapter", DEFAULT_ROW, *GRIDS} | {
+        row for row, (_, setting) in FIXED.items() if setting["epochs"] <= TINY.epochs
+    }
+    assert set(report["methods"]) == wanted == set(result["methods"])
+    page = (out / "report.html").read_text()
+    assert "motion-player" in page and "data:image/png" in page
+    assert "http://" not in page.replace("http://www.w3.org", "") and "https://" not in page
+    for name in ("zombie", "agnostic", "neutral"):
+        assert read_bvh(out / "motion" / f"{name}_figure_eight.bvh").num_frames == 120
+
+
+def test_an_earlier_demo_is_not_overwritten_unasked(made):
+    with pytest.raises(InputError, match="output: exists"):
+        demo(made[0], TINY)
+
+
+def test_the_adaptation_walk_is_straight_and_exact():
+    labelled = straight_walk(3.0, seed=0)
+    assert labelled.clip.num_frames == 181
+    assert labelled.labels.labelled.all()

@@ -1,0 +1,103 @@
+"""Laws of the tables: an entry is the network at its phase, whatever the form of layers and adapters."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup, table_phase
+from pfnn_jax.inference.predictor import Predictor, evaluate
+from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.layers import CPLayer
+from pfnn_jax.models.network import NetworkConfig, init_network, num_parameters
+
+FLOAT32 = 2e-5  # a few ulp over sums of some tens of terms, blended before or after the product
+INPUTS, OUTPUTS, HIDDEN = 10, 7, 12
+STEP = 2 * math.pi / 50
+exact = jax.jit(evaluate)
+ADAPTERS = [None, "cp", "full", "diagonal", "bias"]
+
+
+def make_predictor(kind, rank=None):
+    key = jax.random.key(5)
+    network = init_network(NetworkConfig(INPUTS, OUTPUTS, HIDDEN, rank=rank), key)
+    adapter = None if kind is None else init_adapter(AdapterConfig(kind, 3), HIDDEN, 4, jax.random.key(6))
+    filled = [
+        jax.tree.map(lambda a: a + 0.3 * jax.random.normal(key, a.shape), tree) for tree in (network, adapter)
+    ]  # biases must not vanish
+    statistics = [
+        jax.random.uniform(k, (n,)) + 0.5 for k, n in zip(jax.random.split(key, 4), (10, 10, 7, 7), strict=True)
+    ]
+    return Predictor(*filled, *statistics)
+
+
+@pytest.mark.parametrize(("kind", "rank"), [*((kind, None) for kind in ADAPTERS), (None, 5), ("full", 5)])
+def test_an_entry_is_the_network_at_its_phase(kind, rank):
+    predictor = make_predictor(kind, rank)
+    lookup = make_lookup(predictor)
+    x = jax.random.normal(jax.random.key(7), (INPUTS,))
+    for index in (0, 13, 49):
+        phase = jnp.float32(index * STEP)
+        expected = exact(predictor, x, phase)
+        np.testing.assert_allclose(evaluate_lookup(lookup, x, index * STEP + 0.01), expected, atol=FLOAT32)
+
+
+@pytest.mark.parametrize(
+    ("mode", "turns", "index"),
+    [
+        ("nearest50", 0.49, 0), ("nearest50", 0.51, 1), ("nearest50", 49.6, 0), ("nearest50", -0.6, 49),
+        ("constant50", 0.99, 0), ("constant50", 1.01, 1), ("constant50", 49.9, 49), ("constant50", 50.1, 0),
+    ],
+)  # fmt: skip
+def test_which_entry_serves_a_phase(mode, turns, index):
+    predictor = make_predictor(None)
+    x = jnp.ones(INPUTS)
+    served = evaluate_lookup(make_lookup(predictor, mode=mode), x, turns * STEP)
+    np.testing.assert_allclose(served, exact(predictor, x, jnp.float32(index * STEP)), atol=FLOAT32)
+    np.testing.assert_allclose(table_phase(jnp.float32(turns * STEP), mode), index * STEP, atol=FLOAT32)
+
+
+@pytest.mark.parametrize(("kind", "mode"), [(None, "nearest50"), ("cp", "constant50"), ("diagonal", "nearest50")])
+def test_traced_batched_and_on_the_host_agree(kind, mode):
+    lookup = make_lookup(make_predictor(kind), mode=mode)
+    x = jax.random.normal(jax.random.key(8), (6, INPUTS))
+    phase = jnp.array([0.03, 1.0, 2.5, 3.9, 5.1, 6.25])
+    singles = jnp.stack([evaluate_lookup(lookup, x[i], phase[i]) for i in range(6)])
+    batch = jax.vmap(evaluate_lookup, (None, 0, 0))(lookup, x, phase)
+    scanned = jax.lax.scan(lambda _, row: (0, evaluate_lookup(lookup, *row)), 0, (x, phase))[1]
+    compiled = jax.jit(evaluate_lookup)(lookup, x[1], phase[1])
+    np.testing.assert_allclose(batch, singles, atol=FLOAT32)
+    np.testing.assert_allclose(scanned, singles, atol=FLOAT32)
+    np.testing.assert_allclose(compiled, singles[1], atol=FLOAT32)
+
+
+def test_finer_tables_approach_the_spline():
+    predictor = make_predictor("cp")
+    x = jax.random.normal(jax.random.key(9), (INPUTS,))
+    truth = exact(predictor, x, jnp.float32(2.02))
+    errors = [
+        float(jnp.abs(evaluate_lookup(make_lookup(predictor, num_slices=n), x, 2.02) - truth).max()) for n in (4, 200)
+    ]
+    assert errors[1] < 0.1 * errors[0]
+
+
+def test_full_diagonal_and_bias_adapters_vanish_into_the_table():
+    plain = num_parameters(make_lookup(make_predictor(None)).slices[0])
+    assert all(num_parameters(make_lookup(make_predictor(k)).slices[0]) == plain for k in ("full", "diagonal", "bias"))
+    assert num_parameters(make_lookup(make_predictor("cp")).slices[0]) == plain + 3 * (2 * HIDDEN + 1) + HIDDEN
+
+
+def test_entries_share_the_factors_of_cp_layers():
+    first, second = make_lookup(make_predictor("cp", rank=5)).slices[:2]
+    for one, two in zip((first.style, *first.network.layers), (second.style, *second.network.layers), strict=True):
+        assert isinstance(one, CPLayer) and isinstance(two, CPLayer)
+        assert one.a is two.a and one.b is two.b
+
+
+def test_refusals():
+    with pytest.raises(ValueError, match="`mode` must be nearest50 or constant50, got 'linear'"):
+        make_lookup(make_predictor(None), mode="linear")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="`num_slices` must be at least 1, got 0"):
+        make_lookup(make_predictor(None), num_slices=0)

@@ -1,0 +1,206 @@
+"""Exports: they say what JAX says, come back as runs, and the loop in NumPy walks where the package's loop walks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pfnn_jax.control.controller import drive, make_controller
+from pfnn_jax.control.loop.state import initial_state
+from pfnn_jax.control.loop.step import Command
+from pfnn_jax.errors import InputError
+from pfnn_jax.inference.mixture import file_stem
+from pfnn_jax.inference.predictor import evaluate, make_predictor
+from pfnn_jax.inference.rows import predict_rows
+from pfnn_jax.interop.export import reference_loop
+from pfnn_jax.interop.export.batch import batch_function, relative_error, sample_rows, spline_weights
+from pfnn_jax.interop.export.bins import write_bins
+from pfnn_jax.interop.export.onnx import TOLERANCE
+from pfnn_jax.interop.export.run import export_run
+from pfnn_jax.interop.released.holden2017 import import_released_pfnn
+from pfnn_jax.interop.released.mason2018 import import_released_cp
+from pfnn_jax.interop.released.mason2022 import import_released_lpn
+from pfnn_jax.models.film import Film, film_to_vector
+from pfnn_jax.models.spline import catmull_rom_basis
+from pfnn_jax.motion.units import authors2018, convert_columns
+from pfnn_jax.run import Run
+
+FLOAT32 = 2e-5  # of an output's largest value: tables are rounded once, read back by least squares, and summed anew
+LOOP = 1e-4  # metres after 300 frames; float32 against float64 on real networks gives 2e-6
+FRAMES = 300
+IMPORTS = {"pfnn2017": import_released_pfnn, "mason2018": import_released_cp, "mason2022": import_released_lpn}
+
+
+def test_weights_of_the_spline_without_gathering():
+    phases = np.linspace(-7.0, 13.0, 401, dtype=np.float32)
+    expected = jax.vmap(lambda phase: catmull_rom_basis(phase, 5))(phases)
+    np.testing.assert_allclose(spline_weights(jnp.asarray(phases), 5), expected, atol=2e-6)
+
+
+def film_numbers(run, style) -> np.ndarray:
+    """[4H] of a style of a FiLM run."""
+    film = make_predictor(run, style).style
+    assert isinstance(film, Film)
+    return np.asarray(film_to_vector(film))
+
+
+@pytest.mark.parametrize(("name", "kind"), [("mason2018", "cp"), ("mason2022", "film"), ("mason2022_pfnn", "one_hot")])
+def test_a_batch_function_is_the_predictor(runs, name, kind):
+    run = runs(name, kind)
+    x, phase = sample_rows(run.normaliser, run.layout, 64)
+    predictor = make_predictor(run, "style1")
+    expected = np.asarray(jax.vmap(evaluate, (None, 0, 0))(predictor, jnp.asarray(x), jnp.asarray(phase)))
+    assert relative_error(np.asarray(batch_function(predictor)(x, phase)), expected) < TOLERANCE
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "style"),
+    [
+        ("pfnn2017", "cp", None),
+        ("pfnn2017", "diagonal", "style1"),
+        ("pfnn2017", "one_hot", {"style0": 0.25, "style1": 0.75}),
+        ("mason2018", "cp", None),
+        ("mason2018", "cp", {"style0": 0.5, "style1": 0.5}),
+        ("mason2018", "full", "style0"),
+        ("mason2022", "film", None),
+        ("mason2022", "film", {"style0": 0.5, "style1": 0.5}),
+    ],
+)
+def test_bins_come_back_with_equal_predictions(runs, tmp_path, name, kind, style):
+    run = runs(name, kind)
+    told = export_run(run.path, "bins", tmp_path / "bins", style=style)
+    back = IMPORTS[name](tmp_path / "bins", tmp_path / "run")
+    np.testing.assert_array_equal(back.skeleton.offsets, run.skeleton.offsets)
+    x, phase = sample_rows(run.normaliser, run.layout, 32)
+    beside = [file_stem(entry["name"]) for entry in told["styles"] if entry["files"]]
+    assert beside == list(back.config.styles)
+    pairs = [(style, beside[0] if beside else None)] if style else [(entry, entry) for entry in beside]
+    for own, theirs in pairs or [(None, None)]:
+        expected, found = predict_rows(run, x, phase, own), predict_rows(back, x, phase, theirs)
+        assert relative_error(found, expected) < FLOAT32
+
+
+def commands(speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities and facings [T] as complex numbers: straight on, round a corner, standing, and off again."""
+    facing = np.exp(1j * np.where(np.arange(FRAMES) < 120, 0.0, 1.2))
+    return np.where((np.arange(FRAMES) // 40) == 5, 0.0, speed * facing), facing
+
+
+def walk(run: Run, choice: str | dict[str, float], description: dict) -> np.ndarray:
+    """World joints [T, J, 3] under `commands` by the controller's published loop, from the description's start."""
+    start, layout = description["start"], run.layout
+    x = np.array(start["x"])
+    if layout.name == "mason2018":  # the files are in the authors' units
+        columns, factors = convert_columns(authors2018(layout.num_joints), layout, "inputs")
+        x = x[columns] * factors
+    x, zero = jnp.asarray(x, jnp.float32), jnp.zeros((), jnp.float32)
+    motion = initial_state(layout, x, jnp.asarray(start["phase"], jnp.float32), jnp.zeros(2, jnp.float32), zero)
+    controller = make_controller(run, foot_ik=False, regulated=False)
+    style = jnp.asarray(controller.style_weights(choice if isinstance(choice, str) else {**choice}))
+    velocities, directions = (
+        jnp.asarray(np.stack([np.imag(v), np.real(v)], -1), jnp.float32) for v in commands(start["asked_speed"])
+    )
+    state = replace(controller.start(), motion=motion, style=style)
+    with jax.default_matmul_precision("highest"):
+        asked = Command(velocity=velocities, direction=directions)
+        return np.asarray(drive(controller.setup, controller.params, state, asked)[1].motion.joint_positions)
+
+
+def reference_walk(folder: Path) -> np.ndarray:
+    character, joints = reference_loop.Character(folder), []
+    for velocity, facing in zip(*commands(character.asked_speed), strict=True):
+        character.step(velocity, facing)
+        joints.append(character.pose["joint_position"])
+    return np.stack(joints)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "choice"),
+    [
+        ("pfnn2017", "cp", "style1"),
+        ("pfnn2017", "cp", {"style0": 0.4, "style1": 0.6}),  # added into the tables
+        ("mason2018", "cp", "style1"),
+        ("mason2018", "cp", {"style0": 1.6, "style1": -0.6}),  # beside them
+        ("mason2022", "film", "style1"),
+        ("mason2022", "film", {"style0": 0.4, "style1": 0.6}),
+    ],
+)
+def test_the_loop_in_numpy_walks_where_the_controller_walks(runs, tmp_path, name, kind, choice):
+    """Without regulation and feet held, in a style and in a mixture of two."""
+    run = runs(name, kind)
+    description = export_run(run.path, "bins", tmp_path / "bins", style=choice)
+    expected = walk(run, choice, description)
+    assert np.isfinite(expected).all() and np.ptp(expected, axis=0).max() > 10 * LOOP
+    np.testing.assert_allclose(reference_walk(tmp_path / "bins"), expected, atol=LOOP)
+
+
+def test_the_loop_in_numpy_stands_alone_and_is_short():
+    text = Path(reference_loop.__file__).read_text(encoding="utf-8")
+    imports = [line for line in text.splitlines() if line.startswith(("import ", "from "))]
+    assert imports == ["import json", "from pathlib import Path", "import numpy as np"]
+    assert len(text.splitlines()) <= 150
+
+
+@pytest.mark.parametrize("directory", ["lpn", "pfnn"])
+def test_the_authors_files_come_back(reference, tmp_path, directory):
+    imported = {"lpn": import_released_lpn, "pfnn": import_released_pfnn}[directory](
+        reference / directory, tmp_path / "run"
+    )
+    folder = tmp_path / "bins"
+    folder.mkdir()
+    write_bins(folder, imported)
+    for file in sorted((reference / directory).glob("*.bin")):
+        if file.stem in ("Walk_Velocities", "Run_Velocities"):  # settings of their demo, not of the network
+            continue
+        if directory == "lpn" or file.stem[0] in "XY":
+            assert (folder / file.name).read_bytes() == file.read_bytes(), file.name
+        else:  # control points were rounded once, and tables again: a few ulp of the array's larger values
+            old, new = (np.fromfile(path / file.name, "<f4") for path in (file.parent, folder))
+            assert np.abs(old - new).max() <= 5e-6 * np.sqrt(np.mean(old**2)), file.name
+
+
+@pytest.mark.parametrize(("name", "kind", "film_input"), [("mason2018", "cp", False), ("mason2022", "film", True)])
+def test_onnx_says_what_jax_says(runs, tmp_path, name, kind, film_input):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("jax2onnx")
+    run, style = runs(name, kind), {"style0": 0.5, "style1": 0.5}
+    told = export_run(run.path, "onnx", tmp_path / "onnx", style=style, film_input=film_input)
+    assert told["network"]["relative_error"] < TOLERANCE
+    session = onnxruntime.InferenceSession(tmp_path / "onnx" / told["network"]["file"])
+    assert [i.name for i in session.get_inputs()] == [i["name"] for i in told["network"]["inputs"]]
+    x, phase = sample_rows(run.normaliser, run.layout, 1, seed=1)
+    rows = {"x": x, "phase": phase}
+    if film_input:
+        rows["style"] = film_numbers(run, "style0")[None]
+        np.testing.assert_array_equal(
+            np.fromfile(tmp_path / "onnx" / told["styles"][0]["file"], "<f4"),
+            film_numbers(run, style),
+        )
+        style = "style0"
+    expected = predict_rows(run, x, phase, style)
+    assert np.abs(session.run(["y"], rows)[0] - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+def test_onnx_that_differs_is_not_put_in_place(runs, tmp_path, monkeypatch):
+    pytest.importorskip("jax2onnx")
+    monkeypatch.setattr("pfnn_jax.interop.export.onnx.TOLERANCE", 0.0)
+    with pytest.raises(InputError, match="must agree with JAX"):
+        export_run(runs("mason2018", "cp").path, "onnx", tmp_path / "onnx")
+    assert not list(tmp_path.iterdir())
+
+
+def test_stablehlo_comes_back_bit_for_bit(runs, tmp_path):
+    run = runs("mason2022", "film")
+    told = export_run(run.path, "stablehlo", tmp_path / "out", style="style0")
+    program = jax.export.deserialize(bytearray((tmp_path / "out" / told["network"]["file"]).read_bytes()))
+    assert told["network"]["calling_convention_version"] == program.calling_convention_version
+    for count in (1, 7):
+        x, phase = sample_rows(run.normaliser, run.layout, count, seed=2)
+        with jax.default_matmul_precision("highest"):
+            expected = jax.jit(batch_function(make_predictor(run, "style0")))(x, phase)
+        np.testing.assert_array_equal(program.call(x, phase), expected)

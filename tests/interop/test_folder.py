@@ -1,0 +1,150 @@
+"""What an exported folder tells beside its numbers, and what cannot be exported."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from pfnn_jax.control import calibration as standing
+from pfnn_jax.errors import InputError
+from pfnn_jax.interop.export import reference_loop
+from pfnn_jax.interop.export.run import export_run
+from pfnn_jax.interop.export.walks import walks_of
+from pfnn_jax.interop.released.mason2018 import import_released_cp
+from pfnn_jax.interop.released.mason2022 import import_released_lpn
+from pfnn_jax.run import load_run
+from tests.interop.small_runs import make_run
+
+
+def test_description_tells_what_an_engine_needs(runs, tmp_path):
+    run = runs("mason2018", "cp")
+    export_run(run.path, "bins", tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "description.json").read_text())
+    assert (told["schema"], told["version"], told["format"]) == ("pfnn_jax.export", 1, "bins")
+    columns = [column for block in told["layout"]["outputs"].values() for column in block["columns"]]
+    assert sorted(columns) == list(range(run.layout.output_size))
+    # Authors' units: half metres, frames, degrees and cycles a frame.
+    scales = {name: block["scale"] for name, block in told["layout"]["outputs"].items()}
+    assert scales["joint_velocity"] == pytest.approx(30.0) and scales["joint_position"] == 0.5
+    assert scales["root_yaw_rate"] == pytest.approx(np.deg2rad(60.0))
+    assert scales["phase_change"] == pytest.approx(120 * np.pi)
+    assert [style["speed"] for style in told["styles"]] == pytest.approx([1.0, 1.1])
+    assert told["loop"]["pose_rate"] == 0.5 and told["skeleton"]["names"] == list(run.skeleton.names)
+    assert len(told["normaliser"]["y_std"]) == run.layout.output_size
+
+
+def test_description_tells_what_to_ask_for_a_walk(runs, tmp_path, monkeypatch):
+    """The speed to ask of the network, which is not the speed at which the style walks: found by trying."""
+    run = runs("mason2018", "cp")
+
+    def settle(setup, params, styles, own, asked):  # style0 tells 1 m/s, style1 1.1
+        return asked * np.where(own < 1.05, 1.0, 2.5)[:, None]
+
+    monkeypatch.setattr(standing, "settle", settle)
+    asked = [1.0, 1.1 * 0.4]
+    told = export_run(run.path, "bins", tmp_path / "all")
+    assert [style["asked_speed"] for style in told["styles"]] == pytest.approx(asked)
+    assert [reference_loop.Character(tmp_path / "all", n).asked_speed for n in range(2)] == pytest.approx(asked)
+    one = export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
+    assert one["styles"][0]["asked_speed"] == one["start"]["asked_speed"] == pytest.approx(asked[1])
+    assert one["start"]["speed"] == pytest.approx(1.1)
+    mixed = walks_of(run, [{"style0": 0.5, "style1": 0.5}])[0]
+    assert mixed.speed == pytest.approx(1.05)
+    assert mixed.asked_speed == pytest.approx(np.mean(asked))
+
+
+def test_a_run_without_roles_is_exported(runs, tmp_path):
+    shutil.copytree(runs("mason2018", "cp").path, tmp_path / "run")
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    config["skeleton"]["roles"] = None
+    (tmp_path / "run" / "config.json").write_text(json.dumps(config))
+    told = export_run(tmp_path / "run", "bins", tmp_path / "out")
+    assert [(style["speed"], style["asked_speed"]) for style in told["styles"]] == [(1.0, 1.0), (1.1, 1.1)]
+
+
+@pytest.mark.parametrize(
+    ("layout", "kind", "import_released", "file"),
+    [
+        ("mason2018", "cp", import_released_cp, "style0-0.5+style1-0.5_W0.bin"),
+        ("mason2022", "film", import_released_lpn, "Style_000_scale1.bin"),
+    ],
+)
+def test_a_mixture_has_one_name_in_every_format(runs, tmp_path, layout, kind, import_released, file):
+    run, style = runs(layout, kind), {"style0": 0.5, "style1": 0.5}
+    names = [export_run(run.path, f, tmp_path / f, style=style)["styles"][0]["name"] for f in ("bins", "stablehlo")]
+    assert names == ["style0:0.5+style1:0.5"] * 2
+    assert (tmp_path / "bins" / file).exists()
+    assert import_released(tmp_path / "bins", tmp_path / "run").config.styles == ("style0-0.5+style1-0.5",)
+
+
+@pytest.mark.parametrize("settings", [{"format": "bins"}, {"format": "stablehlo", "film_input": True}])
+def test_a_film_network_without_styles_is_not_exported(tmp_path, settings):
+    run = make_run(tmp_path / "run", "mason2022", "film", 0)
+    with pytest.raises(InputError, match="styles: none; a FiLM run needs at least one style to move"):
+        export_run(run.path, out=tmp_path / "out", **settings)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.parametrize("out", [".", "..", "inner/.."])
+def test_the_folder_that_a_command_runs_in_is_not_replaced(runs, tmp_path, monkeypatch, out):
+    here = tmp_path / "above" / "here"
+    here.mkdir(parents=True)
+    monkeypatch.chdir(here)
+    with pytest.raises(InputError, match="output: holds the working folder; must be a folder of its own"):
+        export_run(runs("mason2018", "cp").path, "bins", out, overwrite=True)
+    assert not list(here.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "settings", "said"),
+    [
+        ("mason2022_mann", "film", {"format": "bins"}, "mason2022_mann with film styles; only pfnn2017, mason2018"),
+        ("mason2022", "dense", {"format": "bins"}, "knows Films alone"),
+        ("mason2018", "cp", {"format": "bins", "style": "nobody"}, "nobody; must be one of style0, style1"),
+        ("mason2018", "cp", {"format": "onnx", "film_input": True}, "only a Film can be an input"),
+        ("mason2018", "cp", {"format": "fbx"}, "fbx; must be onnx, stablehlo or bins"),
+    ],
+)
+def test_what_cannot_be_is_said(runs, tmp_path, name, kind, settings, said):
+    with pytest.raises(InputError, match=said):
+        export_run(runs(name, kind).path, out=tmp_path / "out", **settings)
+    assert not list(tmp_path.iterdir())
+
+
+def test_only_an_export_is_replaced(runs, tmp_path):
+    path, out = runs("mason2018", "cp").path, tmp_path / "out"
+    out.mkdir()
+    export_run(path, "bins", out, style="style0")
+    with pytest.raises(InputError, match="--overwrite"):
+        export_run(path, "bins", out)
+    export_run(path, "bins", out, style="style1", overwrite=True)
+    assert (out / "style1_W0.bin").exists() and not (out / "style0_W0.bin").exists()
+    with pytest.raises(InputError, match="is no export"):
+        export_run(path, "bins", path, overwrite=True)
+    load_run(path)
+
+
+def test_files_of_the_2018_demo_need_their_description(runs, tmp_path):
+    export_run(runs("mason2018", "cp").path, "bins", tmp_path / "out")
+    (tmp_path / "out" / "description.json").unlink()
+    with pytest.raises(InputError, match="they do not name the joints"):
+        import_released_cp(tmp_path / "out", tmp_path / "run")
+
+
+def test_the_loop_in_numpy_takes_a_style_by_name_and_says_what_it_cannot_run(runs, tmp_path):
+    run = runs("mason2018", "cp")
+    export_run(run.path, "bins", tmp_path / "all")
+    by_name, by_place = (reference_loop.Character(tmp_path / "all", style) for style in ("style1", 1))
+    assert by_name.asked_speed == by_place.asked_speed
+    np.testing.assert_array_equal(
+        *(c.evaluate(np.ones(len(run.normaliser.inputs.mean)), 0.3) for c in (by_name, by_place))
+    )
+    for style in ("style2", 2):
+        with pytest.raises(ValueError, match=f"all: bins, style {style!r}; must be bins, one of styles .*style1"):
+            reference_loop.Character(tmp_path / "all", style)
+    export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
+    with pytest.raises(ValueError, match="one: stablehlo, style 0; must be bins"):
+        reference_loop.Character(tmp_path / "one")

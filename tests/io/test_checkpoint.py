@@ -1,0 +1,249 @@
+"""Laws of saving: typed round trips, the last completed save survives, every refusal is one sentence."""
+
+import errno
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.io import checkpoint
+from pfnn_jax.io.checkpoint import (
+    TREE,
+    fingerprint,
+    load_record,
+    locate,
+    read_json,
+    read_note,
+    replacing,
+    save_record,
+    saved_names,
+    write_json,
+)
+from pfnn_jax.io.files import to_plain
+from pfnn_jax.models.network import Network, NetworkConfig, init_network
+
+CONFIG = NetworkConfig(input_size=6, output_size=5, hidden=4)
+
+
+def make_state(seed: int = 0):
+    network = init_network(CONFIG, jax.random.key(seed))
+    return {
+        "network": network,
+        "optimiser": optax.adam(1e-3).init(cast(Any, network)),
+        "step": jnp.int32(seed),
+        "key": None,
+    }
+
+
+def assert_equal(a, b):
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for left, right in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert left.dtype == right.dtype
+        np.testing.assert_array_equal(left, right)
+
+
+def save(folder, seed=0):
+    save_record(folder, make_state(seed), "note.json", {"seed": seed})
+
+
+def test_round_trip_is_exact_and_typed(tmp_path):
+    save(tmp_path / "state", seed=3)
+    loaded = load_record(tmp_path / "state", jax.eval_shape(make_state))
+    assert_equal(loaded, make_state(3))
+    assert isinstance(loaded["network"], Network)
+    assert read_note(tmp_path / "state", "note.json", "") == {"seed": 3}
+
+
+def test_arrays_of_numpy_and_plain_numbers_are_arrays_on_disk(tmp_path):
+    save_record(tmp_path / "state", {"a": np.arange(3, dtype=np.float32), "b": 2}, "note.json", {})
+    loaded = load_record(tmp_path / "state", {"a": jnp.zeros(3), "b": jnp.int32(0)})
+    assert_equal(loaded, {"a": jnp.arange(3, dtype=jnp.float32), "b": jnp.int32(2)})
+
+
+def test_a_second_save_replaces_the_first_and_leaves_nothing_beside(tmp_path):
+    for seed in (1, 2):
+        save(tmp_path / "state", seed)
+    assert_equal(load_record(tmp_path / "state", make_state()), make_state(2))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["state"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "parts"),
+    [
+        ({"step": jnp.zeros(2, jnp.int32)}, ("parameter step", "int32 []", "int32 [2]")),
+        ({"step": jnp.float32(0)}, ("parameter step", "int32 []", "float32 []")),
+        ({"more": jnp.zeros(1)}, ("parameter more", "absent", "float32 [1]")),
+        ({"optimiser": None}, ("parameter optimiser.0.count", "int32 []", "must be absent")),
+    ],
+)
+def test_another_structure_or_shape_names_the_folder_the_parameter_and_both_shapes(tmp_path, wrong, parts):
+    save(tmp_path / "state")
+    with pytest.raises(InputError) as error:
+        load_record(tmp_path / "state", {**make_state(), **wrong})
+    assert all(part in str(error.value) for part in (str(tmp_path / "state"), *parts))
+
+
+def test_another_network_size_names_the_first_parameter(tmp_path):
+    save(tmp_path / "state")
+    other = init_network(NetworkConfig(input_size=6, output_size=5, hidden=8), jax.random.key(0))
+    with pytest.raises(InputError, match=r"network.layers.0.weights: float32 \[4, 6, 4\]; must be .* \[4, 6, 8\]"):
+        load_record(tmp_path / "state", {**make_state(), "network": other})
+
+
+@pytest.mark.parametrize("part", ["manifest.ocdbt", "_METADATA", "d"])
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_damaged_save_is_refused_by_file(tmp_path, part, cut):
+    save(tmp_path / "state")
+    path = tmp_path / "state" / TREE / "state" / part
+    path = next(path.iterdir()) if path.is_dir() else path
+    if cut:
+        path.write_bytes(path.read_bytes()[:-1])
+    else:
+        path.unlink()
+    with pytest.raises(InputError, match=path.name):
+        load_record(tmp_path / "state", make_state())
+
+
+def test_an_absent_save_is_refused(tmp_path):
+    with pytest.raises(InputError, match="completed, undamaged save"):
+        load_record(tmp_path / "state", make_state())
+
+
+def test_a_folder_that_was_moved_aside_is_found(tmp_path):
+    """A kill between the two renames of an exchange leaves the last save under `.state.old`."""
+    save(tmp_path / "state", seed=1)
+    (tmp_path / "state").rename(tmp_path / ".state.old")
+    assert_equal(load_record(tmp_path / "state", make_state()), make_state(1))
+    assert saved_names(tmp_path) == ("state",)
+    save(tmp_path / "state", seed=2)
+    assert_equal(load_record(tmp_path / "state", make_state()), make_state(2))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["state"]
+
+
+def test_a_kill_at_any_rename_leaves_a_completed_save(tmp_path, monkeypatch):
+    """Each renaming and removal of an exchange in turn is the last thing that happens."""
+
+    class Killed(BaseException):
+        pass
+
+    def killing(function, calls):
+        def call(*args, **kwargs):
+            if next(calls) == stop:
+                raise Killed
+            return function(*args, **kwargs)
+
+        return call
+
+    for stop in range(5):
+        folder = tmp_path / str(stop) / "state"
+        save(folder, seed=1)
+        calls = iter(range(100))
+        with monkeypatch.context() as patch:
+            for module, name in ((checkpoint.os, "rename"), (checkpoint, "_remove")):
+                patch.setattr(module, name, killing(getattr(module, name), calls))
+            try:
+                save(folder, seed=2)
+            except Killed:
+                pass
+        seed = int(load_record(folder, make_state())["step"])
+        assert seed in (1, 2)
+        assert_equal(load_record(folder, make_state()), make_state(seed))
+        save(folder, seed=3)
+        assert_equal(load_record(folder, make_state()), make_state(3))
+
+
+KILLED = """
+    import itertools
+    import pathlib
+    import jax.numpy as jnp
+    from pfnn_jax.io.checkpoint import save_record
+    for step in itertools.count(1):
+        save_record(pathlib.Path({folder!r}), {{"a": jnp.full((64, 64), step), "step": step}}, "note.json", {{}})
+        print(step, flush=True)
+"""
+
+
+def test_kill_minus_nine_in_the_middle_of_saving(tmp_path):
+    folder = tmp_path / "state"
+    code = textwrap.dedent(KILLED).format(folder=str(folder))
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    done = [int(process.stdout.readline()) for _ in range(5)][-1]
+    process.send_signal(signal.SIGKILL)
+    done = max([done, *map(int, process.stdout.read().split())])
+    process.wait()
+    process.stdout.close()
+    loaded = load_record(folder, {"a": jnp.zeros((64, 64), jnp.int32), "step": jnp.int32(0)})
+    assert loaded["step"] in (done, done + 1)
+    assert (loaded["a"] == loaded["step"]).all()
+
+
+def full_disk(*args, **kwargs):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def full_disk_of_tensorstore(*args, **kwargs):
+    raise ValueError("RESOURCE_EXHAUSTED: Failed writing: No space left on device [os_error_code='28']")
+
+
+@pytest.mark.parametrize("failure", [full_disk, full_disk_of_tensorstore])
+def test_a_full_disk_is_one_line_and_leaves_the_last_save(tmp_path, monkeypatch, failure):
+    save(tmp_path / "state", seed=1)
+    monkeypatch.setattr(checkpoint.ocp, "save", failure)
+    with pytest.raises(InputError, match="state: disk: no space left"):
+        save(tmp_path / "state", seed=2)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["state"]
+    assert_equal(load_record(tmp_path / "state", make_state()), make_state(1))
+
+
+def test_a_save_that_cannot_fit_is_refused_before_it_begins(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint.shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 10, 0))
+    with pytest.raises(InputError, match="state: disk: 0.0 MB free; the save needs up to"):
+        save(tmp_path / "state")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_errors_pass_and_leave_nothing(tmp_path):
+    with pytest.raises(KeyError), replacing(tmp_path / "file") as new:
+        new.write_text("half")
+        raise KeyError("stopped")
+    assert list(tmp_path.iterdir()) == []
+    assert locate(tmp_path / "file") is None
+
+
+def test_json_round_trip_and_numbers_that_are_not_finite(tmp_path):
+    write_json(tmp_path / "a.json", {"a": np.float32(0.5), "b": jnp.arange(2), "c": float("nan"), "d": (1, "x")})
+    assert read_json(tmp_path / "a.json", "") == {"a": 0.5, "b": [0, 1], "c": None, "d": [1, "x"]}
+    assert to_plain({"p": tmp_path}) == {"p": str(tmp_path)}
+
+
+@pytest.mark.parametrize(
+    ("content", "place"), [(b"{\n'a': 1}", "line 2"), (b"[1]", "line 1: list"), (b"\xff", "not UTF-8"), (None, "file")]
+)
+def test_malformed_json_names_file_and_line(tmp_path, content, place):
+    if content is not None:
+        (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(InputError, match=f"a.json: .*{place}.*; .*the rule|a.json: {place}.*; .*the rule"):
+        read_json(tmp_path / "a.json", "the rule")
+
+
+def test_fingerprint_sees_values_names_types_and_shapes():
+    a = jnp.arange(4.0)
+    others = [{"a": a + 1e-6}, {"b": a}, {"a": a.astype(jnp.int32)}, {"a": a.reshape(2, 2)}]
+    assert fingerprint({"a": a}) == fingerprint({"a": np.arange(4, dtype=np.float32)})
+    assert len({fingerprint(tree) for tree in [{"a": a}, *others]}) == 5
+
+
+def test_saving_is_silent(tmp_path, capfd):
+    save(tmp_path / "state")
+    load_record(tmp_path / "state", make_state())
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,92 @@
+"""Files and folders that appear whole or not at all, also where the last step fails."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.io.files import failure, require_suffix, swap_folder, write_whole
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("content", ["für\nalle\n", b"\r\n\xff"])
+def test_what_is_written_is_read(tmp_path, content):
+    path = tmp_path / "a"
+    path.write_text("an older and longer file")
+    write_whole(path, content)
+    assert path.read_bytes() == (content.encode() if isinstance(content, str) else content)
+    assert names(tmp_path) == ["a"]
+
+
+def test_a_file_that_cannot_be_put_in_place_leaves_the_old_one(tmp_path, monkeypatch):
+    def full(*paths):
+        raise OSError(28, "No space left on device")
+
+    path = tmp_path / "a"
+    path.write_text("old")
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(InputError, match="No space left on device; must be writable"):
+        write_whole(path, "new")
+    assert path.read_text() == "old" and names(tmp_path) == ["a"]
+
+
+def test_no_folder_to_write_to_is_one_line(tmp_path):
+    with pytest.raises(InputError, match="No such file or directory"):
+        write_whole(tmp_path / "absent" / "a", "text")
+
+
+@pytest.mark.parametrize("there", ["nothing", "folder", "file", "link"])
+def test_a_finished_folder_takes_its_place(tmp_path, there):
+    new, target = tmp_path / "new", tmp_path / "target"
+    new.mkdir()
+    (new / "a").write_text("new")
+    if there == "folder":
+        target.mkdir()
+        (target / "b").write_text("old")
+    elif there == "file":
+        target.write_text("old")
+    elif there == "link":
+        (tmp_path / "far").mkdir()
+        target.symlink_to(tmp_path / "far")
+    swap_folder(new, target)
+    assert names(target) == ["a"] and not target.is_symlink()
+    assert names(tmp_path) == (["far", "target"] if there == "link" else ["target"])
+
+
+def test_a_folder_that_cannot_take_its_place_leaves_the_old_one(tmp_path):
+    target = tmp_path / "target"
+    target.mkdir()
+    (target / "b").write_text("old")
+    with pytest.raises(OSError):
+        swap_folder(tmp_path / "absent", target)
+    assert names(target) == ["b"] and names(tmp_path) == ["target"]
+
+
+@pytest.mark.parametrize("name", ["a.bvh", "A.BVH", "b.c.bvh"])
+def test_a_name_of_the_kind_passes(name):
+    require_suffix(Path(name), (".bvh",))
+
+
+@pytest.mark.parametrize(
+    ("name", "suffixes", "message"),
+    [
+        ("a.txt", (".bvh",), "a.txt: suffix: .txt; must be .bvh"),
+        ("a", (".bvh",), "a: suffix: none; must be .bvh"),
+        ("a.jpg", (".png", ".gif"), "a.jpg: suffix: .jpg; must be one of .png, .gif"),
+    ],
+)
+def test_a_name_of_another_kind_is_refused(name, suffixes, message):
+    with pytest.raises(InputError) as refused:
+        require_suffix(Path(name), suffixes)
+    assert str(refused.value) == message
+
+
+def test_a_failure_is_told_in_one_line_without_the_path():
+    assert failure(FileNotFoundError(2, "No such file or directory", "here/a")) == "No such file or directory"
+    assert failure(ValueError("one\ntwo")) == "one" and failure(EOFError()) == "EOFError"
