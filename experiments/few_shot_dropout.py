@@ -40,7 +40,7 @@ from pfnn_jax.motion.clip import mirror_clip
 from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset
 from pfnn_jax.motion.datasets.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.datasets.sources import ClipFile
-from pfnn_jax.motion.features.clip_features import Features, clip_features, join_rows
+from pfnn_jax.motion.features.encode import Features, clip_features, join_rows
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.labels.phase import mirror_phase
 from pfnn_jax.motion.synthetic.walks import STYLES, UNSEEN_STYLE, synthesise

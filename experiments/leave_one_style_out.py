@@ -35,7 +35,7 @@ from pfnn_jax.io.files import write_whole
 from pfnn_jax.motion.clip import mirror_clip
 from pfnn_jax.motion.datasets.labelled import load_labelled
 from pfnn_jax.motion.datasets.sources import list_clips
-from pfnn_jax.motion.features.clip_features import Features, clip_features, join_rows, select_rows
+from pfnn_jax.motion.features.encode import Features, clip_features, join_rows, select_rows
 from pfnn_jax.motion.features.layout import FrameLayout, mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, fit_normaliser
 from pfnn_jax.motion.labels.phase import mirror_phase

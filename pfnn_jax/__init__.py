@@ -14,7 +14,7 @@ _ROOMS = {
     "motion.clip": ("MotionClip",),
     "motion.datasets.dataset": ("Dataset", "load_dataset", "prepare"),
     "motion.datasets.download": ("download_100style",),
-    "motion.features.clip_features": ("clip_features",),
+    "motion.features.encode": ("clip_features",),
     "motion.hands": ("extend_hands",),
     "motion.datasets.labelled": ("LabelledClip", "load_labelled"),
     "motion.features.layout": (

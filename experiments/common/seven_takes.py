@@ -15,7 +15,7 @@ from pfnn_jax.evaluation.motion_windows import clip_windows
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip
 from pfnn_jax.motion.datasets.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.datasets.sources import list_clips
-from pfnn_jax.motion.features.clip_features import Features, clip_features, join_rows, select_rows
+from pfnn_jax.motion.features.encode import Features, clip_features, join_rows, select_rows
 from pfnn_jax.motion.features.layout import FrameLayout, layout_for
 from pfnn_jax.motion.hands import extend_hands
 from pfnn_jax.motion.labels.footsteps import NoGaitError

@@ -22,7 +22,7 @@ from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import mirror_clip
 from pfnn_jax.motion.datasets.labelled import load_labelled
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
-from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import LAYOUTS
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.phase import mirror_phase

@@ -44,7 +44,7 @@ RUN_IN_FRAMES = 90
 """Frames that a character walks unseen before it stands at its start: from a mean pose into its style."""
 
 
-def resting_heights(layout: FrameLayout, normaliser: Normaliser, rig: Rig) -> np.ndarray:
+def mean_resting_heights(layout: FrameLayout, normaliser: Normaliser, rig: Rig) -> np.ndarray:
     """[4] metres: how high the joints of the feet are on the ground, where most frames of any gait have them: about a
     deviation below the mean."""
     blocks = [

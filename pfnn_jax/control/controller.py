@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.calibration import find_walks, resting_heights, start
+from pfnn_jax.control.calibration import find_walks, mean_resting_heights, start
 from pfnn_jax.control.character import (
     ControllerParams,
     ControllerSetup,
@@ -154,8 +154,8 @@ def make_controller(
         speed=jnp.float32(speed),
         shares=jnp.ones(len(speeds), jnp.float32),
         row=straight_row(layout, row, speed),
-        phase=jnp.float32(0.0) if normaliser.phases is None else jnp.asarray(normaliser.phases.mean, jnp.float32),
-        rest=jnp.asarray(resting_heights(layout, normaliser, rig), jnp.float32),
+        phase=jnp.asarray(normaliser.initial_phase()),
+        rest=jnp.asarray(mean_resting_heights(layout, normaliser, rig), jnp.float32),
     )
     regulation = STANDARD if regulated else None
     setup = ControllerSetup(layout, controller_of(run), rig, FootLockConfig() if foot_ik else None, regulation)

@@ -21,12 +21,12 @@ from pfnn_jax.inference.lookup import table_phase
 from pfnn_jax.inference.mixture import StyleChoice
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.features.clip_features import clip_from_outputs, root_steps
+from pfnn_jax.motion.features.decode import clip_from_outputs, root_steps
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.motion.ground import facing_of, to_local
 from pfnn_jax.motion.paths import Path
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.trajectory import to_local
 from pfnn_jax.run import Run, list_styles, style_note
 
 Mode = Literal["cubic", "nearest50", "constant50"]
@@ -174,7 +174,7 @@ def starting_row(layout: FrameLayout, normaliser: Normaliser, speed: float | jax
     """
     x = jnp.asarray(normaliser.inputs.mean)
     x = straight_row(layout, x, speed) if layout.next_frame else x
-    return x, jnp.zeros((), jnp.float32) if normaliser.phases is None else jnp.asarray(normaliser.phases.mean)
+    return x, jnp.asarray(normaliser.initial_phase())
 
 
 def walking_state(
@@ -210,5 +210,7 @@ def clip_from_frames(skeleton: Skeleton, layout: FrameLayout, frames: Frames) ->
     y, yaw = np.array(frames.outputs, np.float64), np.asarray(frames.root_yaw, np.float64)
     roots, joints = np.asarray(frames.root_positions, np.float64), np.array(frames.joint_positions, np.float64)
     joints[..., [0, 2]] -= roots[:, None]
-    y[:, layout.output_slice("joint_position")] = to_local(yaw, joints).reshape(len(y), -1) / layout.length_unit
+    y[:, layout.output_slice("joint_position")] = (
+        to_local(joints, facing_of(yaw)).reshape(len(y), -1) / layout.length_unit
+    )
     return clip_from_outputs(skeleton, layout, y, roots, yaw, layout.fps)

@@ -16,7 +16,7 @@ from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import ControllerConfig
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor, evaluate
 from pfnn_jax.models.network import Network
-from pfnn_jax.motion.features.clip_features import usual_speed
+from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.paths import circle
@@ -101,7 +101,7 @@ def make_stability_check(
     """
     pose = layout.output_slice("joint_position")
     own = np.mean(normaliser.outputs.apply(y)[:, pose] ** 2, axis=1).max()
-    speed = max(usual_speed(layout, y), 0.3)
+    speed = max(median_speed(layout, y), 0.3)
     mean, std = (jnp.asarray(value, jnp.float32) for value in (normaliser.outputs.mean, normaliser.outputs.std))
 
     def is_stable(trained: Any) -> bool:

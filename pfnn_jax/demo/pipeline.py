@@ -21,7 +21,7 @@ from pfnn_jax.motion.datasets.dataset import Dataset, prepare
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.preparation import PrepareConfig
 from pfnn_jax.motion.datasets.sources import ClipFile
-from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.labels.phase import write_phase
 from pfnn_jax.motion.paths import figure_eight
 from pfnn_jax.motion.synthetic.walks import PRETRAINING_STYLES, STYLES, UNSEEN_STYLE, synthesise, synthetic_clips

@@ -18,6 +18,7 @@ from matplotlib.patches import Patch
 
 from pfnn_jax.evaluation.plots import SERIES
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.ground import facing_of, to_local
 from pfnn_jax.motion.labels.local_phase import (
     END_EFFECTORS,
     EndEffectors,
@@ -31,7 +32,6 @@ from pfnn_jax.motion.labels.local_phase import (
     toe_contacts,
 )
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.trajectory import to_local
 from pfnn_jax.viewer.draw.body import body_capsules, body_points, capsule_ends
 from pfnn_jax.viewer.draw.drawing import draw_body
 from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED
@@ -133,7 +133,7 @@ def _draw_bodies(axes: Axes, shown: _Shown, frames: np.ndarray) -> None:
     points = body_points(clip)[frames]
     hips = points[:, need_roles(clip.skeleton).hips]
     ground = float(min(points[..., 1].min(), 0.0))
-    local = to_local(_facing(clip, points) - VIEW, points - hips[:, None] * [1.0, 0.0, 1.0])
+    local = to_local(points - hips[:, None] * [1.0, 0.0, 1.0], facing_of(_facing(clip, points) - VIEW))
     tops = [max(end[..., 1].max() for end in capsule_ends(local, c)) + c.end_radius for c in capsules]
     metres = 1.1 * (float(max(tops)) - ground)
     across = metres * (WIDTH - LEFT - RIGHT) / BODIES
@@ -169,7 +169,7 @@ def _facing(clip: MotionClip, points: np.ndarray) -> np.ndarray:
 
 def _draw_axes(axes: Axes, shown: _Shown, hips: np.ndarray) -> None:
     free = ~shown.by_contacts
-    turned = to_local(np.full(2, -VIEW), np.stack([shown.axes.means[free], shown.axes.directions[free]]))
+    turned = to_local(np.stack([shown.axes.means[free], shown.axes.directions[free]]), facing_of(-VIEW))
     for mean, direction in zip(*turned, strict=True):
         start, end = hips + mean - ARROW * direction, hips + mean + ARROW * direction
         style = {"arrowstyle": "-|>", "color": AXIS, "linewidth": 1.4, "shrinkA": 0, "shrinkB": 0}

@@ -24,7 +24,8 @@ from pfnn_jax.evaluation.metrics import (
     skating_ratio,
 )
 from pfnn_jax.inference.predictor import Predictor, evaluate
-from pfnn_jax.motion.features.clip_features import Features, join_rows, root_steps, select_rows, usual_speed
+from pfnn_jax.motion.features.decode import median_speed, root_steps
+from pfnn_jax.motion.features.encode import Features, join_rows, select_rows
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 
@@ -137,7 +138,7 @@ def circle_test(
         `turn_rate` (achieved over commanded, mean of both sides), `nearest_turning_pose` (metres), `skating` (m/s),
         `skating_ratio`, `bone_error` (metres) and `jitter` (m/s³); all infinite if the walk is not finite.
     """
-    speed = max(usual_speed(layout, clip.y), 0.3)
+    speed = max(median_speed(layout, clip.y), 0.3)
     frames = walk_circles(predictor, layout, clip.x[0], clip.phase[0], speed, seconds)
     if not np.isfinite(np.asarray(frames.outputs)).all():
         names = ("turn_rate", "nearest_turning_pose", "skating", "skating_ratio", "bone_error", "jitter")

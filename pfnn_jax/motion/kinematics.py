@@ -10,12 +10,12 @@ in that library and in its precision, and their gradients are finite everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pfnn_jax.motion.arrays import array_namespace, as_floats, components, join_components
 from pfnn_jax.motion.skeleton import Skeleton
 
 AXES = {"X": 0, "Y": 1, "Z": 2}
@@ -25,10 +25,10 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Any:
     """Hamilton product [..., 4]: the rotation b followed by the rotation a."""
-    xp = _namespace(a, b)
-    aw, ax, ay, az = _parts(a, xp)
-    bw, bx, by, bz = _parts(b, xp)
-    return _join(
+    xp = array_namespace(a, b)
+    aw, ax, ay, az = components(a, xp)
+    bw, bx, by, bz = components(b, xp)
+    return join_components(
         (
             aw * bw - ax * bx - ay * by - az * bz,
             aw * bx + ax * bw + ay * bz - az * by,
@@ -41,7 +41,7 @@ def quat_multiply(a: ArrayLike, b: ArrayLike) -> Any:
 
 def quat_conjugate(q: ArrayLike) -> Any:
     """Inverse rotation [..., 4] of a unit quaternion."""
-    xp = _namespace(q)
+    xp = array_namespace(q)
     if xp is np:
         return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
     whole = xp.asarray(q)
@@ -50,16 +50,18 @@ def quat_conjugate(q: ArrayLike) -> Any:
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> Any:
     """Vectors v [..., 3] turned by unit quaternions q [..., 4]."""
-    xp = _namespace(q, v)
-    w, qx, qy, qz = _parts(q, xp)
-    x, y, z = _parts(v, xp)
+    xp = array_namespace(q, v)
+    w, qx, qy, qz = components(q, xp)
+    x, y, z = components(v, xp)
     tx, ty, tz = 2.0 * (qy * z - qz * y), 2.0 * (qz * x - qx * z), 2.0 * (qx * y - qy * x)
-    return _join((x + w * tx + qy * tz - qz * ty, y + w * ty + qz * tx - qx * tz, z + w * tz + qx * ty - qy * tx), xp)
+    return join_components(
+        (x + w * tx + qy * tz - qz * ty, y + w * ty + qz * tx - qx * tz, z + w * tz + qx * ty - qy * tx), xp
+    )
 
 
 def quat_normalise(q: ArrayLike) -> Any:
     """q [..., 4] at unit length; a zero quaternion becomes the identity."""
-    xp, given = _floats(q)
+    xp, given = as_floats(q)
     squared = xp.sum(given * given, axis=-1, keepdims=True)
     found = squared > SMALL**2
     # the length that is divided by is chosen before the root is taken, so that its gradient exists at zero too
@@ -69,7 +71,7 @@ def quat_normalise(q: ArrayLike) -> Any:
 
 def quat_from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Any:
     """Rotation [..., 4] by `angle` [...] radians about `axis` [..., 3] (any length; zero gives the identity)."""
-    xp, along, angles = _floats(axis, angle)
+    xp, along, angles = as_floats(axis, angle)
     half = angles[..., None] / 2
     squared = xp.sum(along * along, axis=-1, keepdims=True)
     found = squared > SMALL**2
@@ -88,7 +90,7 @@ def quat_from_euler(angles: ArrayLike, order: str) -> np.ndarray:
         order: any of the six orders of X, Y and Z.
     """
     half = np.asarray(angles, dtype=float) / 2
-    cos, sin = _parts(np.cos(half)), _parts(np.sin(half))
+    cos, sin = components(np.cos(half)), components(np.sin(half))
     i, j, k = _axes(order)
     parity = _parity(i, j)
     q = np.empty(half.shape[:-1] + (4,))
@@ -121,7 +123,7 @@ def quat_to_euler(q: ArrayLike, order: str) -> np.ndarray:
 
 def quat_to_matrix(q: ArrayLike) -> np.ndarray:
     """Rotation matrices [..., 3, 3] of unit quaternions q [..., 4]."""
-    w, x, y, z = _parts(q)
+    w, x, y, z = components(q)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -132,7 +134,7 @@ def quat_to_matrix(q: ArrayLike) -> np.ndarray:
 
 def quat_from_matrix(m: ArrayLike) -> Any:
     """Unit quaternions [..., 4] with w ≥ 0 of rotation matrices m [..., 3, 3]."""
-    xp, r = _floats(m)
+    xp, r = as_floats(m)
     xx, yy, zz = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
     wx, wy, wz = r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]
     xy, xz, yz = r[..., 0, 1] + r[..., 1, 0], r[..., 0, 2] + r[..., 2, 0], r[..., 1, 2] + r[..., 2, 1]
@@ -166,7 +168,7 @@ def quat_log(q: ArrayLike) -> np.ndarray:
 
 def quat_exp(v: ArrayLike) -> Any:
     """Unit quaternions [..., 4] of half-angle vectors v [..., 3]; the inverse of `quat_log`."""
-    xp, along = _floats(v)
+    xp, along = as_floats(v)
     squared = xp.sum(along * along, axis=-1, keepdims=True)
     found = squared > SMALL**2
     half = xp.sqrt(xp.where(found, squared, 1.0))
@@ -193,7 +195,7 @@ def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
 
     Opposite directions turn half a circle about some axis across u; without a direction, nothing turns.
     """
-    xp, *given = _floats(u, v)
+    xp, *given = as_floats(u, v)
     start, end = xp.broadcast_arrays(*(_direction(each, xp) for each in given))
     dot = xp.sum(start * end, axis=-1, keepdims=True)
     opposite = dot < -1.0 + (1e-9 if start.dtype == np.float64 else 1e-6)
@@ -206,7 +208,7 @@ def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
 
 def quat_from_yaw(yaw: ArrayLike) -> Any:
     """Rotation [..., 4] by yaw [...] radians about +Y; takes +Z to (sin yaw, 0, cos yaw)."""
-    xp, angle = _floats(yaw)
+    xp, angle = as_floats(yaw)
     half = angle / 2
     zero = xp.zeros_like(half)
     return xp.stack((xp.cos(half), zero, xp.sin(half), zero), axis=-1)
@@ -217,7 +219,7 @@ def quat_from_forward_up(forward: ArrayLike, up: ArrayLike) -> Any:
 
     Both need not be unit or orthogonal, as a network's outputs are not; `forward` keeps its direction.
     """
-    xp, along, upward = _floats(forward, up)
+    xp, along, upward = as_floats(forward, up)
     z = _direction(along, xp)
     x = _direction(xp.cross(upward, z), xp)
     return quat_from_matrix(xp.stack((x, xp.cross(z, x), z), axis=-1))
@@ -255,36 +257,6 @@ def forward_kinematics(
 def _parity(i: int, j: int) -> float:
     """+1 where the axes i, j and the third run as X, Y, Z do, -1 where they run backwards."""
     return 1.0 if j == (i + 1) % 3 else -1.0
-
-
-def _namespace(*values: Any) -> Any:
-    """The library that computes with these values: NumPy, unless one of them belongs to another."""
-    for value in values:
-        if not isinstance(value, np.ndarray) and hasattr(value, "__array_namespace__"):
-            return value.__array_namespace__()
-    return np
-
-
-def _floats(*values: ArrayLike) -> tuple[Any, ...]:
-    """The library, and the values as its arrays: float64 in NumPy, elsewhere of the type they have."""
-    xp = _namespace(*values)
-    return (xp, *(np.asarray(v, dtype=float) if xp is np else xp.asarray(v) for v in values))
-
-
-def _parts(v: ArrayLike, xp: Any = np) -> list[Any]:
-    """The components of v [..., N] as N arrays [...]; indexing costs less than moving the axis."""
-    whole = xp.asarray(v)
-    return [whole[..., i] for i in range(whole.shape[-1])]
-
-
-def _join(parts: Sequence[Any], xp: Any) -> Any:
-    """N arrays [...] as one [..., N]."""
-    if xp is not np:
-        return xp.stack(xp.broadcast_arrays(*parts), axis=-1)
-    joined = np.empty(np.broadcast_shapes(*(part.shape for part in parts)) + (len(parts),))
-    for i, part in enumerate(parts):  # filled in place: half the time of stacking
-        joined[..., i] = part
-    return joined
 
 
 def _direction(v: Any, xp: Any) -> Any:

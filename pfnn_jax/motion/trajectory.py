@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from pfnn_jax.motion.features.layout import TRAJECTORY_OFFSETS, FrameLayout
+from pfnn_jax.motion.ground import facing_of, to_local, yaw_of
 from pfnn_jax.motion.skeleton import Roles
 
 LAYOUT_FPS = 60.0
@@ -35,7 +36,12 @@ class Root:
     @property
     def yaw(self) -> np.ndarray:
         """[T] radians about +Y from +Z, in (-π, π]."""
-        return np.arctan2(self.directions[:, 0], self.directions[:, 1])
+        return yaw_of(self.directions)
+
+    @property
+    def facing(self) -> np.ndarray:
+        """[T, 2] facing of `yaw`: `directions`, but +Z where a degenerate pose has no direction."""
+        return facing_of(self.yaw)
 
 
 def root_motion(positions: np.ndarray, roles: Roles, fps: float, smoothing_seconds: float = 20 / 60) -> Root:
@@ -102,8 +108,8 @@ def trajectory_windows(root: Root, fps: float) -> tuple[np.ndarray, np.ndarray]:
     before, after = -int(offsets.min()), int(offsets.max())
     path, facing = _extrapolate(root, before, after, fps)
     index = np.arange(len(root.positions))[:, None] + before + offsets
-    yaw = root.yaw
-    return to_local(yaw, path[index] - root.positions[:, None]), to_local(yaw, facing[index])
+    current = root.facing
+    return to_local(path[index] - root.positions[:, None], current), to_local(facing[index], current)
 
 
 def sample_offsets(fps: float) -> np.ndarray:
@@ -116,37 +122,6 @@ def sample_offsets(fps: float) -> np.ndarray:
     if np.abs(offsets - np.round(offsets)).max() > 1e-6:
         raise ValueError(f"Trajectory samples are 1/6 s apart: fps must be a multiple of 6, got {fps:g}.")
     return np.round(offsets).astype(np.int64)
-
-
-def to_local(yaw: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """World vectors seen from a root that faces `yaw`.
-
-    Args:
-        yaw: [T] radians.
-        v: [T, ..., 2] as (x, z) or [T, ..., 3] as (x, y, z).
-    """
-    return _turn(-np.asarray(yaw), v)
-
-
-def to_world(yaw: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors of a root that faces `yaw`, seen in the world. Inverse of `to_local`; the same arguments."""
-    return _turn(np.asarray(yaw), v)
-
-
-def wrap_angle(angle: np.ndarray) -> np.ndarray:
-    """The same angle in [-π, π)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
-
-
-def _turn(yaw: np.ndarray, v: np.ndarray) -> np.ndarray:
-    yaw = yaw.reshape(yaw.shape + (1,) * (v.ndim - 1 - yaw.ndim))
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    turned = np.empty(np.broadcast_shapes(v.shape, (*yaw.shape, 1)), np.result_type(v, yaw))
-    turned[..., 0] = v[..., 0] * cos + v[..., -1] * sin
-    turned[..., -1] = v[..., -1] * cos - v[..., 0] * sin
-    if v.shape[-1] == 3:
-        turned[..., 1] = v[..., 1]
-    return turned
 
 
 def _across_up(across: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from flax import struct
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.datasets.dataset import Dataset
-from pfnn_jax.motion.features.clip_features import Features, join_rows, select_rows
+from pfnn_jax.motion.features.encode import Features, join_rows, select_rows
 from pfnn_jax.motion.features.layout import Columns, FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 

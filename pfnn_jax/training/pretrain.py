@@ -20,7 +20,7 @@ from pfnn_jax.models.adapters import init_adapter
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import init_network
 from pfnn_jax.motion.datasets.dataset import Dataset
-from pfnn_jax.motion.features.clip_features import usual_speed
+from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.run import (
@@ -272,7 +272,7 @@ def _save_result(out: Path, state: PretrainState, dataset: Dataset, bank: Any) -
         info = {
             "source": str(dataset.path),
             "frames": dataset.frames[style],
-            "speed": usual_speed(dataset.layout, y[::10]),
+            "speed": median_speed(dataset.layout, y[::10]),
             "steps": int(state.step),
         }
         save_style(out, style, adapter, info, overwrite=True)

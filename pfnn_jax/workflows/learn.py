@@ -22,7 +22,8 @@ from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.preparation import same_topology
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.motion.datasets.takes import fit_hands, load_take, take_features
-from pfnn_jax.motion.features.clip_features import Features, usual_speed
+from pfnn_jax.motion.features.decode import median_speed
+from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.run import Run, check_adapter, list_styles, load_generator, save_style
 from pfnn_jax.training.data import hold_out, style_data, to_batch
 from pfnn_jax.training.few_shot import FewShotConfig, choose, refit, train_grid
@@ -130,8 +131,7 @@ def rehearse(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
         num_frames: of a clip of which a symmetric style is learned; other lengths need no more.
     """
     x, y = (np.asarray(part.mean, np.float32) for part in (run.normaliser.inputs, run.normaliser.outputs))
-    phases = run.normaliser.phases
-    phase = np.float32(0.0) if phases is None else np.asarray(phases.mean, np.float32)
+    phase = run.normaliser.initial_phase()
     rows = Features(
         np.broadcast_to(x, (num_frames, *x.shape)),
         np.broadcast_to(y, (num_frames, *y.shape)),
@@ -190,7 +190,7 @@ def _about_clip(run: Run, clip_file: ClipFile, parts: list[Features], mirror: bo
         "source": clip_file.path.name,
         "frames": len(parts[0].x),
         "mirrored": mirror,
-        "speed": usual_speed(run.layout, parts[0].y),
+        "speed": median_speed(run.layout, parts[0].y),
     }
 
 

@@ -21,7 +21,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import evaluate
 from pfnn_jax.models.adapters import AdapterConfig, init_adapter
 from pfnn_jax.models.network import NetworkConfig, init_network
-from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import LAYOUTS
 from pfnn_jax.motion.features.normaliser import fit_normaliser
 from pfnn_jax.motion.skeleton import skeleton_to_json

@@ -18,7 +18,7 @@ from pfnn_jax.models.adapters import AdapterConfig, init_adapter
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import cut
-from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import LAYOUTS
 from pfnn_jax.motion.features.normaliser import fit_normaliser
 from pfnn_jax.motion.kinematics import forward_kinematics

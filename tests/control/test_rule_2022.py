@@ -15,7 +15,7 @@ from pfnn_jax.control.loop.blocks import write_input
 from pfnn_jax.control.loop.rollout import locked_rollout, rollout
 from pfnn_jax.control.loop.state import ROOT, initial_state, place_state
 from pfnn_jax.control.loop.step import CONTROLLERS, Command, network_input, published_step, steer
-from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import LAYOUTS, layout_for
 from pfnn_jax.motion.synthetic.walks import synthesise
 from tests.control.walkers import JOINTS, WALK, arc, pose

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pfnn_jax.evaluation.style_test import is_turning, join_takes, pose_and_velocity_error
-from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.synthetic.walks import synthesise
 

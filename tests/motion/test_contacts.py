@@ -10,7 +10,7 @@ import pytest
 from pfnn_jax.motion.clip import MotionClip, resample
 from pfnn_jax.motion.datasets.sources import list_clips, load_clip
 from pfnn_jax.motion.kinematics import forward_kinematics
-from pfnn_jax.motion.labels.contacts import foot_contacts, leg_length, slow_feet
+from pfnn_jax.motion.labels.contacts import foot_contacts, measured_leg_length, slow_feet
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.synthetic.skeleton import SHIN, THIGH
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise
@@ -48,7 +48,7 @@ def test_each_foot_stands_through_its_half_of_the_phase(style):
 
 def test_leg_length_is_that_of_a_nearly_straight_leg(walk):
     positions, _ = forward_kinematics(walk.skeleton, walk.root_positions, walk.rotations)
-    assert 0.93 * (THIGH + SHIN) < leg_length(positions, need_roles(walk.skeleton)) <= THIGH + SHIN + 1e-9
+    assert 0.93 * (THIGH + SHIN) < measured_leg_length(positions, need_roles(walk.skeleton)) <= THIGH + SHIN + 1e-9
 
 
 def test_slow_feet_know_only_speed(walk):

@@ -17,12 +17,12 @@ from pfnn_jax.motion.datasets.clip_file import ClipFile
 from pfnn_jax.motion.datasets.dataset import Dataset, PrepareConfig, load_dataset, prepare
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.sources import list_clips
-from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.normaliser import fit_normaliser
+from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.labels.phase import mirror_phase
 from pfnn_jax.motion.skeleton import skeleton_from_json, skeleton_to_json
 from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
-from pfnn_jax.motion.trajectory import wrap_angle
 
 FLOAT32 = 1e-5  # a few ulp of values of order 10
 

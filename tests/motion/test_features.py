@@ -12,14 +12,16 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip, resample
 from pfnn_jax.motion.datasets.sources import list_clips, load_clip
-from pfnn_jax.motion.features.clip_features import Features, clip_features, clip_from_outputs
+from pfnn_jax.motion.features.decode import clip_from_outputs
+from pfnn_jax.motion.features.encode import Features, clip_features
 from pfnn_jax.motion.features.layout import NOW, mason2018, pfnn2017
+from pfnn_jax.motion.ground import facing_of, to_world, wrap_angle
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.labels.contacts import estimate_gait, flat_crouch, read_gait
 from pfnn_jax.motion.labels.phase import PhaseLabels, cut_phase, mirror_phase, read_phase, resample_phase
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
-from pfnn_jax.motion.trajectory import root_motion, to_world, wrap_angle
+from pfnn_jax.motion.trajectory import root_motion
 
 GOLDEN = 1e-3  # standard deviations: the golden file's own rounding is float32
 GOLDEN_UNIT = 0.05644  # metres per file unit: the golden frames were made with 5.644 cm, four digits of CMU's scale
@@ -230,7 +232,7 @@ def test_integrating_root_velocity_and_yaw_rate_walks_the_path(walk):
     root = root_motion(positions, need_roles(clip.skeleton), clip.fps)
     rate = features.y[:, layout.output_slice("root_yaw_rate")][:, 0].astype(np.float64) / 60
     yaw = root.yaw[1] + np.concatenate([[0.0], np.cumsum(rate)])
-    steps = to_world(yaw[:-1], features.y[:, layout.output_slice("root_velocity")].astype(np.float64) / 60)
+    steps = to_world(features.y[:, layout.output_slice("root_velocity")].astype(np.float64) / 60, facing_of(yaw[:-1]))
     path = root.positions[1] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     drift = 1e-4  # metres and radians over 6 s, from float32 rates
     np.testing.assert_allclose(path, root.positions[1:], atol=drift)

@@ -11,12 +11,12 @@ from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.clip_file import ClipFile
 from pfnn_jax.motion.datasets.labelled import load_labelled
 from pfnn_jax.motion.datasets.sources import list_clips, load_clip
-from pfnn_jax.motion.features.clip_features import clip_features
+from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import pfnn2017
+from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.phase import write_phase
 from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
-from pfnn_jax.motion.trajectory import wrap_angle
 
 
 @pytest.fixture

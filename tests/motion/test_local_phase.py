@@ -10,6 +10,7 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, mirror_clip
 from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.labels.local_phase import (
     EndEffectors,
@@ -27,7 +28,6 @@ from pfnn_jax.motion.labels.local_phase import (
     toe_contacts,
 )
 from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.motion.trajectory import wrap_angle
 
 FPS = 60.0
 ROUNDING = 1e-6  # phase vectors of motion that is equal but for rounding: the fit stops at 1e-11 of a window's power

@@ -11,15 +11,17 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip
 from pfnn_jax.motion.datasets.sources import list_clips, load_clip
-from pfnn_jax.motion.features.clip_features import clip_features, clip_from_outputs, root_steps
+from pfnn_jax.motion.features.decode import clip_from_outputs, root_steps
+from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import NOW, FrameLayout, layout_for, mason2018, mason2022
+from pfnn_jax.motion.ground import facing_of, to_local, to_world, wrap_angle
 from pfnn_jax.motion.hands import extend_hands
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.labels.local_phase import clip_local_phases, mirror_local_phases, toe_contacts
 from pfnn_jax.motion.labels.phase import PhaseLabels, mirror_phase
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
-from pfnn_jax.motion.trajectory import Root, hips_root, layout_root, to_local, to_world, wrap_angle
+from pfnn_jax.motion.trajectory import Root, hips_root, layout_root
 
 WORLD = 2e-5  # metres, metres per second: float32 of numbers up to ten, differentiated at 60 frames a second
 BONES = 1e-5  # metres: float32 of positions, and of the rotations that follow them
@@ -72,7 +74,7 @@ def test_joints_are_those_of_this_frame_and_of_the_next_seen_from_this_root(walk
         }
         for block, world in wanted.items():
             found = joints(layout, getattr(rows, side), block, side)
-            np.testing.assert_allclose(found, to_local(root.yaw[i], world), atol=WORLD, err_msg=f"{side} {block}")
+            np.testing.assert_allclose(found, to_local(world, root.facing[i]), atol=WORLD, err_msg=f"{side} {block}")
 
 
 def test_trajectories_are_every_tenth_frame_around_this_frame_and_the_next(walk):
@@ -88,7 +90,7 @@ def test_trajectories_are_every_tenth_frame_around_this_frame_and_the_next(walk)
         wanted = {"position": root.positions[frames] - root.positions[i][:, None], "direction": root.directions[frames]}
         for kind in KINDS:
             found = np.stack([matrix[inside][:, find(f"trajectory_{kind}_{axis}")] for axis in "xz"], axis=-1)
-            np.testing.assert_allclose(found, to_local(root.yaw[i], wanted[kind]), atol=WORLD)
+            np.testing.assert_allclose(found, to_local(wanted[kind], root.facing[i]), atol=WORLD)
     now = [rows.x[:, layout.input_slice(f"trajectory_{kind}_{axis}")][:, NOW] for kind in KINDS for axis in "xz"]
     np.testing.assert_allclose(np.stack(now, axis=-1) - [0.0, 0.0, 0.0, 1.0], 0.0, atol=1e-7)
 
@@ -220,7 +222,7 @@ def test_integrating_root_steps_walks_the_path(walk, name):
     root = layout_root(positions, need_roles(clip.skeleton), layout)
     velocity, rate = root_steps(layout, rows.y.astype(np.float64))
     yaw = root.yaw[1] + np.concatenate([[0.0], np.cumsum(rate / 60)])
-    steps = to_world(yaw[:-1], velocity / 60)
+    steps = to_world(velocity / 60, facing_of(yaw[:-1]))
     path = root.positions[1] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     drift = 1e-4  # metres and radians over 6 s, from float32 rates
     np.testing.assert_allclose(path, root.positions[1:], atol=drift)

@@ -13,6 +13,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, mirror_clip, resample
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, load_clip
+from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.phase import (
     CYCLE,
@@ -25,7 +26,6 @@ from pfnn_jax.motion.labels.phase import (
     write_phase,
 )
 from pfnn_jax.motion.synthetic.walks import STYLES, mixed_schedule, synthesise
-from pfnn_jax.motion.trajectory import wrap_angle
 
 FILE = 1e-6 * CYCLE  # radians; files hold six decimals of a cycle
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.datasets.sources import list_clips, load_clip
-from pfnn_jax.motion.features.clip_features import Features, clip_features
+from pfnn_jax.motion.features.encode import Features, clip_features
 from pfnn_jax.motion.features.layout import layout_for, mason2022
 from pfnn_jax.motion.hands import extend_hands
 

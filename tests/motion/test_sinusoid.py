@@ -7,10 +7,10 @@ import pytest
 
 from pfnn_jax.motion.clip import resample
 from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.labels.local_phase import end_effectors, fit_axes, normalise_source, source_functions
 from pfnn_jax.motion.labels.sinusoid import HIGHEST, LOWEST, Sinusoids, fit_sinusoids
 from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.motion.trajectory import wrap_angle
 
 FPS, WIDTH = 60.0, 31
 TIMES = (np.arange(WIDTH) - WIDTH // 2) / FPS

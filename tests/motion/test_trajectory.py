@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.synthetic.walks import synthesise
@@ -14,10 +15,7 @@ from pfnn_jax.motion.trajectory import (
     hips_root,
     root_motion,
     sample_offsets,
-    to_local,
-    to_world,
     trajectory_windows,
-    wrap_angle,
 )
 
 EXACT = 1e-12  # float64, sums of a few terms of order one
@@ -82,15 +80,6 @@ def test_smoothing_takes_the_same_time_at_any_frame_rate():
         roots.append(root_motion(positions, need_roles(clip.skeleton), clip.fps))
     sway = 0.05  # radians; the wobble of the two clips is drawn at different rates
     assert np.abs(wrap_angle(roots[0].yaw - roots[1].yaw[::2])).max() < sway
-
-
-@pytest.mark.parametrize("width", [2, 3])
-def test_to_world_undoes_to_local(width):
-    rng = np.random.default_rng(0)
-    yaw, v = rng.uniform(-4, 4, 7), rng.normal(size=(7, 5, width))
-    np.testing.assert_allclose(to_world(yaw, to_local(yaw, v)), v, atol=EXACT)
-    forward = np.stack([np.sin(yaw), np.zeros(7), np.cos(yaw)], -1)[:, [0, 1, 2] if width == 3 else [0, 2]]
-    np.testing.assert_allclose(to_local(yaw, forward)[:, -1], 1.0, atol=EXACT)
 
 
 def test_heading_of_the_hip_joints_is_that_of_the_hips_own_axis(mocap):

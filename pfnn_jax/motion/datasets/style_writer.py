@@ -10,7 +10,7 @@ import numpy as np
 from pfnn_jax.io.npy import NpyWriter
 from pfnn_jax.motion.datasets.splits import WINDOW
 from pfnn_jax.motion.datasets.takes import TakeRows
-from pfnn_jax.motion.features.clip_features import Features
+from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.features.layout import FrameLayout
 
 ARRAYS = ("x", "y", "phase", "clip", "frame")

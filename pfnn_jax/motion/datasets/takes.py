@@ -16,7 +16,7 @@ from pfnn_jax.motion.datasets.clip_file import ClipFile
 from pfnn_jax.motion.datasets.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.datasets.splits import SPLITS, row_windows, split_blocks, take_generator
 from pfnn_jax.motion.datasets.style100 import IDLE, TRANSITION
-from pfnn_jax.motion.features.clip_features import Features, clip_features, select_rows
+from pfnn_jax.motion.features.encode import Features, clip_features, select_rows
 from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Moments, moments_of
 from pfnn_jax.motion.hands import extend_hands

@@ -8,9 +8,10 @@ import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.motion.ground import to_local
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.trajectory import Root, layout_root, to_local, trajectory_windows
+from pfnn_jax.motion.trajectory import Root, layout_root, trajectory_windows
 
 AXES = {"joint_forward": np.array([0.0, 0.0, 1.0]), "joint_up": np.array([0.0, 1.0, 0.0])}
 """The joint's own axis that a block of directions holds."""
@@ -51,7 +52,6 @@ def localise(clip: MotionClip, layout: FrameLayout) -> LocalMotion:
     roles = need_roles(clip.skeleton, clip.source)
     positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     root = layout_root(positions, roles, layout)
-    yaw = root.yaw
     offset = positions.copy()
     offset[..., [0, 2]] -= root.positions[:, None]
     steps = np.diff(positions, axis=0) * clip.fps
@@ -60,9 +60,9 @@ def localise(clip: MotionClip, layout: FrameLayout) -> LocalMotion:
     return LocalMotion(
         root=root,
         windows=trajectory_windows(root, clip.fps),
-        positions=to_local(yaw, offset),
-        velocities=to_local(yaw[: len(steps)], steps),
-        rotations=quat_multiply(quat_from_yaw(-yaw)[:, None], rotations),
+        positions=to_local(offset, root.facing),
+        velocities=to_local(steps, root.facing[: len(steps)]),
+        rotations=quat_multiply(quat_from_yaw(-root.yaw)[:, None], rotations),
         world_positions=positions,
     )
 

@@ -104,6 +104,10 @@ class Normaliser:
     outputs: Statistics
     phases: Statistics | None = None
 
+    def initial_phase(self) -> np.ndarray:
+        """Returns a gating input from which a rollout can start: phase 0 [], or the mean [G] where it is a vector."""
+        return np.zeros((), np.float32) if self.phases is None else self.phases.mean.astype(np.float32)
+
 
 def fit_normaliser(
     x: Arrays, y: Arrays, layout: FrameLayout, grouped: bool = False, phase: Arrays | None = None

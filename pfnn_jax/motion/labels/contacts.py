@@ -23,7 +23,7 @@ SMOOTHING_SECONDS = 1 / 60
 GROUND_PERCENTILE = 5.0  # a foot part rests for far more than this share of any gait
 
 
-def leg_length(positions: np.ndarray, roles: Roles) -> float:
+def measured_leg_length(positions: np.ndarray, roles: Roles) -> float:
     """Longest distance from hip to ankle in the clip, metres: a leg is nearly straight once in every stride.
 
     Args:
@@ -78,7 +78,7 @@ def foot_contacts(
     Returns:
         [T, 4] bool: left heel, left toe, right heel, right toe.
     """
-    leg = leg_length(positions, roles)
+    leg = measured_leg_length(positions, roles)
     feet = gaussian_filter1d(positions[:, foot_joints(roles)], SMOOTHING_SECONDS * fps, axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(feet, 1 / fps, axis=0), axis=-1)
     height = feet[..., 1] - np.percentile(feet[..., 1], GROUND_PERCENTILE, axis=0)

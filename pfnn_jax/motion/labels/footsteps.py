@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import forward_kinematics
-from pfnn_jax.motion.labels.contacts import foot_joints, leg_length
+from pfnn_jax.motion.labels.contacts import foot_joints, measured_leg_length
 from pfnn_jax.motion.skeleton import need_roles
 
 # speeds in leg lengths per second
@@ -90,7 +90,7 @@ def find_steps(clip: MotionClip) -> list[StepRun]:
     positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     if clip.num_frames < 3:
         raise NoGaitError(clip.source, "frames", clip.num_frames, "steps need at least 3")
-    leg = leg_length(positions, roles)
+    leg = measured_leg_length(positions, roles)
     joints = [*foot_joints(roles), roles.hips]
     smooth = gaussian_filter1d(positions[:, joints], SPEED_SMOOTHING * clip.fps, axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(smooth, 1 / clip.fps, axis=0), axis=-1) / leg

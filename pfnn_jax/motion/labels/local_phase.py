@@ -16,10 +16,10 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.ground import facing_of, to_local
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
 from pfnn_jax.motion.labels.sinusoid import HIGHEST, fit_sinusoids
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
-from pfnn_jax.motion.trajectory import to_local
 
 END_EFFECTORS = ("left hand", "right hand", "left toe", "right toe")
 """Order of the four bones in every array of local phases."""
@@ -57,7 +57,7 @@ def end_effectors(clip: MotionClip) -> EndEffectors:
     world = np.stack([_tip(clip.skeleton, joint, positions, rotations) for joint in joints], axis=1)
     across = positions[:, roles.left_hip] - positions[:, roles.right_hip]
     yaw = np.arctan2(-across[:, 2], across[:, 0])  # across × up
-    return EndEffectors(world, to_local(yaw, world - positions[:, None, roles.hips]), clip.fps)
+    return EndEffectors(world, to_local(world - positions[:, None, roles.hips], facing_of(yaw)), clip.fps)
 
 
 def _tip(skeleton: Skeleton, joint: int, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:

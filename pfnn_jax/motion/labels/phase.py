@@ -13,8 +13,8 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import read_rows, refuse_existing, write_whole
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.labels.footsteps import find_steps, half_cycles
-from pfnn_jax.motion.trajectory import wrap_angle
 
 CYCLE = 2 * np.pi
 ROUNDING = 1e-9  # radians; whole cycles stay exactly 0 through wrapping

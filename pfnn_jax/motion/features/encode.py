@@ -1,4 +1,4 @@
-"""From a clip to the rows a network reads and writes, and back. The frame rule is in `layout`."""
+"""Turns a clip into the rows that a network reads and writes. The frame rules are documented in `layout`."""
 
 from __future__ import annotations
 
@@ -12,20 +12,12 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.layout import Blocks, FrameLayout, block_columns, column_names
 from pfnn_jax.motion.features.local_motion import localise
 from pfnn_jax.motion.features.normaliser import require_finite
-from pfnn_jax.motion.features.rows_2018 import current_frame_rows
-from pfnn_jax.motion.features.rows_2022 import end_velocities, next_frame_rows
-from pfnn_jax.motion.kinematics import (
-    quat_conjugate,
-    quat_exp,
-    quat_from_forward_up,
-    quat_from_yaw,
-    quat_multiply,
-)
+from pfnn_jax.motion.features.rule_2017 import current_frame_rows
+from pfnn_jax.motion.features.rule_2022 import end_velocities, next_frame_rows
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import clip_local_phases
 from pfnn_jax.motion.labels.phase import PhaseLabels, label_phase
-from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.trajectory import EXTRAPOLATION_SECONDS, to_world
+from pfnn_jax.motion.trajectory import EXTRAPOLATION_SECONDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,95 +113,6 @@ def _flat_phases(clip: MotionClip, local_phases: np.ndarray) -> np.ndarray:
         rule = f"the clip has {clip.num_frames} frames, of two numbers for each of four end effectors"
         raise InputError(clip.source, "local phases", f"shape {local_phases.shape}", rule)
     return local_phases.reshape(clip.num_frames, 8)
-
-
-def root_steps(layout: FrameLayout, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How the root moves to the next frame, as outputs of any layout tell it.
-
-    Under `next_frame` layouts the next root is the first trajectory sample.
-
-    Args:
-        layout: of the outputs.
-        y: [N, Dy] in layout units.
-
-    Returns:
-        velocity [N, 2] metres per second (x, z) seen from the current root, and yaw rate [N] radians per second.
-    """
-
-    def block(name: str) -> np.ndarray:
-        return y[:, layout.output_slice(name)]
-
-    if not layout.next_frame:
-        velocity = block("root_velocity") * (layout.length_unit / layout.time_unit)
-        return velocity, block("root_yaw_rate")[:, 0] * (layout.yaw_unit / layout.time_unit)
-    x, z, forward_x, forward_z = (
-        block(f"trajectory_{kind}_{axis}")[:, 0] for kind in ("position", "direction") for axis in "xz"
-    )
-    velocity = np.stack([x, z], axis=-1) * (layout.length_unit * layout.fps)
-    return velocity, np.arctan2(forward_x, forward_z) * layout.fps
-
-
-def usual_speed(layout: FrameLayout, y: np.ndarray) -> float:
-    """Metres per second along the ground, the median over rows y [N, Dy] in layout units: of walks and a few runs, that
-    of a walk."""
-    velocity, _ = root_steps(layout, y)
-    return float(np.median(np.linalg.norm(velocity, axis=1)))
-
-
-def clip_from_outputs(
-    skeleton: Skeleton,
-    layout: FrameLayout,
-    y: np.ndarray,
-    root_positions: np.ndarray,
-    root_yaw: np.ndarray,
-    fps: float = 60.0,
-) -> MotionClip:
-    """The motion that outputs describe, on roots that the caller has integrated (`root_steps`).
-
-    Joint rotations come from the output; joint 0 stands where the output has it; the other joints follow from the
-    skeleton's bones, so that bones are rigid whatever the output says.
-
-    Args:
-        skeleton: J joints.
-        layout: of J joints.
-        y: [T, Dy] in layout units.
-        root_positions: [T, 2] metres on the ground: of the roots that the outputs are relative to, which under
-            `next_frame` layouts are those of the frame before.
-        root_yaw: [T] radians about +Y, likewise.
-        fps: frames per second.
-
-    Raises:
-        InputError: for another width, or values that are not finite.
-    """
-    y = np.asarray(y, np.float64)
-    if y.ndim != 2 or y.shape[1] != layout.output_size or skeleton.num_joints != layout.num_joints:
-        raise InputError(
-            "outputs",
-            "array",
-            f"shape {y.shape} on {skeleton.num_joints} joints",
-            f"layout {layout.name} has {layout.output_size} columns for {layout.num_joints}",
-        )
-    require_finite(y, layout.output_names, "outputs", "y")
-    yaw = np.asarray(root_yaw, np.float64)
-    hips = y[:, layout.output_slice("joint_position")][:, :3] * layout.length_unit
-    hips = to_world(yaw, hips)
-    hips[:, [0, 2]] += root_positions
-    world = quat_multiply(quat_from_yaw(yaw)[:, None], _output_rotations(layout, y))
-    above = world[:, np.maximum(skeleton.parents, 0)]
-    local = quat_multiply(quat_conjugate(above), world)
-    local[:, 0] = world[:, 0]
-    return MotionClip(skeleton, fps, hips, local)
-
-
-def _output_rotations(layout: FrameLayout, y: np.ndarray) -> np.ndarray:
-    """[T, J, 4] rotations relative to the root."""
-
-    def block(name: str) -> np.ndarray:
-        return y[:, layout.output_slice(name)].reshape(len(y), layout.num_joints, 3)
-
-    if layout.has_output("joint_rotation"):
-        return quat_exp(block("joint_rotation"))
-    return quat_from_forward_up(block("joint_forward"), block("joint_up"))
 
 
 def _check_clip(clip: MotionClip, layout: FrameLayout) -> None:

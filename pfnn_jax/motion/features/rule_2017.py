@@ -10,10 +10,11 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.layout import NOW, FrameLayout
 from pfnn_jax.motion.features.local_motion import LocalMotion, joint_axis, trajectory_block
+from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.kinematics import quat_log
-from pfnn_jax.motion.labels.contacts import estimate_gait, foot_joints, leg_length, slow_feet
+from pfnn_jax.motion.labels.contacts import estimate_gait, foot_joints, measured_leg_length, slow_feet
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.motion.trajectory import sample_offsets, wrap_angle
+from pfnn_jax.motion.trajectory import sample_offsets
 
 CONTACT_SPEED = 0.01 * np.sqrt(0.02) * 60
 """Metres per second: a squared displacement of 0.02 cm² in a frame (Holden's `contacts`; no height test)."""
@@ -92,7 +93,7 @@ class CurrentFrameRows:
         """[N, 6, 12]: beyond the clip's ends the first and last label hold."""
         clip, gait = self.clip, self.gait
         if gait is None:
-            leg = leg_length(self.local.world_positions, need_roles(clip.skeleton, clip.source))
+            leg = measured_leg_length(self.local.world_positions, need_roles(clip.skeleton, clip.source))
             gait = estimate_gait(self.local.root.positions, leg, clip.fps)
         if len(gait) != clip.num_frames:
             raise InputError(clip.source, "gait", f"{len(gait)} frames", f"the clip has {clip.num_frames}")

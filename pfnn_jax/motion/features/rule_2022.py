@@ -14,8 +14,8 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.layout import NOW, FrameLayout, end_joints
 from pfnn_jax.motion.features.local_motion import LocalMotion, joint_axis, trajectory_block
+from pfnn_jax.motion.ground import facing_of, to_local, to_world, wrap_angle
 from pfnn_jax.motion.labels.local_phase import toe_contacts
-from pfnn_jax.motion.trajectory import to_local, to_world, wrap_angle
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +70,13 @@ class NextFrameRows:
         return joint_axis(self.local, block, frames)
 
     def _joints_after(self, block: str) -> np.ndarray:
-        joints = to_world(self.turn, self._joints(block, self.frames + 1))
+        joints = to_world(self._joints(block, self.frames + 1), facing_of(self.turn))
         if block == "joint_position":
             joints[..., [0, 2]] += self.step[:, None]
         return joints
 
     def _trajectory_after(self, block: str) -> np.ndarray:
-        positions, directions = (to_world(self.turn, w[self.frames + 1, NOW:]) for w in self.local.windows)
+        positions, directions = (to_world(w[self.frames + 1, NOW:], facing_of(self.turn)) for w in self.local.windows)
         return trajectory_block((positions + self.step[:, None], directions), block)
 
 
@@ -86,7 +86,7 @@ def next_frame_rows(
     """The blocks of a clip's rows; arguments as `NextFrameRows` has them."""
     yaw, path = local.root.yaw, local.root.positions
     turn = yaw[frames + 1] - yaw[frames]
-    step = to_local(yaw[frames], path[frames + 1] - path[frames])
+    step = to_local(path[frames + 1] - path[frames], local.root.facing[frames])
     return NextFrameRows(clip, layout, local, phases, frames, turn, step)
 
 
