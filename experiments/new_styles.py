@@ -50,7 +50,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.plots import error_bars
 from pfnn_jax.evaluation.style_classifier import ClassifierConfig, train_classifier
 from pfnn_jax.io.files import json_text, write_whole
-from pfnn_jax.models.film import Film, film_to_vector
+from pfnn_jax.models.film import FiLMStyle, film_to_vector
 from pfnn_jax.viewer.draw.drawing import save_figure
 
 LEARN = "walk"
@@ -228,7 +228,7 @@ def draw_map(model: Model, known: Takes, styles: Mapping[str, NewStyle], config:
     """t-SNE of the FiLM vectors of windows before and after fine-tuning, and how well new styles stand apart."""
     rng = np.random.default_rng(config.seed)
 
-    def some(films: Film | np.ndarray) -> np.ndarray:
+    def some(films: FiLMStyle | np.ndarray) -> np.ndarray:
         vectors = films if isinstance(films, np.ndarray) else _vectors(films)
         return vectors[np.sort(rng.permutation(len(vectors))[: config.windows])]
 
@@ -254,7 +254,7 @@ def _of(takes: Sequence[Take], style: str) -> list[Take]:
     return [take for take in takes if take.style == style]
 
 
-def _vectors(films: Film) -> np.ndarray:
+def _vectors(films: FiLMStyle) -> np.ndarray:
     """[W, 4H] of Films with leaves [W, 2, H]."""
     return np.asarray(jax.vmap(film_to_vector)(films))
 

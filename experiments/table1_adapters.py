@@ -96,7 +96,7 @@ def memory(layers: Any, slices: int | None = None) -> float:
 
 def training_seconds(config: Config) -> dict[str, float]:
     """Seconds to train one style by the paper's recipe, compilation included, by kind of adapter."""
-    shared = init_network(config.network(), jax.random.key(0))
+    shared = init_network(config.network(), key=jax.random.key(0))
     data = random_frames((2 * config.frames,), config.network())
     few = jax.tree.map(lambda leaf: leaf[:32], data)
     settings = {

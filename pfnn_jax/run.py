@@ -34,8 +34,8 @@ from pfnn_jax.io.checkpoint import (
     write_json,
 )
 from pfnn_jax.io.files import refuse_existing
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, OneHot, Style, init_adapter
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, OneHot, Style, init_style
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
 from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
 from pfnn_jax.models.network import Network, NetworkConfig, init_network, num_parameters
@@ -196,7 +196,7 @@ def load_run(path: str | Path, layout: str | None = None) -> Run:
             raise InputError(path / "normaliser", "columns", len(statistics.mean), rule)
     if locate(path / "shared") is None:
         raise InputError(path, "shared", "absent", "pretraining must have saved once; run it (again) to the end")
-    shared = load_record(path / "shared", _abstract(lambda: init_network(config.network, jax.random.key(0))))
+    shared = load_record(path / "shared", _abstract(lambda: init_network(config.network, key=jax.random.key(0))))
     skeleton = skeleton_from_json(config.skeleton, path / "config.json")
     return Run(
         path=path,
@@ -328,7 +328,7 @@ _KINDS: dict[type, AdapterKind] = {
     BiasLayer: "bias",
     DenseLayer: "dense",
     OneHot: "one_hot",
-    Film: "film",
+    FiLMStyle: "film",
 }
 
 
@@ -372,7 +372,7 @@ def _abstract(make: Callable[[], State]) -> State:
 
 def _abstract_adapter(config: RunConfig, form: AdapterConfig) -> Style:
     network = config.network
-    return _abstract(lambda: init_adapter(form, network.hidden, network.num_control_points, jax.random.key(0)))
+    return _abstract(lambda: init_style(form, network.hidden, network.num_control_points, key=jax.random.key(0)))
 
 
 def _short(digest: object) -> str:

@@ -15,7 +15,7 @@ from experiments.common.seven_measures import GROUPS
 from experiments.common.seven_models import load_model
 from experiments.common.seven_takes import GAP, LAYOUT_NAMES, Take, common_columns, load_takes, split_takes
 from pfnn_jax.errors import InputError
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.presets import TABLE2
 
 LEARNED = ("lpn_film", "pfnn_resad")
@@ -105,7 +105,7 @@ def test_saved_models_come_back(config, result, folder):
     assert model is not None and model.styles == ("elderly", "normal")
     assert model.config.adapter == TABLE2["lpn_film"].adapter and model.generator is not None
     style = model.style("normal")
-    assert model.bank.scale.shape == (2, 2, 16) and isinstance(style, Film) and style.shift.shape == (2, 16)
+    assert model.bank.scale.shape == (2, 2, 16) and isinstance(style, FiLMStyle) and style.shift.shape == (2, 16)
 
 
 def test_an_unknown_model_is_refused(tmp_path):

@@ -15,7 +15,7 @@ import numpy as np
 from experiments.common.seven_takes import Take, Takes, rows_of
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor
 from pfnn_jax.io.checkpoint import load_record, locate, read_note, save_record
-from pfnn_jax.models.adapters import AdapterConfig, Style, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, Style, init_bank
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import Network, init_network
 from pfnn_jax.models.presets import LAYOUT_OF, TABLE2
@@ -148,6 +148,5 @@ def _tree(network: Network, bank: Any, generator: Any) -> dict[str, Any]:
 
 def _fresh(config: PretrainConfig, layout: FrameLayout, num_styles: int) -> dict[str, Any]:
     key, sizes, generator = jax.random.key(0), config.network(layout), config.generator(layout)
-    make = partial(init_adapter, config.adapter, config.hidden, sizes.num_control_points)
-    bank = jax.vmap(make)(jax.random.split(key, num_styles))
-    return _tree(init_network(sizes, key), bank, None if generator is None else film_generator(generator).init(key))
+    bank = init_bank(config.adapter, config.hidden, sizes.num_control_points, num_styles, key=key)
+    return _tree(init_network(sizes, key=key), bank, None if generator is None else film_generator(generator).init(key))

@@ -16,7 +16,7 @@ from pfnn_jax.benchmarks.training import compare_steps
 from pfnn_jax.evaluation.prepared import Prepared, measure_preparation
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
 from pfnn_jax.models.layers import BlendedLayer
 from pfnn_jax.models.network import NetworkConfig
@@ -76,7 +76,7 @@ class NumpyExperts:
     def __init__(self, predictor: Predictor, blended: bool = True):
         self.blended = blended
         network, film = predictor.network, predictor.style
-        assert network.gating is not None and isinstance(film, Film)
+        assert network.gating is not None and isinstance(film, FiLMStyle)
         layers = [layer for layer in network.layers if isinstance(layer, BlendedLayer)]
         self.shapes = [layer.weights.shape[1:] for layer in layers]
         self.experts = [np.array(layer.weights).reshape(len(layer.weights), -1) for layer in layers]

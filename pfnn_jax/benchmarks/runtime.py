@@ -15,7 +15,7 @@ import numpy as np
 from pfnn_jax.benchmarks.timing import Figure, Work, figure, interleave
 from pfnn_jax.inference.lookup import NUM_SLICES, Lookup, evaluate_lookup, make_lookup
 from pfnn_jax.inference.predictor import Predictor, evaluate
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.layers import BlendedLayer
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.bvh import write_bvh
@@ -41,10 +41,10 @@ PREPARATION_AIM = 20_000.0
 def random_predictor(sizes: NetworkConfig, adapter: AdapterConfig | None = None) -> Predictor:
     """A fresh network with unit statistics, and a fresh adapter where one is described."""
     key = jax.random.key(0)
-    style = None if adapter is None else init_adapter(adapter, sizes.hidden, sizes.num_control_points, key)
+    style = None if adapter is None else init_style(adapter, sizes.hidden, sizes.num_control_points, key=key)
     widths = [width for width in (sizes.input_size, sizes.output_size, sizes.phase_size) if width]
     statistics = [values for width in widths for values in (jnp.zeros(width), jnp.ones(width))]
-    return Predictor(init_network(sizes, key), style, *statistics)
+    return Predictor(init_network(sizes, key=key), style, *statistics)
 
 
 class NumpyTable:

@@ -13,9 +13,9 @@ import numpy as np
 import optax
 
 from pfnn_jax.benchmarks.timing import Figure, Work, figure, interleave
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_bank
 from pfnn_jax.models.dropout import Dropout, drop
-from pfnn_jax.models.film import Film, modulate
+from pfnn_jax.models.film import FiLMStyle, modulate
 from pfnn_jax.models.layers import BlendedLayer, Layer, linear
 from pfnn_jax.models.network import Network, NetworkConfig, coefficients, init_network
 from pfnn_jax.training.data import Batch, Draw
@@ -52,13 +52,12 @@ def random_frames(shape: tuple[int, ...], sizes: NetworkConfig, seed: int = 0) -
 
 def fresh_state(sizes: NetworkConfig, form: AdapterConfig, num_styles: int = STYLES) -> PretrainState:
     """A state at step 0 with a bank of styles."""
-    make = partial(init_adapter, form, sizes.hidden, sizes.num_control_points)
-    bank = jax.vmap(make)(jax.random.split(jax.random.key(1), num_styles))
-    return init_pretrain_state(init_network(sizes, jax.random.key(0)), bank, optax.adam(LEARNING_RATE))
+    bank = init_bank(form, sizes.hidden, sizes.num_control_points, num_styles, key=jax.random.key(1))
+    return init_pretrain_state(init_network(sizes, key=jax.random.key(0)), bank, optax.adam(LEARNING_RATE))
 
 
 def per_sample_outputs(
-    network: Network, style: Layer | Film, batch: Batch, dropout: Dropout, key: jax.Array
+    network: Network, style: Layer | FiLMStyle, batch: Batch, dropout: Dropout, key: jax.Array
 ) -> jax.Array:
     """The network as published implementations write it: a weight matrix [I, O] blended for every frame.
 
@@ -74,12 +73,12 @@ def per_sample_outputs(
         return jnp.einsum("bi,bio->bo", x, weights) + c @ layer.biases
 
     def activate(index: int, f: jax.Array) -> jax.Array:
-        return jax.nn.elu(jax.vmap(partial(modulate, style, index))(f) if isinstance(style, Film) else f)
+        return jax.nn.elu(jax.vmap(partial(modulate, style, index))(f) if isinstance(style, FiLMStyle) else f)
 
     first, second, third = network.layers
     hidden = activate(0, blended(first, drop(keys[0], dropout.main, x)))
     f = blended(second, drop(keys[1], dropout.main, hidden))
-    if not isinstance(style, Film):
+    if not isinstance(style, FiLMStyle):
         f = f + jax.vmap(partial(linear, style))(c, drop(keys[3], dropout.adapter, hidden))
     return blended(third, drop(keys[2], dropout.main, activate(1, f)))
 
@@ -250,7 +249,7 @@ def few_shot_figures(sizes: NetworkConfig, rank: int, num_frames: int, epochs: i
     The single setting is the paper's (1e-4, dropout 0.3) on all frames. The grid is the default of `few-shot`, ranked
     on held-out frames, and its choice is trained once more on all frames.
     """
-    shared = init_network(sizes, jax.random.key(0))
+    shared = init_network(sizes, key=jax.random.key(0))
     data = random_frames((2 * num_frames,), sizes)
     default = FewShotConfig(rank=rank)
     stops = tuple(stop for stop in default.stops if stop < epochs) + (epochs,)

@@ -20,7 +20,7 @@ from pfnn_jax.control.loop.step import Command, ControllerConfig, published_step
 from pfnn_jax.control.tracking import LEAST_SPEED, Regulated, Regulation, hold_back
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.adapters import OneHot
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.film import mix as mix_parameters
 from pfnn_jax.models.layers import MixedLayer
 from pfnn_jax.motion.features.layout import FrameLayout
@@ -129,7 +129,7 @@ def mixed_style(bank: Any, weights: jax.Array) -> Any:
     """The weighted sum of what C styles add: Films and one-hot shifts by parameters, residuals by their outputs."""
     if bank is None:
         return None
-    if isinstance(bank, Film | OneHot):
+    if isinstance(bank, FiLMStyle | OneHot):
         return mix_parameters(bank, weights)
     return MixedLayer(layers=bank, weights=weights)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from pfnn_jax.control.stability import make_stability_check, predictor_of
 from pfnn_jax.evaluation.style_test import StyleTest, pose_and_velocity_error, predict_rows
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.features.normaliser import Normaliser
@@ -117,7 +117,7 @@ def train_on_clip(
 def without_adapter(shared: Network, normaliser: Normaliser):
     """The style-agnostic predictor, with a zero adapter so that it has the form of the others."""
     sizes = config_of(shared)
-    zero = init_adapter(AdapterConfig("bias"), sizes.hidden, sizes.num_control_points, jax.random.key(0))
+    zero = init_style(AdapterConfig("bias"), sizes.hidden, sizes.num_control_points, key=jax.random.key(0))
     return predictor_of(zero, shared, normaliser)
 
 

@@ -22,7 +22,7 @@ from jax.core import Tracer
 
 from pfnn_jax.inference.predictor import Predictor, evaluate, evaluate_at
 from pfnn_jax.models.adapters import OneHot, Style
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer, Layer
 from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.spline import catmull_rom_basis
@@ -124,7 +124,7 @@ def _blend_all(network: Network, style: Style | None, c: jax.Array) -> tuple[Net
     """Network and style at coefficients c [K]. Not compiled, so that all entries share the factors of CP layers."""
     first, second, third = (_blend(layer, c) for layer in network.layers)
     match style:
-        case None | Film():
+        case None | FiLMStyle():
             rest = style
         case OneHot(shift=shift):
             rest = OneHot(shift=BiasLayer(biases=(c @ shift.biases)[None]))

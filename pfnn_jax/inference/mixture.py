@@ -17,7 +17,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import Style, mix_styles
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.run import Run, list_styles, load_style
 
 StyleChoice: TypeAlias = str | Mapping[str, float] | None
@@ -129,6 +129,6 @@ def load_bank(run: Run, names: Sequence[str]) -> Style:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *styles)
 
 
-def mix_rows(bank: Film, indices: jax.Array, weights: jax.Array) -> Film:
+def mix_rows(bank: FiLMStyle, indices: jax.Array, weights: jax.Array) -> FiLMStyle:
     """One mixture for each row: a bank [S, 2, H], indices [N, M] and weights [N, M] give Films [N, 2, H]."""
     return jax.tree.map(lambda leaf: jnp.einsum("nm,nmlh->nlh", weights, leaf[indices]), bank)

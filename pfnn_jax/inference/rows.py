@@ -22,7 +22,7 @@ from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
 from pfnn_jax.io.checkpoint import replacing
 from pfnn_jax.io.files import failure, refuse_existing
 from pfnn_jax.models.adapters import Style
-from pfnn_jax.models.film import Film, layer_norm, layer_norm_sample
+from pfnn_jax.models.film import FiLMStyle, layer_norm, layer_norm_sample
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.run import Run, load_run
 
@@ -297,7 +297,7 @@ def _evaluate_rows(predictor: Predictor, x: jax.Array, phase: jax.Array, *, laye
 @partial(jax.jit, static_argnames="layer_norm")
 def _evaluate_films(
     predictor: Predictor,
-    bank: Film,
+    bank: FiLMStyle,
     x: jax.Array,
     phase: jax.Array,
     indices: jax.Array,

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.models.film import Film, identity_film, mix
+from pfnn_jax.models.film import FiLMStyle, identity_film, mix
 from pfnn_jax.models.layers import (
     BiasLayer,
     CPLayer,
@@ -36,7 +36,7 @@ class OneHot:
 
 
 # A layer is a residual beside the second layer, a one-hot style shifts the first, a Film modulates both.
-Style: TypeAlias = Layer | OneHot | Film
+Style: TypeAlias = Layer | OneHot | FiLMStyle
 
 
 @dataclass(frozen=True)
@@ -62,26 +62,32 @@ class AdapterConfig:
             raise ValueError(f"AdapterConfig.rank must be at least 1, got {self.rank}.")
 
 
-def init_adapter(config: AdapterConfig, hidden: int, num_control_points: int, key: jax.Array) -> Style:
+def init_style(config: AdapterConfig, hidden: int, num_experts: int, *, key: jax.Array) -> Style:
     """A fresh style of the configured kind for a network of H hidden units and K control points or experts.
 
     Bias and one-hot start at zero and Film at scale 1, shift 0; the others with the authors' small uniform weights.
     """
     match config.kind:
         case "cp":
-            return init_cp(key, num_control_points, hidden, hidden, config.rank)
+            return init_cp(key, num_experts, hidden, hidden, config.rank)
         case "full":
-            return init_blended(key, num_control_points, hidden, hidden)
+            return init_blended(key, num_experts, hidden, hidden)
         case "diagonal":
-            return init_diagonal(key, num_control_points, hidden)
+            return init_diagonal(key, num_experts, hidden)
         case "bias":
-            return init_bias(num_control_points, hidden)
+            return init_bias(num_experts, hidden)
         case "dense":
             return init_dense(key, hidden, hidden)
         case "one_hot":
-            return OneHot(shift=init_bias(num_control_points, hidden))
+            return OneHot(shift=init_bias(num_experts, hidden))
         case "film":
             return identity_film(hidden)
+
+
+def init_bank(config: AdapterConfig, hidden: int, num_experts: int, num_styles: int, *, key: jax.Array) -> Style:
+    """Returns S freshly initialised styles of the configured kind, stacked: leaves [S, ...]."""
+    keys = jax.random.split(key, num_styles)
+    return jax.vmap(lambda k: init_style(config, hidden, num_experts, key=k))(keys)
 
 
 def mix_styles(bank: Style, weights: jax.Array) -> Style:

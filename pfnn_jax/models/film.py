@@ -19,25 +19,25 @@ _NO_VARIANCE = 1e-8
 
 
 @struct.dataclass(kw_only=True)
-class Film:
+class FiLMStyle:
     """Scale γ and shift β of both hidden layers (Mason 2022 Eq. 2); row l belongs to hidden layer l + 1."""
 
     scale: jax.Array  # [2, H]
     shift: jax.Array  # [2, H]
 
 
-def identity_film(hidden: int) -> Film:
+def identity_film(hidden: int) -> FiLMStyle:
     """Scale one, shift zero: the hidden layers are normalised and nothing else."""
-    return Film(scale=jnp.ones((2, hidden)), shift=jnp.zeros((2, hidden)))
+    return FiLMStyle(scale=jnp.ones((2, hidden)), shift=jnp.zeros((2, hidden)))
 
 
-def film_from_vector(vector: jax.Array) -> Film:
+def film_from_vector(vector: jax.Array) -> FiLMStyle:
     """A style from its numbers [4H] in the authors' order: scale 1, shift 1, scale 2, shift 2."""
     parts = vector.reshape(2, 2, -1)
-    return Film(scale=parts[:, 0], shift=parts[:, 1])
+    return FiLMStyle(scale=parts[:, 0], shift=parts[:, 1])
 
 
-def film_to_vector(film: Film) -> jax.Array:
+def film_to_vector(film: FiLMStyle) -> jax.Array:
     """The numbers [4H] of a style in the authors' order: scale 1, shift 1, scale 2, shift 2."""
     return jnp.stack([film.scale, film.shift], axis=1).reshape(-1)
 
@@ -58,7 +58,7 @@ def layer_norm_sample(f: jax.Array) -> jax.Array:
     return centred / (jnp.sqrt(variance + _NO_VARIANCE) + 1e-6)
 
 
-def modulate(film: Film, layer_index: int, f: jax.Array, normalise: Normalise = layer_norm) -> jax.Array:
+def modulate(film: FiLMStyle, layer_index: int, f: jax.Array, normalise: Normalise = layer_norm) -> jax.Array:
     """What stands inside the ELU of Mason 2022 Eq. 3: γ ∘ normalise(f) + β.
 
     Args:

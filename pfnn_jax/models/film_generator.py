@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from flax import nnx
 
 from pfnn_jax.models.dropout import drop, need_key
-from pfnn_jax.models.film import Film, film_from_vector
+from pfnn_jax.models.film import FiLMStyle, film_from_vector
 
 _POOL = 2  # each of the two poolings halves the number of frames
 
@@ -48,7 +48,7 @@ class GeneratorConfig:
 
 
 @dataclass(frozen=True)
-class FilmGenerator:
+class FiLMGenerator:
     """A generator as two pure functions over a plain tree of parameters.
 
     Attributes:
@@ -61,14 +61,14 @@ class FilmGenerator:
 
     config: GeneratorConfig
     init: Callable[[jax.Array], Any]
-    apply: Callable[..., Film]
+    apply: Callable[..., FiLMStyle]
 
 
 @lru_cache
-def film_generator(config: GeneratorConfig) -> FilmGenerator:
+def film_generator(config: GeneratorConfig) -> FiLMGenerator:
     """The generator of these sizes; made once for each configuration, so that compiled functions are reused."""
     structure, _ = nnx.split(nnx.eval_shape(lambda: _Generator(config, nnx.Rngs(0))))
-    return FilmGenerator(config=config, init=partial(_init, config), apply=partial(_apply, structure, config))
+    return FiLMGenerator(config=config, init=partial(_init, config), apply=partial(_apply, structure, config))
 
 
 def paper_count(config: GeneratorConfig) -> int:
@@ -124,7 +124,7 @@ def _apply(
     *,
     dropout: jax.Array | None = None,
     key: jax.Array | None = None,
-) -> Film:
+) -> FiLMStyle:
     chex.assert_shape(clip, (config.clip_frames, config.features))
     need_key(dropout, key)
     return film_from_vector(nnx.merge(structure, params)(clip, dropout, key))

@@ -20,9 +20,9 @@ class Gating:
     layers: tuple[DenseLayer, DenseLayer, DenseLayer]
 
 
-def init_gating(key: jax.Array, inputs: int, hidden: int, experts: int) -> Gating:
+def init_gating(inputs: int, hidden: int, num_experts: int, *, key: jax.Array) -> Gating:
     """A fresh gating network: weights uniform in ± sqrt(6 / (I + O)), biases zero, as the authors'."""
-    sizes = pairwise((inputs, hidden, hidden, experts))
+    sizes = pairwise((inputs, hidden, hidden, num_experts))
     layers = [_init(k, i, o) for k, (i, o) in zip(jax.random.split(key, 3), sizes, strict=True)]
     return Gating(layers=(layers[0], layers[1], layers[2]))
 

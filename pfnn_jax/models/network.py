@@ -10,7 +10,7 @@ from flax import struct
 
 from pfnn_jax.models.adapters import OneHot, Style
 from pfnn_jax.models.dropout import Dropout, drop, need_key
-from pfnn_jax.models.film import Film, Normalise, layer_norm, modulate
+from pfnn_jax.models.film import FiLMStyle, Normalise, layer_norm, modulate
 from pfnn_jax.models.gating import Gating, gate, init_gating
 from pfnn_jax.models.layers import BlendedLayer, CPLayer, DenseLayer, Layer, MixedLayer, init_blended, init_cp, linear
 from pfnn_jax.models.spline import catmull_rom_basis
@@ -70,7 +70,7 @@ class NetworkConfig:
             )
 
 
-def init_network(config: NetworkConfig, key: jax.Array) -> Network:
+def init_network(config: NetworkConfig, *, key: jax.Array) -> Network:
     """Fresh shared parameters: [I, H], [H, H], [H, O] layers with the authors' initialisation."""
     sizes = (config.input_size, config.hidden, config.hidden, config.output_size)
     points = config.num_control_points
@@ -82,7 +82,7 @@ def init_network(config: NetworkConfig, key: jax.Array) -> Network:
         layers = [init_cp(k, points, i, o, config.rank) for k, i, o in pairs]
     gating = None
     if config.phase_size:
-        gating = init_gating(jax.random.fold_in(key, 3), config.phase_size, config.gating_hidden, points)
+        gating = init_gating(config.phase_size, config.gating_hidden, points, key=jax.random.fold_in(key, 3))
     return Network(layers=(layers[0], layers[1], layers[2]), gating=gating)
 
 
@@ -161,7 +161,7 @@ def forward(
         return drop(keys[index], dropout.adapter if index == 3 else dropout.main, value)
 
     def activate(index: int, f: jax.Array) -> jax.Array:
-        return jax.nn.elu(modulate(style, index, f, normalise) if isinstance(style, Film) else f)
+        return jax.nn.elu(modulate(style, index, f, normalise) if isinstance(style, FiLMStyle) else f)
 
     first, second, third = network.layers
     f = linear(first, coefficients, dropped(0, x))
@@ -169,7 +169,7 @@ def forward(
         f = f + dropped(3, jnp.ones((), f.dtype)) * linear(style.shift, coefficients, x)
     hidden = activate(0, f)
     f = linear(second, coefficients, dropped(1, hidden))
-    if style is not None and not isinstance(style, OneHot | Film):
+    if style is not None and not isinstance(style, OneHot | FiLMStyle):
         f = f + linear(style, coefficients, dropped(3, hidden))
     return linear(third, coefficients, dropped(2, activate(1, f)))
 

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import jax
 
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.film_generator import GeneratorConfig, film_generator, paper_count
 from pfnn_jax.models.network import NetworkConfig, init_network, num_parameters
 
@@ -96,8 +96,8 @@ def counts(name: str, num_styles: int = 95) -> Counts:
         raise ValueError(f"`name` must be one of {', '.join(TABLE2)}, got {name!r}.")
     preset, key = TABLE2[name], jax.random.key(0)
     config = network_config(preset.backbone)
-    synthesis = _count(lambda: init_network(config, key))
-    per_style = _count(lambda: init_adapter(preset.adapter, HIDDEN, config.num_control_points, key))
+    synthesis = _count(lambda: init_network(config, key=key))
+    per_style = _count(lambda: init_style(preset.adapter, HIDDEN, config.num_control_points, key=key))
     if preset.adapter.kind != "film":
         return Counts(synthesis, num_styles * per_style, per_style, num_styles * per_style)
     generator = GeneratorConfig(features=12 * JOINTS, film_hidden=HIDDEN)

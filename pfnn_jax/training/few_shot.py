@@ -19,7 +19,7 @@ import numpy as np
 import optax
 from flax import struct
 
-from pfnn_jax.models.adapters import AdapterConfig, Style, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, Style, init_style
 from pfnn_jax.models.network import Dropout, Network, config_of, init_network
 from pfnn_jax.training.data import Batch
 from pfnn_jax.training.steps import Bones, Objective, predict_batch
@@ -317,8 +317,8 @@ def initial_parameters(config: FewShotConfig, shared: Network, key: jax.Array, s
         return shared
     sizes = config_of(shared)
     if config.method == "scratch":
-        return init_network(sizes, key)
-    return init_adapter(AdapterConfig(config.method, config.rank), sizes.hidden, sizes.num_control_points, key)
+        return init_network(sizes, key=key)
+    return init_style(AdapterConfig(config.method, config.rank), sizes.hidden, sizes.num_control_points, key=key)
 
 
 def train_grid(

@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.models.film import Film
-from pfnn_jax.models.film_generator import FilmGenerator
+from pfnn_jax.models.film import FiLMStyle
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.training.data import Rows, clip_columns, window_rows
 from pfnn_jax.training.steps import generate_films
 
 CHUNK = 16  # clips through the generator at once
 
 
-def style_films(generator: FilmGenerator, parameters: Any, data: Rows, style: int) -> Film:
+def style_films(generator: FiLMGenerator, parameters: Any, data: Rows, style: int) -> FiLMStyle:
     """The Film, leaves [W, 2, H], of each of a style's windows.
 
     Args:
@@ -36,7 +36,7 @@ def style_films(generator: FilmGenerator, parameters: Any, data: Rows, style: in
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(windows)], *found)
 
 
-def mean_films(generator: FilmGenerator, parameters: Any, data: Rows) -> Film:
+def mean_films(generator: FiLMGenerator, parameters: Any, data: Rows) -> FiLMStyle:
     """The mean Film of every style over its windows, leaves [S, 2, H]."""
     means = [
         jax.tree.map(partial(np.mean, axis=0), style_films(generator, parameters, data, style))
@@ -46,5 +46,5 @@ def mean_films(generator: FilmGenerator, parameters: Any, data: Rows) -> Film:
 
 
 @partial(jax.jit, static_argnums=0)
-def _films(generator: FilmGenerator, parameters: Any, clips: jax.Array) -> Film:
+def _films(generator: FiLMGenerator, parameters: Any, clips: jax.Array) -> FiLMStyle:
     return generate_films(generator, parameters, clips, None, None)

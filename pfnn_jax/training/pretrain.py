@@ -6,7 +6,6 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +15,7 @@ import numpy as np
 import optax
 
 from pfnn_jax.errors import InputError, TrainingError
-from pfnn_jax.models.adapters import init_adapter
+from pfnn_jax.models.adapters import init_bank
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import init_network
 from pfnn_jax.motion.datasets.dataset import Dataset
@@ -62,11 +61,11 @@ def init_state(config: PretrainConfig, layout: FrameLayout, num_styles: int) -> 
     """The state at step 0 for S styles of a layout; depends on the arguments alone."""
     shared_key, style_key = jax.random.split(jax.random.key(config.seed))
     sizes, generator = config.network(layout), config.generator(layout)
-    shared, optimiser = init_network(sizes, shared_key), optax.adam(config.learning_rate)
+    shared, optimiser = init_network(sizes, key=shared_key), optax.adam(config.learning_rate)
     if generator is not None:
         return init_pretrain_state(shared, film_generator(generator).init(style_key), optimiser, is_bank=False)
-    make = partial(init_adapter, config.adapter, config.hidden, sizes.num_control_points)
-    return init_pretrain_state(shared, jax.vmap(make)(jax.random.split(style_key, num_styles)), optimiser)
+    bank = init_bank(config.adapter, config.hidden, sizes.num_control_points, num_styles, key=style_key)
+    return init_pretrain_state(shared, bank, optimiser)
 
 
 def styles_of(state: PretrainState, data: Rows, config: PretrainConfig) -> Any:

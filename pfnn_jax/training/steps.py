@@ -15,8 +15,8 @@ from flax import struct
 
 from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.dropout import Dropout
-from pfnn_jax.models.film import Film
-from pfnn_jax.models.film_generator import FilmGenerator
+from pfnn_jax.models.film import FiLMStyle
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import Network, coefficients, forward
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.training.data import Batch, Draw, Rows
@@ -76,7 +76,7 @@ class Objective:
         """
         loss = error = squared_error(prediction, target)
         if self.l1:
-            weights = [tree for tree in parameters if not isinstance(tree, Film)]
+            weights = [tree for tree in parameters if not isinstance(tree, FiLMStyle)]
             loss = loss + self.l1 * sum((l1_penalty(tree, self.l1_norm) for tree in weights), start=jnp.zeros(()))
         if self.bone_length and self.bones is not None:
             loss = loss + self.bone_length * self.bones.loss(prediction, target)
@@ -113,8 +113,8 @@ def predict_batch(
 
 
 def generate_films(
-    generator: FilmGenerator, parameters: Any, clips: Any, dropout: jax.Array | None, key: jax.Array | None
-) -> Film:
+    generator: FiLMGenerator, parameters: Any, clips: Any, dropout: jax.Array | None, key: jax.Array | None
+) -> FiLMStyle:
     """Films, leaves [C, 2, H], of clips [C, T, F]; every clip goes through the generator once."""
     if dropout is None or key is None:
         return jax.vmap(lambda clip: generator.apply(parameters, clip))(clips)
@@ -123,7 +123,7 @@ def generate_films(
 
 
 def film_predictions(
-    network: Network, generator: FilmGenerator, parameters: Any, batch: Batch, dropout: Dropout, key: jax.Array
+    network: Network, generator: FiLMGenerator, parameters: Any, batch: Batch, dropout: Dropout, key: jax.Array
 ) -> jax.Array:
     """Normalised outputs [B, O] of frames of which equal shares, in order, are modulated by each clip's Film."""
     film_key, key = jax.random.split(key)
@@ -163,7 +163,7 @@ def pretrain_loss(
     objective: Objective,
     dropout: Dropout,
     key: jax.Array,
-    generator: FilmGenerator | None = None,
+    generator: FiLMGenerator | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """(loss, squared error) of one minibatch of one style.
 
@@ -184,7 +184,7 @@ def make_pretrain_step(
     optimiser: optax.GradientTransformation,
     objective: Objective,
     dropout: Dropout,
-    generator: FilmGenerator | None = None,
+    generator: FiLMGenerator | None = None,
 ) -> PretrainStep:
     """A pure step (state, batch of style `step mod S`, run key) -> (state, squared error).
 

@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from flax import struct
 
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
 from pfnn_jax.models.network import Network
 from pfnn_jax.training.config import equal_dropout, make_objective
@@ -70,7 +70,7 @@ class Tuned(NamedTuple):
     """What tuning gives: the generator's parameters, and the mean Film over the style's windows."""
 
     generator: Any
-    film: Film
+    film: FiLMStyle
     losses: np.ndarray  # [steps] squared errors
 
 

@@ -25,7 +25,7 @@ from pfnn_jax.benchmarks.training import (
     stepper,
 )
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import Dropout, NetworkConfig, init_network
 from pfnn_jax.training.steps import predict_batch
 from tests.models.helpers import randomise
@@ -59,8 +59,8 @@ def result():
 
 
 def test_per_sample_weights_compute_what_the_flattened_product_computes():
-    network = randomise(init_network(SIZES, jax.random.key(0)), 1)
-    adapter = randomise(init_adapter(AdapterConfig("cp", 3), 16, 4, jax.random.key(1)), 2)
+    network = randomise(init_network(SIZES, key=jax.random.key(0)), 1)
+    adapter = randomise(init_style(AdapterConfig("cp", 3), 16, 4, key=jax.random.key(1)), 2)
     batch = random_frames((6,), SIZES)
     slow = jax.jit(per_sample_outputs)(network, adapter, batch, STILL, jax.random.key(0))
     fast = predict_batch(network, adapter, batch, None, None)

@@ -19,7 +19,7 @@ from pfnn_jax.control.loop.step import CONTROLLERS, Command, published_step
 from pfnn_jax.control.tracking import STANDARD, ask, begin, hold_back, keep_pace, observe, turning
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import evaluate
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import LAYOUTS
@@ -44,9 +44,9 @@ def run(tmp_path_factory) -> Run:
     sizes, form = NetworkConfig(layout.input_size, layout.output_size, hidden=16), AdapterConfig(rank=2)
     config = RunConfig(sizes, form, layout.name, layout.num_joints, STYLES, skeleton_to_json(clip.skeleton))
     path = create_run(tmp_path_factory.mktemp("runs") / "run", config, fit_normaliser(rows.x, rows.y, layout))
-    save_shared(path, jax.tree.map(lambda a: 0.1 * a, init_network(sizes, jax.random.key(0))))
+    save_shared(path, jax.tree.map(lambda a: 0.1 * a, init_network(sizes, key=jax.random.key(0))))
     for index, name in enumerate(STYLES):
-        adapter = init_adapter(form, 16, sizes.num_control_points, jax.random.key(index))
+        adapter = init_style(form, 16, sizes.num_control_points, key=jax.random.key(index))
         save_style(path, name, jax.tree.map(lambda a: 0.3 * a, adapter), {"speed": SPEED} if index else {})
     return load_run(path)
 

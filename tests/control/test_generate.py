@@ -14,7 +14,7 @@ from pfnn_jax.control.loop.rollout import rollout
 from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import CONTROLLERS, Command
 from pfnn_jax.errors import InputError
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import cut
@@ -87,9 +87,9 @@ def run(request, tmp_path_factory) -> Run:
         network, AdapterConfig(rank=2), layout.name, layout.num_joints, (), skeleton_to_json(clip.skeleton)
     )
     path = create_run(tmp_path_factory.mktemp("runs") / layout.name, config, fit_normaliser(rows.x, rows.y, layout))
-    quiet = jax.tree.map(lambda a: 0.1 * a, init_network(network, jax.random.key(0)))
+    quiet = jax.tree.map(lambda a: 0.1 * a, init_network(network, key=jax.random.key(0)))
     save_shared(path, quiet)
-    adapter = init_adapter(AdapterConfig(rank=2), 16, 4, jax.random.key(1))
+    adapter = init_style(AdapterConfig(rank=2), 16, 4, key=jax.random.key(1))
     save_style(path, "brisk", adapter, {"speed": 1.4})
     return load_run(path)
 

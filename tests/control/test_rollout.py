@@ -15,7 +15,7 @@ from pfnn_jax.control.loop.pursuit import make_track, point_at
 from pfnn_jax.control.loop.rollout import Frames, follow_path, locked_rollout, rollout, stability
 from pfnn_jax.control.loop.state import ROOT, initial_state, place_state, standing_state
 from pfnn_jax.control.loop.step import CONTROLLERS, Command, ControllerConfig, network_input, published_step, steer
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network, predict
 from pfnn_jax.motion.paths import circle, figure_eight, mirror_path, resample_path, straight
 from tests.control.walkers import (
@@ -165,9 +165,9 @@ def commands_towards(direction, num_frames=60):
 
 def small_network(layout, num_adapters):
     config = NetworkConfig(layout.input_size, layout.output_size, hidden=16)
-    network = init_network(config, jax.random.key(0))
+    network = init_network(config, key=jax.random.key(0))
     keys = jax.random.split(jax.random.key(1), num_adapters)
-    adapters = jax.vmap(lambda key: init_adapter(AdapterConfig("cp", 3), 16, 4, key))(keys)
+    adapters = jax.vmap(lambda key: init_style(AdapterConfig("cp", 3), 16, 4, key=key))(keys)
     return network, adapters
 
 

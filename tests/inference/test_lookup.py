@@ -9,7 +9,7 @@ import pytest
 
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup, table_phase
 from pfnn_jax.inference.predictor import Predictor, evaluate
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.layers import CPLayer
 from pfnn_jax.models.network import NetworkConfig, init_network, num_parameters
 
@@ -22,8 +22,8 @@ ADAPTERS = [None, "cp", "full", "diagonal", "bias"]
 
 def make_predictor(kind, rank=None):
     key = jax.random.key(5)
-    network = init_network(NetworkConfig(INPUTS, OUTPUTS, HIDDEN, rank=rank), key)
-    adapter = None if kind is None else init_adapter(AdapterConfig(kind, 3), HIDDEN, 4, jax.random.key(6))
+    network = init_network(NetworkConfig(INPUTS, OUTPUTS, HIDDEN, rank=rank), key=key)
+    adapter = None if kind is None else init_style(AdapterConfig(kind, 3), HIDDEN, 4, key=jax.random.key(6))
     filled = [
         jax.tree.map(lambda a: a + 0.3 * jax.random.normal(key, a.shape), tree) for tree in (network, adapter)
     ]  # biases must not vanish

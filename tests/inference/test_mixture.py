@@ -15,7 +15,7 @@ from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.inference.mixture import load_bank, load_choice, parse_style
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import RowStyles, predict_rows
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
@@ -35,9 +35,9 @@ def make_run(path, kind: AdapterKind) -> Run:
     config = RunConfig(network, form, LAYOUT.name, 2, STYLES, skeleton_to_json(skeleton))
     sizes = LAYOUT.input_size, LAYOUT.output_size
     create_run(path, config, Normaliser(*(Statistics(np.zeros(n, np.float32), np.ones(n, np.float32)) for n in sizes)))
-    save_shared(path, init_network(network, jax.random.key(0)))
+    save_shared(path, init_network(network, key=jax.random.key(0)))
     for index, style in enumerate(STYLES):
-        leaves, tree = jax.tree.flatten(init_adapter(form, 8, 4, jax.random.key(1)))
+        leaves, tree = jax.tree.flatten(init_style(form, 8, 4, key=jax.random.key(1)))
         keys = jax.random.split(jax.random.key(10 + index), len(leaves))
         noise = [jax.random.normal(key, leaf.shape) for key, leaf in zip(keys, leaves, strict=True)]
         save_style(path, style, jax.tree.unflatten(tree, noise), {})

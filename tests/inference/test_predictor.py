@@ -8,7 +8,7 @@ from jax.test_util import check_grads
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network, predict
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
@@ -34,8 +34,8 @@ def run(tmp_path_factory):
     config = RunConfig(network, AdapterConfig(rank=2), "mason2018", 2, ("angry",), skeleton_to_json(skeleton))
     statistics = Normaliser(make_statistics(LAYOUT.input_size, 0), make_statistics(LAYOUT.output_size, 1))
     create_run(path, config, statistics)
-    save_shared(path, init_network(network, jax.random.key(0)))
-    save_style(path, "angry", init_adapter(config.adapter, 8, 4, jax.random.key(1)), {})
+    save_shared(path, init_network(network, key=jax.random.key(0)))
+    save_style(path, "angry", init_style(config.adapter, 8, 4, key=jax.random.key(1)), {})
     return load_run(path)
 
 

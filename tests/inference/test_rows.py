@@ -10,7 +10,7 @@ from pfnn_jax.inference import rows
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import predict_file, predict_rows
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
@@ -30,8 +30,8 @@ def run(tmp_path_factory):
     config = RunConfig(network, AdapterConfig(rank=2), "mason2018", 2, ("angry",), skeleton_to_json(skeleton))
     statistics = (Statistics(np.ones(n, np.float32), np.full(n, 2, np.float32)) for n in (WIDTH, LAYOUT.output_size))
     create_run(path, config, Normaliser(*statistics))
-    save_shared(path, init_network(network, jax.random.key(0)))
-    save_style(path, "angry", init_adapter(config.adapter, 8, 4, jax.random.key(1)), {})
+    save_shared(path, init_network(network, key=jax.random.key(0)))
+    save_style(path, "angry", init_style(config.adapter, 8, 4, key=jax.random.key(1)), {})
     return load_run(path)
 
 

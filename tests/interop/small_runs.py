@@ -8,7 +8,7 @@ from typing import cast
 import jax
 import numpy as np
 
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.features.layout import layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
@@ -31,9 +31,9 @@ def make_run(path: Path, name: str, kind: str, num_styles: int = 2) -> Run:
     sizes = [layout.input_size, layout.output_size] + [layout.phase_size] * bool(layout.phase_size)
     sides = [Statistics(*(generator.uniform(0.2, 0.8, (2, size)).astype(np.float32))) for size in sizes]
     create_run(path, config, Normaliser(*sides))
-    save_shared(path, init_network(network, jax.random.key(1)))
+    save_shared(path, init_network(network, key=jax.random.key(1)))
     for index, style in enumerate(names):
-        parameters = init_adapter(adapter, HIDDEN, 4, jax.random.key(10 + index))
+        parameters = init_style(adapter, HIDDEN, 4, key=jax.random.key(10 + index))
         noise = [0.1 * generator.normal(size=leaf.shape) for leaf in jax.tree.leaves(parameters)]
         noise = jax.tree.unflatten(jax.tree.structure(parameters), noise)
         parameters = jax.tree.map(lambda leaf, more: (leaf + more).astype(np.float32), parameters, noise)

@@ -35,7 +35,7 @@ CONFIG = NetworkConfig(input_size=6, output_size=5, hidden=4)
 
 
 def make_state(seed: int = 0):
-    network = init_network(CONFIG, jax.random.key(seed))
+    network = init_network(CONFIG, key=jax.random.key(seed))
     return {
         "network": network,
         "optimiser": optax.adam(1e-3).init(cast(Any, network)),
@@ -94,7 +94,7 @@ def test_another_structure_or_shape_names_the_folder_the_parameter_and_both_shap
 
 def test_another_network_size_names_the_first_parameter(tmp_path):
     save(tmp_path / "state")
-    other = init_network(NetworkConfig(input_size=6, output_size=5, hidden=8), jax.random.key(0))
+    other = init_network(NetworkConfig(input_size=6, output_size=5, hidden=8), key=jax.random.key(0))
     with pytest.raises(InputError, match=r"network.layers.0.weights: float32 \[4, 6, 4\]; must be .* \[4, 6, 8\]"):
         load_record(tmp_path / "state", {**make_state(), "network": other})
 

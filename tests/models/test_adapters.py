@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, OneHot, init_adapter
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, OneHot, init_style
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.layers import Layer, linear
 from pfnn_jax.models.network import num_parameters
 from tests.models.helpers import shapes
@@ -35,20 +35,20 @@ def test_numbers_per_style(kind: AdapterKind, numbers: int):
 
     The CP bias is not blended, as in the authors' code.
     """
-    adapter = init_adapter(AdapterConfig(kind=kind, rank=30), HIDDEN, POINTS, jax.random.key(0))
+    adapter = init_style(AdapterConfig(kind=kind, rank=30), HIDDEN, POINTS, key=jax.random.key(0))
     assert num_parameters(adapter) == numbers
 
 
 def residual(config: AdapterConfig, hidden: int) -> Layer:
     """A fresh style that is a layer beside the second."""
-    style = init_adapter(config, hidden, POINTS, jax.random.key(0))
-    assert not isinstance(style, OneHot | Film)
+    style = init_style(config, hidden, POINTS, key=jax.random.key(0))
+    assert not isinstance(style, OneHot | FiLMStyle)
     return style
 
 
 def test_parameter_trees():
     def tree(kind: AdapterKind) -> dict[str, tuple[tuple[int, ...], str]]:
-        return shapes(init_adapter(AdapterConfig(kind=kind, rank=30), HIDDEN, POINTS, jax.random.key(0)))
+        return shapes(init_style(AdapterConfig(kind=kind, rank=30), HIDDEN, POINTS, key=jax.random.key(0)))
 
     assert tree("cp") == {
         ".a": ((512, 30), "float32"),
@@ -81,8 +81,8 @@ def test_other_fresh_adapters_are_small_and_not_the_identity(kind: AdapterKind):
 
 
 def test_a_fresh_one_hot_style_is_zero_and_a_fresh_film_scales_by_one():
-    one_hot, film = (init_adapter(AdapterConfig(kind), 8, POINTS, jax.random.key(0)) for kind in ("one_hot", "film"))
-    assert isinstance(one_hot, OneHot) and isinstance(film, Film)
+    one_hot, film = (init_style(AdapterConfig(kind), 8, POINTS, key=jax.random.key(0)) for kind in ("one_hot", "film"))
+    assert isinstance(one_hot, OneHot) and isinstance(film, FiLMStyle)
     np.testing.assert_array_equal(one_hot.shift.biases, np.zeros((POINTS, 8)))
     np.testing.assert_array_equal(film.scale, np.ones((2, 8)))
     np.testing.assert_array_equal(film.shift, np.zeros((2, 8)))

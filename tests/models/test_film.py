@@ -12,7 +12,7 @@ from jax.test_util import check_grads
 
 from pfnn_jax.models.adapters import OneHot
 from pfnn_jax.models.film import (
-    Film,
+    FiLMStyle,
     film_from_vector,
     film_to_vector,
     identity_film,
@@ -36,12 +36,12 @@ def features(seed: int = 1) -> jax.Array:
     return jax.random.normal(jax.random.key(seed), (HIDDEN,))
 
 
-def random_film(seed: int = 2) -> Film:
+def random_film(seed: int = 2) -> FiLMStyle:
     return randomise(identity_film(HIDDEN), seed)
 
 
 def small_network(inputs: int = INPUTS) -> Network:
-    network = randomise(init_network(NetworkConfig(inputs, 3, HIDDEN, POINTS), KEY), 4)
+    network = randomise(init_network(NetworkConfig(inputs, 3, HIDDEN, POINTS), key=KEY), 4)
     return jax.tree.map(lambda leaf: 0.5 * leaf, network)
 
 

@@ -32,7 +32,7 @@ KEY = jax.random.key(11)
 
 
 def small_gating() -> Gating:
-    return randomise(init_gating(KEY, LIMBS, WIDTH, EXPERTS), 1)
+    return randomise(init_gating(LIMBS, WIDTH, EXPERTS, key=KEY), 1)
 
 
 def phase(seed: int = 2) -> jax.Array:
@@ -47,7 +47,7 @@ def with_logits(gating: Gating, logits: jax.Array) -> Gating:
 
 def small_network(experts: int = EXPERTS) -> Network:
     config = NetworkConfig(4, 3, 6, experts, phase_size=LIMBS, gating_hidden=WIDTH)
-    return jax.tree.map(lambda leaf: 0.5 * leaf, randomise(init_network(config, KEY), 3))
+    return jax.tree.map(lambda leaf: 0.5 * leaf, randomise(init_network(config, key=KEY), 3))
 
 
 def test_gate_is_its_formula(float64: None):
@@ -124,7 +124,7 @@ def test_at_rate_one_only_the_last_biases_are_left():
 def test_the_inputs_are_dropped_as_well():
     """With layers that pass sums on, the coefficients of one input take two values: kept, or dropped."""
     keys = jax.random.split(KEY, 64)
-    gating = init_gating(KEY, 1, 64, 2)
+    gating = init_gating(1, 64, 2, key=KEY)
     wide = jax.vmap(lambda key: gate(gating, jnp.ones(1), dropout=jnp.asarray(0.5), key=key))(keys)
     np.testing.assert_allclose(wide.sum(axis=1), 1, atol=FLOAT32)
     assert (wide == 0.5).all(axis=1).any()  # biases are zero: a dropped input leaves equal logits
@@ -151,13 +151,13 @@ def test_a_batch_of_phases_needs_vmap():
 
 
 def test_without_gating_the_coefficients_are_the_spline():
-    network = init_network(NetworkConfig(4, 3, 6, 5), KEY)
+    network = init_network(NetworkConfig(4, 3, 6, 5), key=KEY)
     np.testing.assert_array_equal(coefficients(network, jnp.asarray(1.0)), catmull_rom_basis(jnp.asarray(1.0), 5))
 
 
 def test_parameter_tree_and_initial_weights():
     """Uniform in ± sqrt(6 / (inputs + outputs)), another rule than that of the blended layers; biases zero."""
-    gating = init_gating(KEY, 8, 32, 8)
+    gating = init_gating(8, 32, 8, key=KEY)
     assert shapes(gating) == {
         ".layers[0].weights": ((8, 32), "float32"),
         ".layers[0].biases": ((32,), "float32"),
@@ -173,7 +173,7 @@ def test_parameter_tree_and_initial_weights():
 
 
 def test_the_layers_of_a_network_do_not_depend_on_its_gating():
-    gated, spline = (init_network(NetworkConfig(4, 3, 6, 5, phase_size=size), KEY) for size in (LIMBS, 0))
+    gated, spline = (init_network(NetworkConfig(4, 3, 6, 5, phase_size=size), key=KEY) for size in (LIMBS, 0))
     assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), gated.layers, spline.layers))
 
 
@@ -181,7 +181,7 @@ def test_the_layers_of_a_network_do_not_depend_on_its_gating():
 @pytest.mark.parametrize("rank", [None, 2])
 def test_config_is_read_from_the_parameters(experts: int, rank: int | None):
     config = NetworkConfig(4, 3, 6, experts, rank, phase_size=2, gating_hidden=7)
-    network = jax.eval_shape(lambda: init_network(config, KEY))
+    network = jax.eval_shape(lambda: init_network(config, key=KEY))
     assert config_of(network) == config
     assert network.num_control_points == experts
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.models.adapters import OneHot, mix_styles
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.layers import CPLayer, MixedLayer, linear
 from tests.models.helpers import random_layer, randomise
 
@@ -39,7 +39,7 @@ def test_mixed_parameters_say_what_mixed_outputs_say(kind: str, weights: list[fl
     layers, shares = bank(kind), jnp.asarray(weights)
     one = mix_styles(layers, shares)
     expected = linear(MixedLayer(layers=layers, weights=shares), jnp.asarray(COEFFICIENTS), jnp.asarray(X))
-    assert type(one) is type(layers) and not isinstance(one, OneHot | Film)
+    assert type(one) is type(layers) and not isinstance(one, OneHot | FiLMStyle)
     np.testing.assert_allclose(linear(one, jnp.asarray(COEFFICIENTS), jnp.asarray(X)), expected, atol=FLOAT64)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
 from pfnn_jax.models.layers import BlendedLayer, CPLayer, Layer
 from pfnn_jax.models.network import (
     Dropout,
@@ -38,7 +38,7 @@ KEY = jax.random.key(3)
 def small_network(seed: int = 0, rank: int | None = None) -> Network:
     """A network whose biases are not zero, with weights small enough to leave ELU bent."""
     config = NetworkConfig(SIZES.input_size, SIZES.output_size, SIZES.hidden, rank=rank)
-    return jax.tree.map(lambda leaf: 0.5 * leaf, randomise(init_network(config, KEY), seed))
+    return jax.tree.map(lambda leaf: 0.5 * leaf, randomise(init_network(config, key=KEY), seed))
 
 
 def adapter_of(kind: str, seed: int = 1) -> Layer:
@@ -55,7 +55,7 @@ def rates(main: float, adapter: float) -> Dropout:
 
 
 def test_size_of_the_papers_network():
-    network = init_network(NetworkConfig(234, 400), KEY)
+    network = init_network(NetworkConfig(234, 400), key=KEY)
     assert num_parameters(network) == 2_352_704
     assert shapes(network) == {
         ".layers[0].weights": ((4, 234, 512), "float32"),
@@ -69,7 +69,7 @@ def test_size_of_the_papers_network():
 
 def test_size_of_the_decomposed_network():
     """Every layer as a CP decomposition (the aside of Mason 2018 §7.1)."""
-    network = init_network(NetworkConfig(234, 400, rank=30), KEY)
+    network = init_network(NetworkConfig(234, 400, rank=30), key=KEY)
     assert shapes(network) == {
         ".layers[0].a": ((512, 30), "float32"),
         ".layers[0].b": ((234, 30), "float32"),
@@ -239,8 +239,8 @@ def batch_of(
 ) -> tuple[Callable[..., jax.Array], tuple[object, ...]]:
     """The loss of a batch of training frames, and its arguments."""
     config = NetworkConfig(INPUT, OUTPUT, HIDDEN, POINTS, rank=rank, phase_size=phase_size)
-    network = init_network(config, KEY)
-    style = None if kind is None else init_adapter(AdapterConfig(kind, rank=7), HIDDEN, POINTS, KEY)
+    network = init_network(config, key=KEY)
+    style = None if kind is None else init_style(AdapterConfig(kind, rank=7), HIDDEN, POINTS, key=KEY)
     x, phase = jnp.ones((BATCH, INPUT)), jnp.linspace(0.0, 6.0, BATCH)
     if phase_size:
         phase = jnp.tile(phase[:, None], phase_size)

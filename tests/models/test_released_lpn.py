@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.models.film import Film, layer_norm_sample, mix, modulate
+from pfnn_jax.models.film import FiLMStyle, layer_norm_sample, mix, modulate
 from pfnn_jax.models.gating import Gating, gate
 from pfnn_jax.models.layers import BlendedLayer, DenseLayer, linear
 from pfnn_jax.models.network import Network, num_parameters, predict
@@ -26,7 +26,7 @@ EXPERTS, STYLES = 8, 100
 
 class Released(NamedTuple):
     network: Network
-    films: Film  # leaves [100, 2, 512]
+    films: FiLMStyle  # leaves [100, 2, 512]
     input_statistics: tuple[np.ndarray, np.ndarray]
     phase_statistics: tuple[np.ndarray, np.ndarray]
     output_statistics: tuple[np.ndarray, np.ndarray]
@@ -60,7 +60,7 @@ def released(reference: Path) -> Released:
     gating = Gating(layers=(dense(folder, 0, 32, 8), dense(folder, 1, 32, 32), dense(folder, 2, 8, 32)))
     return Released(
         network=Network(layers=layers, gating=gating),
-        films=Film(scale=vectors(folder, "scale"), shift=vectors(folder, "shift")),
+        films=FiLMStyle(scale=vectors(folder, "scale"), shift=vectors(folder, "shift")),
         input_statistics=(read(folder, "Xmean", 348), read(folder, "Xstd", 348)),
         phase_statistics=(read(folder, "GT_Xmean", 8), read(folder, "GT_Xstd", 8)),
         output_statistics=(read(folder, "Ymean", 342), read(folder, "Ystd", 342)),
@@ -83,7 +83,7 @@ def in_full_precision(tree: Tree) -> Tree:
     return jax.tree.map(lambda leaf: leaf.astype(float), tree)
 
 
-def styles_of(released: Released, golden: dict[str, np.ndarray]) -> Film:
+def styles_of(released: Released, golden: dict[str, np.ndarray]) -> FiLMStyle:
     return jax.tree.map(lambda leaf: leaf[golden["style"]], in_full_precision(released.films))
 
 

@@ -11,7 +11,7 @@ import pytest
 from jax.test_util import check_grads
 
 from pfnn_jax.models.adapters import OneHot
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
 from pfnn_jax.models.network import Network, NetworkConfig, config_of, init_network, num_parameters
 from pfnn_jax.training.data import Batch
@@ -108,7 +108,7 @@ def test_the_shared_network_is_bitwise_unchanged(method):
         ("bias", BiasLayer),
         ("dense", DenseLayer),
         ("one_hot", OneHot),
-        ("film", Film),
+        ("film", FiLMStyle),
         ("fine_tune", Network),
         ("scratch", Network),
     ],
@@ -135,7 +135,7 @@ def test_fine_tuning_starts_from_the_pretrained_network_and_scratch_does_not():
 @pytest.mark.parametrize("rank", [None, 3])
 def test_a_network_tells_the_sizes_it_was_made_with(rank):
     config = NetworkConfig(5, 4, HIDDEN, num_control_points=5, rank=rank)
-    assert config_of(init_network(config, jax.random.key(0))) == config
+    assert config_of(init_network(config, key=jax.random.key(0))) == config
 
 
 def test_the_grid_holds_every_combination_once():
@@ -253,7 +253,7 @@ def test_fewer_frames_than_a_minibatch_are_refused():
 @pytest.mark.parametrize("method", ADAPTERS)
 def test_gradient_of_the_few_shot_loss(method):
     with jax.enable_x64(True):
-        shared = randomise(init_network(NetworkConfig(3, 2, hidden=4), jax.random.key(0)), 1)
+        shared = randomise(init_network(NetworkConfig(3, 2, hidden=4), key=jax.random.key(0)), 1)
         config = FewShotConfig(method=method, rank=2)
         trained = randomise(initial_parameters(config, shared, jax.random.key(1)), 2)
         x, y = jax.random.normal(jax.random.key(3), (5, 3)), jax.random.normal(jax.random.key(4), (5, 2))
@@ -293,7 +293,7 @@ def test_a_film_bears_no_penalty():
 
 def test_bones_draw_few_shot_learning_where_they_are_known():
     rows = body_rows(num_frames=(40,))
-    shared = init_network(NetworkConfig(84, 78, HIDDEN, 8, phase_size=8), jax.random.key(0))
+    shared = init_network(NetworkConfig(84, 78, HIDDEN, 8, phase_size=8), key=jax.random.key(0))
     data = Batch(rows.x, rows.y, rows.phase)
     config = dataclasses.replace(SINGLE, method="film", stops=(40,), learning_rates=(1e-2,), main_dropouts=(0.0,))
 

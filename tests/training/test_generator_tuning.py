@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Batch
@@ -40,7 +40,7 @@ def pretrained():
 def style(pretrained):
     """30 rows of a style that the frozen network can show: what it puts out under some Film."""
     data = body_rows(num_frames=(30,), seed=4)
-    film = Film(scale=jnp.full((2, HIDDEN), 3.0), shift=jnp.full((2, HIDDEN), 2.0))
+    film = FiLMStyle(scale=jnp.full((2, HIDDEN), 3.0), shift=jnp.full((2, HIDDEN), 2.0))
     y = predict_batch(pretrained.shared, film, Batch(data.x, data.y, data.phase), None, None)
     return dataclasses.replace(data, y=np.asarray(y))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import TrainingError
-from pfnn_jax.models.adapters import AdapterConfig, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.layers import CPLayer
 from pfnn_jax.models.presets import LAYOUT_OF, TABLE2
 from pfnn_jax.training.config import PretrainConfig
@@ -215,7 +215,7 @@ def test_every_model_of_the_papers_trains(name):
         pairs = zip(jax.tree.leaves(part), jax.tree.leaves(old), strict=True)
         assert all(not np.array_equal(new, first) for new, first in pairs)
     points = config.network(data.layout).num_control_points
-    one = init_adapter(config.adapter, HIDDEN, points, jax.random.key(0))
+    one = init_style(config.adapter, HIDDEN, points, key=jax.random.key(0))
     bank = styles_of(state, data, config)
     assert [leaf.shape for leaf in jax.tree.leaves(bank)] == [(3, *leaf.shape) for leaf in jax.tree.leaves(one)]
 

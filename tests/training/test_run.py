@@ -10,7 +10,7 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io import checkpoint
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
 from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.features.layout import mason2018
@@ -64,13 +64,13 @@ def make_config(**changes):
 
 
 def make_adapter(kind: AdapterKind = "cp", rank=2, seed=1, hidden=HIDDEN):
-    return init_adapter(AdapterConfig(kind, rank), hidden, 4, jax.random.key(seed))
+    return init_style(AdapterConfig(kind, rank), hidden, 4, key=jax.random.key(seed))
 
 
 def make_run(path, seed=0, **changes):
     config = make_config(**changes)
     create_run(path, config, NORMALISER)
-    save_shared(path, init_network(config.network, jax.random.key(seed)))
+    save_shared(path, init_network(config.network, key=jax.random.key(seed)))
     return path
 
 
@@ -86,14 +86,14 @@ def test_a_run_rebuilds_itself(tmp_path):
     assert run.skeleton.names == SKELETON.names
     np.testing.assert_array_equal(run.skeleton.offsets, SKELETON.offsets)
     np.testing.assert_array_equal(run.normaliser.outputs.std, NORMALISER.outputs.std)
-    assert_equal(run.shared, init_network(run.config.network, jax.random.key(3)))
+    assert_equal(run.shared, init_network(run.config.network, key=jax.random.key(3)))
     assert set(run.config.versions) == {"pfnn_jax", "jax"}
 
 
 def test_a_run_of_low_rank_networks_rebuilds_itself(tmp_path):
     network = dataclasses.replace(make_config().network, rank=3)
     run = load_run(make_run(tmp_path / "run", network=network))
-    assert_equal(run.shared, init_network(network, jax.random.key(0)))
+    assert_equal(run.shared, init_network(network, key=jax.random.key(0)))
 
 
 @pytest.mark.parametrize("kind", ["cp", "full", "diagonal", "bias", "dense", "one_hot"])
@@ -320,7 +320,7 @@ def test_a_run_without_a_generator_says_so(tmp_path):
 def test_a_generator_of_another_shared_network_is_refused(tmp_path):
     path = make_film_run(tmp_path / "run")
     save_generator(path, film_generator(GENERATOR).init(jax.random.key(2)))
-    save_shared(path, init_network(make_config().network, jax.random.key(9)))
+    save_shared(path, init_network(make_config().network, key=jax.random.key(9)))
     with pytest.raises(InputError, match="the generator was trained beside another shared network"):
         load_generator(load_run(path))
 
@@ -352,6 +352,6 @@ def test_a_gating_network_needs_a_layout_and_statistics_of_phases(tmp_path):
     path = tmp_path / "run"
     config = make_config()
     create_run(path, config, dataclasses.replace(NORMALISER, phases=phases))
-    save_shared(path, init_network(config.network, jax.random.key(0)))
+    save_shared(path, init_network(config.network, key=jax.random.key(0)))
     with pytest.raises(InputError, match="phase columns: 8; must equal phase_size 0"):
         load_run(path)

@@ -13,7 +13,7 @@ import optax
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_adapter
+from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
 from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.network import NetworkConfig, init_network, predict
 from pfnn_jax.training.data import Batch, Draw
@@ -47,7 +47,7 @@ def make_step(dropout: Dropout = DROPOUT):
 def make_state(kind: AdapterKind = "cp", num_styles: int = 3) -> PretrainState:
     config = AdapterConfig(kind, rank=3)
     keys = jax.random.split(jax.random.key(1), num_styles)
-    bank = jax.vmap(lambda key: init_adapter(config, HIDDEN, 4, key))(keys)
+    bank = jax.vmap(lambda key: init_style(config, HIDDEN, 4, key=key))(keys)
     return init_pretrain_state(toy_network(), bank, optax.adam(RATE))
 
 
@@ -76,7 +76,7 @@ def one_of(draw, number: int | slice):
 
 def test_a_batch_is_its_frames_one_by_one():
     network, batch = toy_network(), toy_style()
-    adapter = randomise(init_adapter(AdapterConfig("cp", 3), HIDDEN, 4, KEY), 2)
+    adapter = randomise(init_style(AdapterConfig("cp", 3), HIDDEN, 4, key=KEY), 2)
     together = predict_batch(network, adapter, batch, None, None)
     single = jax.jit(predict)
     singles = [single(network, adapter, x, phase) for x, phase in zip(batch.x, batch.phase, strict=True)]
@@ -94,8 +94,8 @@ def test_every_frame_of_a_batch_draws_a_mask_of_its_own():
 def test_gradient_of_the_loss(kind):
     with jax.enable_x64(True):
         sizes = NetworkConfig(3, 2, hidden=4)
-        shared = randomise(init_network(sizes, jax.random.key(0)), 1)
-        adapter = randomise(init_adapter(AdapterConfig(kind, rank=2), 4, 4, KEY), 2)
+        shared = randomise(init_network(sizes, key=jax.random.key(0)), 1)
+        adapter = randomise(init_style(AdapterConfig(kind, rank=2), 4, 4, key=KEY), 2)
         x, y = jax.random.normal(jax.random.key(3), (5, 3)), jax.random.normal(jax.random.key(4), (5, 2))
         batch = Batch(x, y, jnp.linspace(0.3, 6.0, 5))  # between the knots 0, π/2, π, 3π/2
         dropout = Dropout(main=jnp.float64(0.3), adapter=jnp.float64(0.5))
@@ -110,7 +110,7 @@ def test_gradient_of_the_loss(kind):
 
 def test_the_loss_is_the_error_and_the_penalty_of_both_parts():
     shared, batch = toy_network(), toy_style()
-    adapter = randomise(init_adapter(AdapterConfig("cp", 3), HIDDEN, 4, KEY), 2)
+    adapter = randomise(init_style(AdapterConfig("cp", 3), HIDDEN, 4, key=KEY), 2)
     loss, error = pretrain_loss(shared, adapter, batch, Objective(0.5, "sum"), DROPOUT, KEY)
     size = sum(float(jnp.abs(leaf).sum()) for leaf in jax.tree.leaves((shared, adapter)))
     np.testing.assert_allclose(loss - error, 0.5 * size, rtol=FLOAT32)

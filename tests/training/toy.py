@@ -76,7 +76,7 @@ def toy_style(style: int = 0, num_frames: int = 24, seed: int = 0) -> Batch:
 
 def toy_network(seed: int = 0) -> Network:
     """A small fresh network for the toy frames."""
-    return init_network(NetworkConfig(INPUTS, OUTPUTS, HIDDEN), jax.random.key(seed))
+    return init_network(NetworkConfig(INPUTS, OUTPUTS, HIDDEN), key=jax.random.key(seed))
 
 
 def assert_bitwise(first: object, second: object) -> None:

@@ -12,7 +12,7 @@ from pfnn_jax.control import stability as turning
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.dataset import prepare
 from pfnn_jax.motion.datasets.labelled import LabelledClip
@@ -43,7 +43,7 @@ def test_a_film_is_learned_from_a_clip(run, mocap, monkeypatch):
     config = FewShotConfig("film", learning_rates=(1e-3,), main_dropouts=(0.0,), stops=(1,), tolerance=0.0)
     info = learn_style(run, angry(mocap), config, mirror=False)
     film, start = load_style(run, "cross"), load_choice(run, None)
-    assert isinstance(film, Film) and isinstance(start, Film)
+    assert isinstance(film, FiLMStyle) and isinstance(start, FiLMStyle)
     # Six steps of Adam move no number by more than the rate each.
     moved = np.abs(np.asarray(film.scale) - np.asarray(start.scale)).max()
     assert 0.0 < moved < 7.5 * 1e-3
@@ -70,9 +70,9 @@ def test_a_generator_is_tuned_to_a_clip_and_kept_as_it_was(tmp_path):
     tuning = TuningConfig(steps=2, learning_rate=1e-2)
     info = tune_style(run, ClipFile(tmp_path / "old.bvh", "old"), tuning)
     film = load_style(run, "old")
-    assert isinstance(film, Film) and np.isfinite(film.scale).all() and info["frames"] > 150 and info["mirrored"]
+    assert isinstance(film, FiLMStyle) and np.isfinite(film.scale).all() and info["frames"] > 150 and info["mirrored"]
     assert all(path.read_bytes() == content for path, content in files.items())
     untuned = tune_style(run, ClipFile(tmp_path / "old.bvh", "same"), replace(tuning, learning_rate=1e-12))
     assert untuned["loss"] != info["loss"]
     same = load_style(run, "same")
-    assert isinstance(same, Film) and np.abs(np.asarray(film.shift) - np.asarray(same.shift)).max() > 1e-4
+    assert isinstance(same, FiLMStyle) and np.abs(np.asarray(film.shift) - np.asarray(same.shift)).max() > 1e-4

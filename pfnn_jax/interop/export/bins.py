@@ -19,7 +19,7 @@ from pfnn_jax.inference.mixture import StyleChoice
 from pfnn_jax.interop.export.styles import ExportStyle, choose_styles
 from pfnn_jax.interop.released.holden2017 import NUM_TABLES, spline_design
 from pfnn_jax.models.adapters import OneHot, Style
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer, Layer
 from pfnn_jax.models.network import Network
 from pfnn_jax.motion.features.layout import FrameLayout
@@ -124,7 +124,7 @@ def network_at(network: Network, style: Style | None, c: np.ndarray) -> list[tup
     match style:
         case None:
             return layers
-        case Film():
+        case FiLMStyle():
             raise TypeError("`style` must not be a Film: it is not affine.")
         case OneHot(shift=shift):
             place, (weights, biases) = 0, layer_at(shift, c)
@@ -200,7 +200,7 @@ def _write_experts(folder: Path, run: Run, styles: tuple[ExportStyle, ...]) -> B
 
 def _write_film(folder: Path, index: int, style: ExportStyle) -> dict[str, Any]:
     film, files = style.parameters, []
-    assert isinstance(film, Film)
+    assert isinstance(film, FiLMStyle)
     for layer in range(2):
         files.append([f"Style_{index:03d}_{kind}{layer + 1}" for kind in ("scale", "shift")])
         for name, values in zip(files[-1], (film.scale[layer], film.shift[layer]), strict=True):

@@ -13,7 +13,7 @@ import numpy as np
 from pfnn_jax.control.generate import style_label
 from pfnn_jax.inference.mixture import StyleChoice, file_stem, load_choice, need_style
 from pfnn_jax.models.adapters import Style
-from pfnn_jax.models.film import Film, film_to_vector
+from pfnn_jax.models.film import FiLMStyle, film_to_vector
 from pfnn_jax.models.layers import BiasLayer
 from pfnn_jax.run import Run, adapter_form, list_styles, style_note
 
@@ -76,7 +76,7 @@ def write_style(folder: Path, style: ExportStyle) -> dict[str, Any]:
 
 def style_arrays(parameters: Style) -> dict[str, np.ndarray]:
     """A style's arrays by the names of their fields; a Film as one vector [4H]."""
-    if isinstance(parameters, Film):
+    if isinstance(parameters, FiLMStyle):
         return {"film": np.asarray(film_to_vector(parameters))}
     found: dict[str, np.ndarray] = {}
     for field in fields(parameters):

@@ -18,7 +18,7 @@ from pfnn_jax.inference.mixture import file_stem
 from pfnn_jax.inference.predictor import assemble_predictor, evaluate
 from pfnn_jax.interop.released.files import read_array, read_description, read_statistics
 from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.film import Film
+from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.gating import Gating
 from pfnn_jax.models.layers import BlendedLayer, DenseLayer
 from pfnn_jax.models.network import Network, NetworkConfig
@@ -138,7 +138,7 @@ def _read_network(directory: Path, config: NetworkConfig) -> Network:
     return Network(layers=(layers[0], layers[1], layers[2]), gating=Gating(layers=(gating[0], gating[1], gating[2])))
 
 
-def _read_films(directory: Path, num_styles: int, hidden: int) -> Film:
+def _read_films(directory: Path, num_styles: int, hidden: int) -> FiLMStyle:
     """All styles, stacked: leaves [S, 2, H]."""
 
     def read(kind: str) -> np.ndarray:
@@ -149,10 +149,10 @@ def _read_films(directory: Path, num_styles: int, hidden: int) -> Film:
         ]
         return np.stack(rows).reshape(num_styles, 2, hidden)
 
-    return Film(scale=jnp.asarray(read("scale")), shift=jnp.asarray(read("shift")))
+    return FiLMStyle(scale=jnp.asarray(read("scale")), shift=jnp.asarray(read("shift")))
 
 
-def _skeleton(shared: Network, films: Film, normaliser: Normaliser, source: Path) -> Skeleton:
+def _skeleton(shared: Network, films: FiLMStyle, normaliser: Normaliser, source: Path) -> Skeleton:
     """The skeleton of 100STYLE, whose offsets are not among the released files.
 
     The network writes positions and rotations of all joints. A bone's offset is its vector in the pose, turned back by
@@ -161,7 +161,7 @@ def _skeleton(shared: Network, films: Film, normaliser: Normaliser, source: Path
     layout, predictor = mason2022(len(JOINTS)), assemble_predictor(shared, None, normaliser)
 
     @jax.jit
-    def poses(bank: Film) -> jax.Array:
+    def poses(bank: FiLMStyle) -> jax.Array:
         x, phase = predictor.input_mean, predictor.phase_mean
         assert phase is not None
         return jax.vmap(lambda style: evaluate(replace(predictor, style=style), x, phase))(bank)
