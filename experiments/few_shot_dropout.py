@@ -162,7 +162,7 @@ def errors(shared: Network, dataset: Dataset, task: Task, config: Config, seed: 
         learning_rates=(config.learning_rate,),
         main_dropouts=config.main_dropouts,
         adapter_dropouts=config.adapter_dropouts,
-        stops=(config.epochs,),
+        eval_epochs=(config.epochs,),
         seed=seed,
     )
     learn, held_out = (to_batch(rows, dataset.normaliser) for rows in (task.learn, task.held_out))

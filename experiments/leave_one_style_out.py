@@ -59,7 +59,7 @@ class Config:
         batch_size: of pretraining.
         learning_rate: of pretraining; 10 times the paper's, as its batches are 8 times larger and its steps fewer.
         hidden: H.
-        epochs: longest few-shot training; all stops above are dropped.
+        epochs: longest few-shot training; all `eval_epochs` above are dropped.
         seconds: of the adaptation clip.
         neutral: the style on which the one-style network is pretrained.
         circle_seconds: length of the walks on circles.
@@ -141,7 +141,9 @@ def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, 
     )
     losses = []
     state = init_state(settings, layout, len(parts))
-    state = train(state, data, settings, tuple(parts), on_dispatch=lambda _, progress: losses.append(progress.loss))
+    state = train(
+        state, data, settings, tuple(parts), progress_callback=lambda _, progress: losses.append(progress.loss)
+    )
     return jax.tree.map(np.asarray, state.shared), normaliser, losses[-1]
 
 
@@ -162,7 +164,7 @@ def make_fold(takes: Sequence[Take], style: str, seed: int, layout, skeleton, st
 def bound(shared, normaliser: Normaliser, fold: Fold, config: Config, seed: int) -> dict[str, Any]:
     """CP trained on half of the style's own turns and tested on the other half, both ways: what one could hope for."""
     epochs = min(10, config.epochs)
-    grid = FewShotConfig("cp", learning_rates=(1e-3,), main_dropouts=(0.0,), stops=(epochs,), seed=seed)
+    grid = FewShotConfig("cp", learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(epochs,), seed=seed)
     results = []
     for half in (0, 1):
         learn = [part for take in fold.turns[half::2] for part in (take.rows, take.mirrored)]

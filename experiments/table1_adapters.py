@@ -100,7 +100,7 @@ def training_seconds(config: Config) -> dict[str, float]:
     data = random_frames((2 * config.frames,), config.network())
     few = jax.tree.map(lambda leaf: leaf[:32], data)
     settings = {
-        kind: FewShotConfig(kind, config.rank, (1e-4,), (0.3,), (0.3,), stops=(config.epochs,)) for kind in KINDS
+        kind: FewShotConfig(kind, config.rank, (1e-4,), (0.3,), (0.3,), eval_epochs=(config.epochs,)) for kind in KINDS
     }
     works: dict[str, Work] = {
         kind: lambda setting=setting: train_grid(shared, data, few, setting)[0].trained

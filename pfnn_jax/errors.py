@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 
 class InputError(ValueError):
@@ -22,3 +24,50 @@ class TrainingError(RuntimeError):
             f"training: step {step}, style {style}: loss is {value}; losses must stay finite, "
             "the last good save is kept, try a lower learning rate"
         )
+
+
+def check_field(config: Any, name: str, rule: str, holds: Callable[[Any], bool]) -> None:
+    """Checks one field of a configuration.
+
+    Args:
+        config: a dataclass; its class is named in the message.
+        name: of the field. A field that is None is not set, and passes.
+        rule: what the value must be, for the message: "must {rule}".
+        holds: whether a value obeys the rule.
+
+    Raises:
+        ValueError: "Config.name must …, got ….".
+    """
+    value = getattr(config, name)
+    if value is not None and not holds(value):
+        shown = repr(value) if isinstance(value, str) else value
+        raise ValueError(f"{type(config).__name__}.{name} must {rule}, got {shown}.")
+
+
+def check_at_least(config: Any, *names: str, least: float = 1) -> None:
+    """Checks that the named fields are at least `least`; see `check_field`."""
+    for name in names:
+        check_field(config, name, f"be at least {least}", lambda value: value >= least)
+
+
+def check_positive(config: Any, *names: str) -> None:
+    """Checks that the named fields are above zero; see `check_field`."""
+    for name in names:
+        check_field(config, name, "be positive", lambda value: value > 0)
+
+
+def check_not_negative(config: Any, *names: str) -> None:
+    """Checks that the named fields are zero or above; see `check_field`."""
+    for name in names:
+        check_field(config, name, "not be negative", lambda value: value >= 0)
+
+
+def check_probability(config: Any, *names: str) -> None:
+    """Checks that the named fields are drop probabilities, in [0, 1); see `check_field`."""
+    for name in names:
+        check_field(config, name, "be in [0, 1)", lambda value: 0 <= value < 1)
+
+
+def check_one_of(config: Any, name: str, allowed: tuple[str, ...]) -> None:
+    """Checks that the named field is one of some words; see `check_field`."""
+    check_field(config, name, f"be one of {', '.join(allowed)}", lambda value: value in allowed)

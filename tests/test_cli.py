@@ -21,10 +21,10 @@ from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
 from pfnn_jax.run import fingerprint, list_styles, load_run, load_style, style_note
-from pfnn_jax.training.few_shot import FILM, FewShotConfig
+from pfnn_jax.training.few_shot import FILM_FEW_SHOT, FewShotConfig
 
 SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
-QUICK = "--rank 3 --stops 1 2 --learning-rates 0.001 --main-dropouts 0 --batch-size 16".split()
+QUICK = "--rank 3 --eval-epochs 1 2 --learning-rates 0.001 --main-dropouts 0 --batch-size 16".split()
 
 
 def run(*words) -> None:
@@ -102,13 +102,14 @@ def test_the_papers_recipe_is_one_flag_away(folder, tmp_path, monkeypatch):
 
     monkeypatch.setattr("pfnn_jax.cli.learning.learn_style", remember)
     run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--recipe", "paper", "--seed", "7")
-    assert asked["config"].stops == (100,)
+    assert asked["config"].eval_epochs == (100,)
     assert asked["config"].learning_rates == (1e-4,)
     assert asked["config"].seed == 7
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"), [((), FILM), (("--seed", "7"), replace(FILM, seed=7)), (("--rank", "5"), None)]
+    ("words", "expected"),
+    [((), FILM_FEW_SHOT), (("--seed", "7"), replace(FILM_FEW_SHOT, seed=7)), (("--rank", "5"), None)],
 )
 def test_where_styles_are_films_a_film_is_learned(folder, monkeypatch, words, expected):
     """Unless something was asked for: then that, and if it cannot be, the run says so."""

@@ -127,7 +127,7 @@ def test_every_way_of_adding_a_style(config, result, mocap, tmp_path):
             styles=("angry",),
             ways=TRIED,
             takes=2,
-            budget=Budget(stops=(1,), learning_rates=(1e-3,), tuning_steps=(1,)),
+            budget=Budget(eval_epochs=(1,), learning_rates=(1e-3,), tuning_steps=(1,)),
             circle_seconds=2.5,
             starts=1,
             classifier_epochs=1,

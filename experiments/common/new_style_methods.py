@@ -35,16 +35,16 @@ class Budget:
     """How long is trained.
 
     Attributes:
-        stops: epochs after which the styles' parameters are looked at.
+        eval_epochs: epochs after which the styles' parameters are looked at.
         learning_rates: to try, for styles' parameters.
         tuning_steps: steps of generator tuning after which it is looked at, increasing.
         tuning_rate: Adam's, for the generator.
-        held_out: share of the clip, at its end, by which stops and rates are chosen.
+        held_out: share of the clip, at its end, by which epochs and rates are chosen.
         tolerance: by what share the error there may exceed the best: of those within it the gentlest is taken, as
             few-shot learning does by default; 0 takes the best.
     """
 
-    stops: tuple[int, ...] = (5, 10, 25, 50, 100)
+    eval_epochs: tuple[int, ...] = (5, 10, 25, 50, 100)
     learning_rates: tuple[float, ...] = (1e-4, 1e-3, 3e-3)
     tuning_steps: tuple[int, ...] = (25, 50, 100, 200)
     tuning_rate: float = 1e-4
@@ -141,7 +141,7 @@ def optimised(method: Method) -> Way:
             rank=model.config.adapter.rank,
             learning_rates=budget.learning_rates,
             main_dropouts=(0.0,),
-            stops=budget.stops,
+            eval_epochs=budget.eval_epochs,
             held_out=budget.held_out,
             tolerance=budget.tolerance,
             seed=seed,

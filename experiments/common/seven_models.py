@@ -93,7 +93,7 @@ def train_model(name: str, takes: Takes, config: PretrainConfig) -> Model:
     losses: list[float] = []
     started = time.perf_counter()
     state = init_state(own, layout, len(takes.styles))
-    state = train(state, data, own, takes.styles, on_dispatch=lambda _, progress: losses.append(progress.loss))
+    state = train(state, data, own, takes.styles, progress_callback=lambda _, progress: losses.append(progress.loss))
     seconds = time.perf_counter() - started
     bank = jax.tree.map(np.asarray, styles_of(state, data, own))
     generator = None if own.generator(layout) is None else jax.tree.map(np.asarray, state.modulation)

@@ -22,7 +22,7 @@ from pfnn_jax.motion.datasets.preparation import PrepareConfig
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import Run
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.pretrain import pretrain
+from pfnn_jax.workflows.pretrain import pretrain_run
 
 SYSTEMS: dict[str, tuple[str, AdapterKind]] = {
     "PFNN with CP": ("mason2018", "cp"),
@@ -73,7 +73,7 @@ def _run(folder: Path, layout: str, adapter: AdapterConfig, hidden: int) -> Run:
     dataset = prepare(takes, folder / "data", PrepareConfig(layout=layout))
     # A generator makes Films, once: its size makes no difference here.
     config = PretrainConfig(adapter=adapter, steps=1, hidden=hidden, generator_filters=8, generator_hidden=8)
-    return pretrain(dataset, folder / "run", config)
+    return pretrain_run(dataset, folder / "run", config)
 
 
 def _crowd(controller: Controller, number: int) -> tuple:

@@ -19,11 +19,11 @@ from pfnn_jax.models.film import FiLMStyle, modulate
 from pfnn_jax.models.layers import BlendedLayer, Layer, linear
 from pfnn_jax.models.network import Network, NetworkConfig, coefficients, init_network
 from pfnn_jax.training.data import Batch, Draw
-from pfnn_jax.training.few_shot import PAPER, FewShotConfig, refit, train_grid
+from pfnn_jax.training.few_shot import MASON2018_FEW_SHOT, FewShotConfig, refit, train_grid
 from pfnn_jax.training.losses import l1_penalty, squared_error
 from pfnn_jax.training.steps import (
     Objective,
-    PretrainState,
+    TrainState,
     descend,
     init_pretrain_state,
     make_pretrain_step,
@@ -50,7 +50,7 @@ def random_frames(shape: tuple[int, ...], sizes: NetworkConfig, seed: int = 0) -
     return Batch(jnp.asarray(x), jnp.asarray(y), jnp.asarray(phase, jnp.float32))
 
 
-def fresh_state(sizes: NetworkConfig, form: AdapterConfig, num_styles: int = STYLES) -> PretrainState:
+def fresh_state(sizes: NetworkConfig, form: AdapterConfig, num_styles: int = STYLES) -> TrainState:
     """A state at step 0 with a bank of styles."""
     bank = init_bank(form, sizes.hidden, sizes.num_control_points, num_styles, key=jax.random.key(1))
     return init_pretrain_state(init_network(sizes, key=jax.random.key(0)), bank, optax.adam(LEARNING_RATE))
@@ -91,7 +91,7 @@ def make_per_sample_step(dropout: Dropout, l1: float = L1) -> Callable:
         error = squared_error(per_sample_outputs(shared, adapter, batch, dropout, key), batch.y)
         return error + (l1 * (l1_penalty(shared) + l1_penalty(adapter)) if l1 else 0.0), error
 
-    def step(state: PretrainState, batch: Batch, run_key: jax.Array):
+    def step(state: TrainState, batch: Batch, run_key: jax.Array):
         banks = state.modulation, state.modulation_optimiser
         style = state.step % jax.tree.leaves(state.modulation)[0].shape[0]
         adapter, moments = jax.tree.map(lambda leaf: leaf[style], banks)
@@ -101,12 +101,12 @@ def make_per_sample_step(dropout: Dropout, l1: float = L1) -> Callable:
         shared, shared_moments = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
         adapter, moments = descend(optimiser, to_adapter, moments, adapter)
         bank, bank_moments = jax.tree.map(lambda leaf, one: leaf.at[style].set(one), banks, (adapter, moments))
-        return PretrainState(shared, bank, shared_moments, bank_moments, state.step + 1), error
+        return TrainState(shared, bank, shared_moments, bank_moments, state.step + 1), error
 
     return step
 
 
-def stepper(step: Callable, state: PretrainState, data: Batch, batch_size: int, num_steps: int) -> Work:
+def stepper(step: Callable, state: TrainState, data: Batch, batch_size: int, num_steps: int) -> Work:
     """Work of one dispatch of `num_steps` donated training steps on data [S, N, ...]."""
     run = make_run_steps(step, gather_rows)
     num_styles, num_frames = data.phase.shape[:2]
@@ -252,9 +252,9 @@ def few_shot_figures(sizes: NetworkConfig, rank: int, num_frames: int, epochs: i
     shared = init_network(sizes, key=jax.random.key(0))
     data = random_frames((2 * num_frames,), sizes)
     default = FewShotConfig(rank=rank)
-    stops = tuple(stop for stop in default.stops if stop < epochs) + (epochs,)
-    default = dataclasses.replace(default, stops=stops)
-    single = dataclasses.replace(PAPER, rank=rank, adapter_dropouts=(RATE,), stops=(epochs,))
+    eval_epochs = tuple(stop for stop in default.eval_epochs if stop < epochs) + (epochs,)
+    default = dataclasses.replace(default, eval_epochs=eval_epochs)
+    single = dataclasses.replace(MASON2018_FEW_SHOT, rank=rank, adapter_dropouts=(RATE,), eval_epochs=(epochs,))
     few = round(2 * num_frames * default.held_out)
     learn, held = (jax.tree.map(lambda leaf, r=rows: leaf[r], data) for rows in (slice(few, None), slice(few)))
 

@@ -16,10 +16,10 @@ from pfnn_jax.motion.datasets.dataset import load_dataset
 from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
 from pfnn_jax.run import Run, load_run
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.few_shot import FILM, PAPER, FewShotConfig
-from pfnn_jax.training.pretrain import pretrain
+from pfnn_jax.training.few_shot import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
 from pfnn_jax.training.tuning import TuningConfig
 from pfnn_jax.workflows.learn import learn_style, tune_style
+from pfnn_jax.workflows.pretrain import pretrain_run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,14 +62,14 @@ class Pretrain(Command):
     config: Annotated[PretrainConfig, FLAT] = field(default_factory=PretrainConfig)
 
     def run(self) -> Any:
-        with training_progress() as on_progress:
-            run = pretrain(
+        with training_progress() as progress_callback:
+            run = pretrain_run(
                 load_dataset(self.dataset),
                 self.out,
                 self.config,
                 resume=self.resume,
                 overwrite=self.overwrite,
-                on_progress=on_progress,
+                progress_callback=progress_callback,
             )
         print(f"{run.path}: styles {', '.join(run.config.styles)}")
         return {"run": run.path, "styles": run.config.styles}
@@ -123,7 +123,7 @@ class FewShot(Command):
         """The settings asked for; where none were, those for the run's kind of styles."""
         seed = self.config.seed
         if self.recipe == "paper":
-            return replace(PAPER, seed=seed)
+            return replace(MASON2018_FEW_SHOT, seed=seed)
         if run.config.adapter.kind == "film" and self.config == FewShotConfig(seed=seed):
-            return replace(FILM, seed=seed)
+            return replace(FILM_FEW_SHOT, seed=seed)
         return self.config

@@ -35,11 +35,11 @@ def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
     with _bar(*columns, TextColumn("{task.fields[note]}")) as bar:
         task = bar.add_task("training", total=None, note="compiling")
 
-        def on_progress(progress: TrainingProgress) -> None:
+        def progress_callback(progress: TrainingProgress) -> None:
             note = f"loss {progress.loss:.4f}  {progress.frames_per_second:,.0f} frames/s"
             bar.update(task, total=progress.steps, completed=progress.step, note=note)
 
-        yield on_progress
+        yield progress_callback
 
 
 @contextmanager

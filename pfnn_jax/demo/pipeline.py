@@ -28,8 +28,8 @@ from pfnn_jax.motion.synthetic.walks import PRETRAINING_STYLES, STYLES, UNSEEN_S
 from pfnn_jax.run import Run
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.few_shot import FewShotConfig
-from pfnn_jax.training.pretrain import pretrain
 from pfnn_jax.workflows.learn import clip_parts, learn_style
+from pfnn_jax.workflows.pretrain import pretrain_run
 
 
 @dataclass(frozen=True)
@@ -107,12 +107,12 @@ def demo(
         learning_rate=config.learning_rate,
         seed=config.seed,
     )
-    run = pretrain(
+    run = pretrain_run(
         dataset,
         out / "run",
         settings,
         overwrite=overwrite,
-        on_progress=lambda progress: losses.append((progress.step, progress.loss)),
+        progress_callback=lambda progress: losses.append((progress.step, progress.loss)),
     )
     stage(f"learning {UNSEEN_STYLE} from {config.clip_seconds:g} s")
     clip_file, labelled = write_clip(out / "clip", config, overwrite)

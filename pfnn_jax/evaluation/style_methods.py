@@ -17,7 +17,7 @@ from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.training.data import hold_out, to_batch
-from pfnn_jax.training.few_shot import PAPER, Candidate, FewShotConfig, choose, refit, train_grid
+from pfnn_jax.training.few_shot import MASON2018_FEW_SHOT, Candidate, FewShotConfig, choose, refit, train_grid
 
 DEFAULT = FewShotConfig()
 
@@ -26,14 +26,16 @@ DEFAULT_ROW = "CP, gentlest within 50 %, refit"
 
 GRIDS: dict[str, FewShotConfig] = {
     "CP": DEFAULT,
-    "CP, the paper's recipe": PAPER,
+    "CP, the paper's recipe": MASON2018_FEW_SHOT,
     "bias": FewShotConfig("bias", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,)),
     "diagonal": FewShotConfig("diagonal", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,)),
-    "full": FewShotConfig("full", main_dropouts=(0.0,), stops=(2, 5, 10, 25, 50)),
+    "full": FewShotConfig("full", main_dropouts=(0.0,), eval_epochs=(2, 5, 10, 25, 50)),
     "fine-tune, stopped early": FewShotConfig(
-        "fine_tune", learning_rates=(1e-4,), main_dropouts=(0.3,), stops=(1, 2, 5, 10, 25, 50, 100)
+        "fine_tune", learning_rates=(1e-4,), main_dropouts=(0.3,), eval_epochs=(1, 2, 5, 10, 25, 50, 100)
     ),
-    "from scratch": FewShotConfig("scratch", learning_rates=(1e-3,), main_dropouts=(0.3,), stops=(10, 25, 50, 100)),
+    "from scratch": FewShotConfig(
+        "scratch", learning_rates=(1e-3,), main_dropouts=(0.3,), eval_epochs=(10, 25, 50, 100)
+    ),
 }
 """What is trained on the clip; each row of a comparison is the best of one grid's candidates on the held-out frames."""
 
@@ -63,15 +65,15 @@ def compare_methods(
 ) -> dict[str, dict[str, Any]]:
     """Every method on one clip: what was chosen, and every measure of it.
 
-    Nothing is chosen on the test: settings and stops are ranked on the last part of the clip and must stay sound on
-    circles.
+    Nothing is chosen on the test: settings and numbers of epochs are ranked on the last part of the clip and must
+    stay sound on circles.
 
     Args:
         shared, normaliser: of pretraining.
         parts: the clip and, where it is symmetric, its mirror image.
         test: the takes no method has seen.
         grids: methods to run.
-        epochs: longest training; later stops are dropped.
+        epochs: longest training; later `eval_epochs` are dropped.
         seed: of every grid.
         on_row: told the name of each grid that is done.
 
@@ -109,7 +111,7 @@ def compare_methods(
 def train_on_clip(
     shared: Network, normaliser: Normaliser, parts: Sequence[Features], grid: FewShotConfig
 ) -> list[Candidate]:
-    """All settings and stops of a grid, trained on the first part of the clip and ranked on the last."""
+    """All settings and numbers of epochs of a grid, trained on the first part of the clip and ranked on the last."""
     learn, held = hold_out(parts, grid.held_out)
     return train_grid(shared, to_batch(learn, normaliser), to_batch(held, normaliser), grid)
 
@@ -137,8 +139,8 @@ def candidate_errors(
 
 
 def _shortened(grid: FewShotConfig, epochs: int, seed: int) -> FewShotConfig:
-    stops = tuple(stop for stop in grid.stops if stop <= epochs) or (epochs,)
-    return replace(grid, stops=stops, seed=seed)
+    eval_epochs = tuple(stop for stop in grid.eval_epochs if stop <= epochs) or (epochs,)
+    return replace(grid, eval_epochs=eval_epochs, seed=seed)
 
 
 def _rows_of(name: str, candidates: list[Candidate], is_stable) -> dict[str, Candidate]:

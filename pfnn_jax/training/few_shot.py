@@ -28,7 +28,7 @@ ROWS = 512
 """Frames to a multiple of which rows are padded: 4 seconds and their mirror image."""
 
 EPOCHS = 5
-"""Epochs between two calls of `on_epochs`."""
+"""Epochs between two calls of `progress_callback`."""
 
 _LARGEST = np.iinfo(np.uint32).max
 
@@ -113,9 +113,9 @@ class EpochTrainer:
         states: FewShotState,
         settings: Setting,
         epochs: tuple[int, int],
-        on_epochs: Callable[[int], Any] = lambda number: None,
+        progress_callback: Callable[[int], Any] = lambda number: None,
     ) -> FewShotState:
-        """The states after the epochs [first, last); `on_epochs` is told how many are done, `EPOCHS` at a time."""
+        """Returns the states after the epochs [first, last); calls back with the number done, `EPOCHS` at a time."""
         shared, data = self._inputs
         states, settings = _put((states, settings))
         for first in range(*epochs, EPOCHS):
@@ -123,7 +123,7 @@ class EpochTrainer:
             counts = np.asarray([first, last, self._count], np.int32)
             states = _train_many(states, settings, shared, data, counts, self._key, **self._options)
             jax.block_until_ready(states)
-            on_epochs(last)
+            progress_callback(last)
         return states
 
 
@@ -219,7 +219,7 @@ class FewShotConfig:
     """How a style is learned from a clip.
 
     Every combination of rates is one setting of the grid; all are trained at once by `vmap`, each is looked at after
-    every number of epochs in `stops`, and one (setting, stop) is chosen.
+    every number of epochs in `eval_epochs`, and one (setting, stop) is chosen.
 
     Attributes:
         method: `cp`, `full`, `diagonal`, `bias` or `dense` adapters; `one_hot`, a shift of the first layer; `film`,
@@ -229,7 +229,7 @@ class FewShotConfig:
         learning_rates: Adam's rates to try.
         main_dropouts: drop probabilities before the shared layers to try.
         adapter_dropouts: drop probabilities before the adapter to try (the variable dropout of §7.2).
-        stops: numbers of epochs after which to look, increasing; the last is the length of training.
+        eval_epochs: numbers of epochs after which to look, increasing; the last is the length of training.
         batch_size: frames of a minibatch.
         l1: λ of Eq. 3 on what is trained; a Film, whose scales are one and not zero where nothing is changed, bears
             no penalty.
@@ -246,7 +246,7 @@ class FewShotConfig:
     learning_rates: tuple[float, ...] = (1e-4, 1e-3)
     main_dropouts: tuple[float, ...] = (0.0, 0.3)
     adapter_dropouts: tuple[float, ...] = (0.3,)
-    stops: tuple[int, ...] = (5, 10, 25, 50, 100)
+    eval_epochs: tuple[int, ...] = (5, 10, 25, 50, 100)
     batch_size: int = 32
     l1: float = 0.01
     bone_length: float = 1.0
@@ -257,8 +257,10 @@ class FewShotConfig:
     def __post_init__(self):
         if self.method not in METHODS:
             raise ValueError(f"FewShotConfig.method must be one of {', '.join(METHODS)}, got {self.method!r}.")
-        if not self.stops or list(self.stops) != sorted(set(self.stops)) or self.stops[0] < 1:
-            raise ValueError(f"FewShotConfig.stops must be increasing whole numbers from 1, got {self.stops}.")
+        if not self.eval_epochs or list(self.eval_epochs) != sorted(set(self.eval_epochs)) or self.eval_epochs[0] < 1:
+            raise ValueError(
+                f"FewShotConfig.eval_epochs must be increasing whole numbers from 1, got {self.eval_epochs}."
+            )
         if not 0 < self.held_out < 1:
             raise ValueError(f"FewShotConfig.held_out must lie between 0 and 1, got {self.held_out}.")
         for name in ("tolerance", "l1", "bone_length"):
@@ -272,10 +274,12 @@ class FewShotConfig:
             raise ValueError(f"FewShotConfig.learning_rates must be positive, got {self.learning_rates}.")
 
 
-PAPER = FewShotConfig(learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.3, 0.5, 0.7), stops=(100,))
+MASON2018_FEW_SHOT = FewShotConfig(
+    learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.3, 0.5, 0.7), eval_epochs=(100,)
+)
 """Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid over the authors' rates of adapter dropout alone."""
 
-FILM = FewShotConfig("film", learning_rates=(1e-4, 1e-3, 3e-3), main_dropouts=(0.0,))
+FILM_FEW_SHOT = FewShotConfig("film", learning_rates=(1e-4, 1e-3, 3e-3), main_dropouts=(0.0,))
 """Beside a network trained with FiLM: the 4H numbers of a Film, at rates that move them in a few epochs."""
 
 
@@ -329,9 +333,9 @@ def train_grid(
     *,
     start: Style | None = None,
     bones: Bones | None = None,
-    on_epochs: Callable[[int], Any] = lambda number: None,
+    progress_callback: Callable[[int], Any] = lambda number: None,
 ) -> list[Candidate]:
-    """Train every setting of the grid; the candidates of all stops, best held-out error first.
+    """Train every setting of the grid; the candidates of all eval_epochs, best held-out error first.
 
     Args:
         shared: pretrained style-agnostic parameters, not changed.
@@ -340,7 +344,7 @@ def train_grid(
         config: the grid.
         start: style to begin with, see `initial_parameters`.
         bones: of the rows, for the bone-length loss; None leaves it out.
-        on_epochs: told, every few epochs, how many are done.
+        progress_callback: told, every few epochs, how many are done.
 
     Raises:
         ValueError: if there are fewer training frames than a minibatch.
@@ -354,8 +358,8 @@ def train_grid(
     states = jax.vmap(lambda _: init_few_shot_state(first))(jnp.arange(count))
     trainer = EpochTrainer(shared, data, config.batch_size, _objective(config, bones), train_key)
     candidates, begin = [], 0
-    for stop in config.stops:
-        states = trainer.train(states, settings, (begin, stop), on_epochs)
+    for stop in config.eval_epochs:
+        states = trainer.train(states, settings, (begin, stop), progress_callback)
         errors = row_errors(states.trained, shared, held_out).mean(axis=1)
         candidates += _candidates(states.trained, settings, stop, errors)
         begin = stop
@@ -408,11 +412,11 @@ def refit(
     *,
     start: Style | None = None,
     bones: Bones | None = None,
-    on_epochs: Callable[[int], Any] = lambda number: None,
+    progress_callback: Callable[[int], Any] = lambda number: None,
 ) -> Any:
     """Train the chosen setting once more on all frames [N, ...], the held-out ones included."""
     data, options = jax.tree.map(lambda leaf: leaf[None], data), {"start": start, "bones": bones}
-    bank = train_bank(shared, data, choice, config, on_epochs=on_epochs, **options)
+    bank = train_bank(shared, data, choice, config, progress_callback=progress_callback, **options)
     return jax.tree.map(lambda leaf: np.asarray(leaf[0]), bank)
 
 
@@ -424,7 +428,7 @@ def train_bank(
     *,
     start: Style | None = None,
     bones: Bones | None = None,
-    on_epochs: Callable[[int], Any] = lambda number: None,
+    progress_callback: Callable[[int], Any] = lambda number: None,
 ) -> Any:
     """Many styles at once under one setting: data [S, N, ...] -> trained parameters [S, ...], by `vmap`."""
     init_key, train_key = jax.random.split(jax.random.key(config.seed))
@@ -432,7 +436,7 @@ def train_bank(
     first = initial_parameters(config, shared, init_key, start)
     states = jax.vmap(lambda _: init_few_shot_state(first))(jnp.arange(data.phase.shape[0]))
     trainer = EpochTrainer(shared, data, config.batch_size, _objective(config, bones), train_key, per_style=True)
-    return trainer.train(states, setting, (0, choice.epochs), on_epochs).trained
+    return trainer.train(states, setting, (0, choice.epochs), progress_callback).trained
 
 
 def _objective(config: FewShotConfig, bones: Bones | None) -> Objective:

@@ -134,7 +134,7 @@ def film_predictions(
 
 
 @struct.dataclass
-class PretrainState:
+class TrainState:
     """Everything pretraining changes.
 
     What modulates the network is a bank, the styles of S styles on a leading axis, each with an optimiser state of
@@ -150,10 +150,10 @@ class PretrainState:
 
 def init_pretrain_state(
     shared: Any, modulation: Any, optimiser: optax.GradientTransformation, *, is_bank: bool = True
-) -> PretrainState:
+) -> TrainState:
     """A state at step 0; each style of a bank has an optimiser state of its own."""
     init = jax.vmap(optimiser.init) if is_bank else optimiser.init
-    return PretrainState(shared, modulation, optimiser.init(shared), init(modulation), jnp.zeros((), jnp.int32))
+    return TrainState(shared, modulation, optimiser.init(shared), init(modulation), jnp.zeros((), jnp.int32))
 
 
 def pretrain_loss(
@@ -177,7 +177,7 @@ def pretrain_loss(
     return objective.loss(prediction, batch.y, (shared, modulation))
 
 
-PretrainStep = Callable[[PretrainState, Batch, jax.Array], tuple[PretrainState, jax.Array]]
+PretrainStep = Callable[[TrainState, Batch, jax.Array], tuple[TrainState, jax.Array]]
 
 
 def make_pretrain_step(
@@ -193,25 +193,25 @@ def make_pretrain_step(
     """
     gradient = jax.grad(partial(pretrain_loss, generator=generator), argnums=(0, 1), has_aux=True)
 
-    def update(state: PretrainState, modulation: Any, moments: Any, batch: Batch, run_key: jax.Array):
+    def update(state: TrainState, modulation: Any, moments: Any, batch: Batch, run_key: jax.Array):
         key = jax.random.fold_in(run_key, state.step)
         (to_shared, to_modulation), error = gradient(state.shared, modulation, batch, objective, dropout, key)
         shared, shared_moments = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
         modulation, moments = descend(optimiser, to_modulation, moments, modulation)
         return shared, shared_moments, modulation, moments, error
 
-    def bank_step(state: PretrainState, batch: Batch, run_key: jax.Array):
+    def bank_step(state: TrainState, batch: Batch, run_key: jax.Array):
         bank = state.modulation, state.modulation_optimiser
         number = state.step % jax.tree.leaves(state.modulation)[0].shape[0]
         one = jax.tree.map(lambda leaf: leaf[number], bank)
         shared, shared_moments, *changed, error = update(state, one[0], one[1], batch, run_key)
         bank, moments = jax.tree.map(lambda leaf, new: leaf.at[number].set(new), bank, tuple(changed))
-        return PretrainState(shared, bank, shared_moments, moments, state.step + 1), error
+        return TrainState(shared, bank, shared_moments, moments, state.step + 1), error
 
-    def generator_step(state: PretrainState, batch: Batch, run_key: jax.Array):
+    def generator_step(state: TrainState, batch: Batch, run_key: jax.Array):
         parts = update(state, state.modulation, state.modulation_optimiser, batch, run_key)
         shared, shared_moments, parameters, moments, error = parts
-        return PretrainState(shared, parameters, shared_moments, moments, state.step + 1), error
+        return TrainState(shared, parameters, shared_moments, moments, state.step + 1), error
 
     return bank_step if generator is None else generator_step
 

@@ -91,7 +91,7 @@ def tune_generator(
     config: TuningConfig,
     *,
     style: str = "style",
-    on_dispatch: Callable[[int, float], Any] = lambda step, loss: None,
+    progress_callback: Callable[[int, float], Any] = lambda step, loss: None,
 ) -> Tuned:
     """Tunes a pretrained FiLM generator to the rows of one style, drawing clips independently of the frames.
 
@@ -101,7 +101,7 @@ def tune_generator(
         data: rows and windows of one style (S = 1).
         config: how.
         style: its name, for messages.
-        on_dispatch: called with (steps done, mean squared error) every `config.steps_per_dispatch` steps.
+        progress_callback: called with (steps done, mean squared error) every `config.steps_per_dispatch` steps.
 
     Raises:
         ValueError: if there are fewer rows than a minibatch, or no windows.
@@ -131,6 +131,6 @@ def tune_generator(
         state, errors = run(state, first, count)
         check_finite(errors, first, (style,))
         losses.append(errors)
-        on_dispatch(first + count, float(errors.mean()))
+        progress_callback(first + count, float(errors.mean()))
     films = style_films(generator, state.generator, data, 0)
     return Tuned(state.generator, jax.tree.map(lambda leaf: leaf.mean(axis=0), films), np.concatenate(losses))

@@ -44,7 +44,7 @@ def learn_style(
     mirror: bool = True,
     roles_file: Path | None = None,
     overwrite: bool = False,
-    progress: Progress = lambda share, what: None,
+    progress_callback: Progress = lambda share, what: None,
 ) -> dict[str, Any]:
     """Learns a style from a clip beside the frozen shared network, and saves it in the run.
 
@@ -55,7 +55,7 @@ def learn_style(
         mirror: also learn from the mirrored clip; off for a style whose left and right differ.
         roles_file: JSON naming the joints' roles.
         overwrite: replace a style of this name.
-        progress: told how far it is.
+        progress_callback: called with the share that is done, 0 to 1, and what is being done.
 
     Returns:
         What is saved as `info` in style.json: source, frames, speed, the choice and the ranking behind it, seconds.
@@ -66,23 +66,23 @@ def learn_style(
     """
     started = time.perf_counter()
     _check_request(run, clip_file.style, config, overwrite)
-    progress(0.0, "labelling")
+    progress_callback(0.0, "labelling")
     parts = clip_parts(load_take(clip_file, run.layout, roles_file), run, mirror)
     _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
-    adapter, found = learn_rows(run, parts, config, progress)
+    adapter, found = learn_rows(run, parts, config, progress_callback)
     info = {
         **_about_clip(run, clip_file, parts, mirror),
         "config": asdict(config),
         **found,
         "seconds": time.perf_counter() - started,
     }
-    progress(0.98, "saving")
+    progress_callback(0.98, "saving")
     save_style(run.path, clip_file.style, adapter, info, overwrite)
     return info
 
 
 def learn_rows(
-    run: Run, parts: list[Features], config: FewShotConfig, progress: Progress = lambda share, what: None
+    run: Run, parts: list[Features], config: FewShotConfig, progress_callback: Progress = lambda share, what: None
 ) -> tuple[Any, dict[str, Any]]:
     """The parameters of a style from the rows of its clip, and what is to tell of them; nothing is saved.
 
@@ -90,7 +90,7 @@ def learn_rows(
         run: a pretrained run.
         parts: rows of the clip, then of its mirror image where that belongs to the style.
         config: the grid of settings.
-        progress: told how far it is.
+        progress_callback: called with the share that is done, 0 to 1, and what is being done.
     """
     rows, (learn, held) = parts[0], hold_out(parts, config.held_out)
     # A Film that changes nothing is no motion of any style: the mean of the run's styles is the nearest that is known.
@@ -98,23 +98,23 @@ def learn_rows(
     data, held_out = to_batch(learn, run.normaliser), to_batch(held, run.normaliser)
 
     def told(begin: float, end: float, epochs: int, what: str) -> Callable[[int], Any]:
-        return lambda done: progress(begin + (end - begin) * done / epochs, what)
+        return lambda done: progress_callback(begin + (end - begin) * done / epochs, what)
 
-    trying = told(0.03, 0.5, config.stops[-1], "trying settings")
-    candidates = train_grid(run.shared, data, held_out, config, on_epochs=trying, **options)
+    trying = told(0.03, 0.5, config.eval_epochs[-1], "trying settings")
+    candidates = train_grid(run.shared, data, held_out, config, progress_callback=trying, **options)
     is_stable = make_stability_check(
         run.shared, run.normaliser, run.layout, rows.x, rows.y, rows.phase, controller_of(run)
     )
     walked = itertools.count()
 
     def walks(trained: Any) -> bool:
-        progress(0.5 + 0.1 * min(next(walked) / len(candidates), 1.0), "walking in circles")
+        progress_callback(0.5 + 0.1 * min(next(walked) / len(candidates), 1.0), "walking in circles")
         return is_stable(trained)
 
     chosen = choose(candidates, config.tolerance, walks)
     learning = told(0.6, 0.95, chosen.choice.epochs, "learning")
     everything = to_batch(parts, run.normaliser)
-    adapter = refit(run.shared, everything, chosen.choice, config, on_epochs=learning, **options)
+    adapter = refit(run.shared, everything, chosen.choice, config, progress_callback=learning, **options)
     return adapter, {
         "choice": chosen.choice._asdict(),
         "stable_on_turns": is_stable(adapter),
@@ -122,7 +122,7 @@ def learn_rows(
     }
 
 
-def rehearse(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
+def precompile(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
     """Compiles all that `learn_rows` needs of a run and a grid, so that a style is learned without waiting for it.
 
     Args:
@@ -138,7 +138,7 @@ def rehearse(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
         np.broadcast_to(phase, (num_frames, *phase.shape)),
         np.arange(num_frames),
     )
-    learn_rows(run, [rows, rows], replace(config, stops=(1,)))
+    learn_rows(run, [rows, rows], replace(config, eval_epochs=(1,)))
 
 
 def tune_style(

@@ -32,7 +32,7 @@ from pfnn_jax.motion.paths import straight
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import Run
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.pretrain import pretrain
+from pfnn_jax.workflows.pretrain import pretrain_run
 
 STYLES = ("neutral", "old", "proud")
 MIRRORED = 0.25  # m between a turn and the reflected one to the other side in two seconds: they begin on other feet
@@ -50,7 +50,7 @@ def run(tmp_path_factory) -> Run:
     takes = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 20.0)]
     dataset = prepare(takes, folder / "data", PrepareConfig())
     settings = PretrainConfig(hidden=64, steps=500, learning_rate=1e-3)
-    return pretrain(dataset, folder / "run", settings)
+    return pretrain_run(dataset, folder / "run", settings)
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ def test_the_demo_leaves_a_run_with_the_ninth_style(made):
     assert len(list_styles(run.path)) == 9
     info = style_note(run.path, "zombie")["info"]
     assert 175 <= info["frames"] <= 180  # three seconds less the clip's ends
-    assert info["choice"]["epochs"] in info["config"]["stops"]
+    assert info["choice"]["epochs"] in info["config"]["eval_epochs"]
 
 
 def test_the_clip_is_what_a_user_would_have(made):

@@ -17,7 +17,6 @@ from pfnn_jax.models.network import Network, NetworkConfig, config_of, init_netw
 from pfnn_jax.training.data import Batch
 from pfnn_jax.training.few_shot import (
     METHODS,
-    PAPER,
     Candidate,
     Choice,
     FewShotConfig,
@@ -61,7 +60,7 @@ SMALL = FewShotConfig(
     learning_rates=(1e-3, 5e-3),
     main_dropouts=(0.0, 0.3),
     adapter_dropouts=(0.3,),
-    stops=(2, 4),
+    eval_epochs=(2, 4),
     batch_size=8,
 )
 SINGLE = dataclasses.replace(SMALL, learning_rates=(1e-3,), main_dropouts=(0.3,))
@@ -175,7 +174,7 @@ def test_a_grid_equals_its_settings_trained_one_by_one(method):
 
 
 def test_looking_at_a_stop_does_not_disturb_training():
-    watched, unwatched = grid(), grid(dataclasses.replace(SMALL, stops=(4,)))
+    watched, unwatched = grid(), grid(dataclasses.replace(SMALL, eval_epochs=(4,)))
     for setting, candidate in by_setting(unwatched).items():
         assert_bitwise(by_setting(watched)[setting].trained, candidate.trained)
 
@@ -200,7 +199,13 @@ def test_a_padded_order_is_the_one_without_padding(count):
 
 def test_progress_is_told_until_the_last_epoch():
     told = []
-    train_grid(toy_network(), toy_style(), held_out(), dataclasses.replace(SINGLE, stops=(2, 9)), on_epochs=told.append)
+    train_grid(
+        toy_network(),
+        toy_style(),
+        held_out(),
+        dataclasses.replace(SINGLE, eval_epochs=(2, 9)),
+        progress_callback=told.append,
+    )
     assert told == [2, 7, 9]
 
 
@@ -219,7 +224,7 @@ def test_training_depends_on_the_seed_alone():
 def test_learning_a_style_lowers_its_error(method):
     shared, data = toy_network(), toy_style()
     config = dataclasses.replace(
-        SINGLE, method=method, learning_rates=(5e-3,), main_dropouts=(0.0,), adapter_dropouts=(0.0,), stops=(60,)
+        SINGLE, method=method, learning_rates=(5e-3,), main_dropouts=(0.0,), adapter_dropouts=(0.0,), eval_epochs=(60,)
     )
     untrained = error_of(initial_parameters(config, shared, jax.random.split(jax.random.key(0))[0]), shared, data)
     trained = train_grid(shared, data, data, config)[0]
@@ -237,12 +242,6 @@ def test_the_best_stable_candidate_is_chosen_and_the_best_of_all_where_none_is()
     assert choose(candidates, 0.0) is candidates[0]
     assert choose(candidates, 0.0, lambda trained: trained is candidates[2].trained) is candidates[2]
     assert choose(candidates, 0.0, lambda trained: False) is candidates[0]
-
-
-def test_the_papers_recipe():
-    assert (PAPER.method, PAPER.rank, PAPER.learning_rates, PAPER.stops) == ("cp", 30, (1e-4,), (100,))
-    assert PAPER.main_dropouts == (0.3,)
-    assert len(PAPER.adapter_dropouts) > 1
 
 
 def test_fewer_frames_than_a_minibatch_are_refused():
@@ -277,7 +276,10 @@ def test_a_step_of_rate_zero_changes_the_optimiser_alone():
 
 
 def test_a_film_starts_where_it_is_told():
-    shared, config = toy_network(), dataclasses.replace(SINGLE, method="film", learning_rates=(1e-12,), stops=(1,))
+    shared, config = (
+        toy_network(),
+        dataclasses.replace(SINGLE, method="film", learning_rates=(1e-12,), eval_epochs=(1,)),
+    )
     start = randomise(initial_parameters(config, shared, jax.random.key(0)), 4)
     found = train_grid(shared, toy_style(), held_out(), config, start=start)[0].trained
     assert_close(found, start)
@@ -295,7 +297,7 @@ def test_bones_draw_few_shot_learning_where_they_are_known():
     rows = body_rows(num_frames=(40,))
     shared = init_network(NetworkConfig(84, 78, HIDDEN, 8, phase_size=8), key=jax.random.key(0))
     data = Batch(rows.x, rows.y, rows.phase)
-    config = dataclasses.replace(SINGLE, method="film", stops=(40,), learning_rates=(1e-2,), main_dropouts=(0.0,))
+    config = dataclasses.replace(SINGLE, method="film", eval_epochs=(40,), learning_rates=(1e-2,), main_dropouts=(0.0,))
 
     def bone_error(bones):
         trained = train_grid(shared, data, data, config, bones=bones)[0].trained
@@ -310,9 +312,9 @@ def test_bones_draw_few_shot_learning_where_they_are_known():
         ("method", "none"),
         ("l1", -1.0),
         ("bone_length", -1.0),
-        ("stops", ()),
-        ("stops", (10, 5)),
-        ("stops", (0, 5)),
+        ("eval_epochs", ()),
+        ("eval_epochs", (10, 5)),
+        ("eval_epochs", (0, 5)),
         ("held_out", 0.0),
         ("held_out", 1.0),
         ("main_dropouts", ()),

@@ -26,7 +26,7 @@ from pfnn_jax.training.data import dataset_rows, gather_from, stored_rows
 from pfnn_jax.training.films import mean_films
 from pfnn_jax.training.log import read_metrics
 from pfnn_jax.training.order import order_of
-from pfnn_jax.training.pretrain import pretrain
+from pfnn_jax.workflows.pretrain import pretrain_run
 
 CONFIG = PretrainConfig(
     adapter=AdapterConfig(rank=2), hidden=8, steps=60, batch_size=16, steps_per_dispatch=5, save_every=10
@@ -37,12 +37,12 @@ ROOT = Path(__file__).resolve().parents[2]
 KILLED = """
 import sys, time
 from pfnn_jax.motion.datasets.dataset import load_dataset
-from pfnn_jax.training.pretrain import pretrain
+from pfnn_jax.workflows.pretrain import pretrain_run
 from tests.training.test_loop import CONFIG
-def on_progress(progress):
+def progress_callback(progress):
     print(progress.step, flush=True)
     time.sleep(0.05)
-pretrain(load_dataset(sys.argv[1]), sys.argv[2], CONFIG, on_progress=on_progress)
+pretrain_run(load_dataset(sys.argv[1]), sys.argv[2], CONFIG, progress_callback=progress_callback)
 """
 
 
@@ -55,7 +55,7 @@ def dataset(tmp_path_factory):
 @pytest.fixture(scope="module")
 def whole(dataset, tmp_path_factory):
     """A run that nothing interrupted."""
-    return pretrain(dataset, tmp_path_factory.mktemp("whole") / "run", CONFIG)
+    return pretrain_run(dataset, tmp_path_factory.mktemp("whole") / "run", CONFIG)
 
 
 def parameters(run):
@@ -87,7 +87,7 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(dataset, whole, tmp_path):
     assert saved is not None and CONFIG.steps is not None and 0 < saved < CONFIG.steps
     with pytest.raises(InputError, match="run it \\(again\\) to the end"):
         load_run(out)
-    resumed = pretrain(dataset, out, CONFIG, resume=True)
+    resumed = pretrain_run(dataset, out, CONFIG, resume=True)
     assert_bitwise_equal(parameters(resumed), parameters(whole))
     assert [record["loss"] for record in read_metrics(out)] == [record["loss"] for record in read_metrics(whole.path)]
 
@@ -99,20 +99,20 @@ def test_a_run_killed_before_its_first_save_begins_again(dataset, whole, tmp_pat
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pretrain(dataset, out, CONFIG, on_progress=stop)
+        pretrain_run(dataset, out, CONFIG, progress_callback=stop)
     assert train_step(out) is None
-    assert_bitwise_equal(parameters(pretrain(dataset, out, CONFIG, resume=True)), parameters(whole))
+    assert_bitwise_equal(parameters(pretrain_run(dataset, out, CONFIG, resume=True)), parameters(whole))
 
 
 def test_a_run_is_resumed_only_with_its_own_settings(dataset, whole):
     with pytest.raises(InputError, match="pretrain: .*learning_rate 0.0001.*differs"):
-        pretrain(dataset, whole.path, replace(CONFIG, learning_rate=1e-3), resume=True)
+        pretrain_run(dataset, whole.path, replace(CONFIG, learning_rate=1e-3), resume=True)
 
 
 def test_an_existing_run_is_refused_and_left_alone(dataset, whole):
     before = (whole.path / "config.json").read_bytes()
     with pytest.raises(InputError, match="output: exists"):
-        pretrain(dataset, whole.path, CONFIG)
+        pretrain_run(dataset, whole.path, CONFIG)
     assert (whole.path / "config.json").read_bytes() == before
 
 
@@ -129,14 +129,14 @@ def test_sizes_that_the_layout_cannot_have_are_refused_before_anything_is_writte
     with pytest.raises(
         InputError, match="layout mason2018: .*num_control_points must be at least 4, got 3; see --help"
     ):
-        pretrain(dataset, tmp_path / "run", replace(CONFIG, num_control_points=3))
+        pretrain_run(dataset, tmp_path / "run", replace(CONFIG, num_control_points=3))
     assert not (tmp_path / "run").exists()
 
 
 def test_training_that_turns_non_finite_keeps_the_last_good_save(dataset, tmp_path):
     out, wild = tmp_path / "run", replace(CONFIG, learning_rate=1e30, save_every=1, steps_per_dispatch=1)
     with pytest.raises(TrainingError, match=r"step \d+, style (neutral|old): loss is (nan|inf)"):
-        pretrain(dataset, out, wild)
+        pretrain_run(dataset, out, wild)
     losses = [json.loads(line)["loss"] for line in (out / "metrics.jsonl").read_text().splitlines()]
     assert np.isfinite(losses).all()
     assert train_step(out) == len(losses)
@@ -160,8 +160,8 @@ def test_a_film_run_from_disk_is_the_one_from_memory_and_holds_its_generator(dat
         generator_width=5,
         generator_hidden=8,
     )
-    memory = pretrain(dataset, tmp_path / "memory", config)
-    disk = pretrain(dataset, tmp_path / "disk", replace(config, device_bytes=0))
+    memory = pretrain_run(dataset, tmp_path / "memory", config)
+    disk = pretrain_run(dataset, tmp_path / "disk", replace(config, device_bytes=0))
     assert_bitwise_equal(parameters(memory), parameters(disk))
     sizes, generator = memory.config.generator, load_generator(memory)
     assert sizes is not None

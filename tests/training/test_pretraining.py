@@ -16,7 +16,7 @@ from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import StyleData
 from pfnn_jax.training.order import order_of
 from pfnn_jax.training.pretrain import Progress, dispatch_sizes, init_state, styles_of, total_steps, train
-from pfnn_jax.training.steps import PretrainState
+from pfnn_jax.training.steps import TrainState
 from tests.training.toy import HIDDEN, LAYOUT, STYLES, assert_bitwise, body_rows, on_host, toy_rows
 
 LEARNED = 0.05  # share of the first error left after 400 steps of a problem that the network can solve
@@ -30,19 +30,19 @@ def with_(config: PretrainConfig, **changes) -> PretrainConfig:
     return PretrainConfig(**{**vars(config), **changes})
 
 
-def fresh(config: PretrainConfig = SMALL) -> PretrainState:
+def fresh(config: PretrainConfig = SMALL) -> TrainState:
     return init_state(config, LAYOUT, len(STYLES))
 
 
-def run(config: PretrainConfig = SMALL, data: StyleData | None = None, state: PretrainState | None = None):
+def run(config: PretrainConfig = SMALL, data: StyleData | None = None, state: TrainState | None = None):
     """(last state, progress of every dispatch, states of every dispatch), all on the host."""
     progress, states = [], []
 
-    def keep(state: PretrainState, report: Progress) -> None:
+    def keep(state: TrainState, report: Progress) -> None:
         progress.append(report)
         states.append(on_host(state))
 
-    last = train(state or fresh(config), data or toy_rows(), config, STYLES, on_dispatch=keep)
+    last = train(state or fresh(config), data or toy_rows(), config, STYLES, progress_callback=keep)
     return on_host(last), progress, states
 
 
@@ -52,7 +52,7 @@ def whole():
     return run()
 
 
-def resumed(state: PretrainState) -> PretrainState:
+def resumed(state: TrainState) -> TrainState:
     """What comes back from disk: the same numbers in new buffers."""
     return jax.tree.map(jax.numpy.asarray, state)
 
@@ -136,7 +136,11 @@ def test_training_that_turns_non_finite_names_the_step_and_the_style(device_byte
     kept = []
     with pytest.raises(TrainingError) as raised:
         train(
-            fresh(), data, with_(SMALL, device_bytes=device_bytes), STYLES, on_dispatch=lambda *seen: kept.append(seen)
+            fresh(),
+            data,
+            with_(SMALL, device_bytes=device_bytes),
+            STYLES,
+            progress_callback=lambda *seen: kept.append(seen),
         )
     assert (raised.value.step, raised.value.style) == (1, "old")
     assert "step 1" in str(raised.value) and "old" in str(raised.value)
@@ -209,7 +213,7 @@ def test_every_model_of_the_papers_trains(name):
     losses = []
     start = init_state(config, data.layout, 3)
     before = on_host(start)
-    state = train(start, data, config, STYLES, on_dispatch=lambda _, report: losses.append(report.loss))
+    state = train(start, data, config, STYLES, progress_callback=lambda _, report: losses.append(report.loss))
     assert len(losses) == 2 and np.isfinite(losses).all()
     for part, old in ((state.shared, before.shared), (state.modulation, before.modulation)):
         pairs = zip(jax.tree.leaves(part), jax.tree.leaves(old), strict=True)
@@ -229,7 +233,7 @@ def test_models_resume_bit_for_bit_and_from_rows_in_host_memory(name):
         data,
         config,
         STYLES,
-        on_dispatch=lambda state, _: states.append(on_host(state)),
+        progress_callback=lambda state, _: states.append(on_host(state)),
     )
     elsewhere = with_(config, steps_per_dispatch=2, device_bytes=0)
     assert_bitwise(train(resumed(states[0]), data, elsewhere, STYLES), last)

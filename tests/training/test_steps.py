@@ -20,8 +20,8 @@ from pfnn_jax.training.data import Batch, Draw
 from pfnn_jax.training.order import order_of
 from pfnn_jax.training.steps import (
     Objective,
-    PretrainState,
     PretrainStep,
+    TrainState,
     init_pretrain_state,
     make_pretrain_step,
     make_run_batches,
@@ -44,7 +44,7 @@ def make_step(dropout: Dropout = DROPOUT):
     return make_pretrain_step(optax.adam(RATE), Objective(0.01), dropout)
 
 
-def make_state(kind: AdapterKind = "cp", num_styles: int = 3) -> PretrainState:
+def make_state(kind: AdapterKind = "cp", num_styles: int = 3) -> TrainState:
     config = AdapterConfig(kind, rank=3)
     keys = jax.random.split(jax.random.key(1), num_styles)
     bank = jax.vmap(lambda key: init_style(config, HIDDEN, 4, key=key))(keys)

@@ -18,7 +18,7 @@ from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.preparation import PrepareConfig
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.pretrain import pretrain
+from pfnn_jax.workflows.pretrain import pretrain_run
 
 STYLES = ("depressed", "neutral", "proud")
 PATIENCE = 60.0  # seconds: a browser that draws without a graphics card, on a busy machine of two cores
@@ -33,7 +33,7 @@ def played_run(tmp_path_factory) -> Path:
     clips = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 10)]
     dataset = prepare(clips, folder / "data", PrepareConfig(layout="mason2018"))
     settings = PretrainConfig(AdapterConfig("cp", 4), hidden=32, steps=200, batch_size=64, learning_rate=3e-3)
-    return pretrain(dataset, folder / "run", settings).path
+    return pretrain_run(dataset, folder / "run", settings).path
 
 
 @pytest.fixture(scope="session")

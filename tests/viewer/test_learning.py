@@ -37,7 +37,7 @@ from pfnn_jax.viewer.page.stage import Stage
 from pfnn_jax.workflows.learn import learn_style
 
 FRAME = 1.0 / 60.0
-SMALL = FewShotConfig("cp", 4, learning_rates=(1e-3,), main_dropouts=(0.0,), stops=(1,))
+SMALL = FewShotConfig("cp", 4, learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(1,))
 
 
 @pytest.fixture(scope="module")
@@ -292,4 +292,4 @@ def test_a_page_learns_styles_of_the_runs_kind(stage, monkeypatch):
     monkeypatch.undo()
     config = page_config(stage.cast("run").run)
     assert config == FewShotConfig("cp", 4)
-    assert learning.QUICK_FILM.method == "film" and max(learning.QUICK_FILM.stops) <= 50
+    assert learning.QUICK_FILM.method == "film" and max(learning.QUICK_FILM.eval_epochs) <= 50

@@ -22,9 +22,9 @@ from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.run import load_run, load_style
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.few_shot import FewShotConfig
-from pfnn_jax.training.pretrain import pretrain
 from pfnn_jax.training.tuning import TuningConfig
 from pfnn_jax.workflows.learn import learn_style, tune_style
+from pfnn_jax.workflows.pretrain import pretrain_run
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def angry(mocap, style="cross"):
 
 def test_a_film_is_learned_from_a_clip(run, mocap, monkeypatch):
     monkeypatch.setattr(turning, "SECONDS", 1.2)  # whether it is stable is not the question here
-    config = FewShotConfig("film", learning_rates=(1e-3,), main_dropouts=(0.0,), stops=(1,), tolerance=0.0)
+    config = FewShotConfig("film", learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(1,), tolerance=0.0)
     info = learn_style(run, angry(mocap), config, mirror=False)
     film, start = load_style(run, "cross"), load_choice(run, None)
     assert isinstance(film, FiLMStyle) and isinstance(start, FiLMStyle)
@@ -64,7 +64,7 @@ def test_a_generator_is_tuned_to_a_clip_and_kept_as_it_was(tmp_path):
     small = PretrainConfig(
         AdapterConfig("film"), hidden=8, generator_filters=2, generator_width=3, generator_hidden=4, steps=2
     )
-    run = pretrain(dataset, tmp_path / "run", small)
+    run = pretrain_run(dataset, tmp_path / "run", small)
     write_bvh(tmp_path / "old.bvh", synthesise("old", np.zeros(200), np.ones(200))[0])
     files = {path: path.read_bytes() for path in (tmp_path / "run" / "generator").rglob("*") if path.is_file()}
     tuning = TuningConfig(steps=2, learning_rate=1e-2)

@@ -21,10 +21,10 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.motion.datasets.clip_file import ClipFile, is_symmetric
 from pfnn_jax.run import Run, list_styles
-from pfnn_jax.training.few_shot import FILM, FewShotConfig
+from pfnn_jax.training.few_shot import FILM_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.stage import Cast, Stage, rehearse_walks
-from pfnn_jax.workflows.learn import learn_style, rehearse
+from pfnn_jax.workflows.learn import learn_style, precompile
 
 MOST_BYTES = 10_000_000
 """Size of the largest file taken."""
@@ -40,8 +40,8 @@ LONGEST_NAME = 40
 NICENESS = 10
 """How far learning stands back behind the characters that move meanwhile, where the system lets threads differ."""
 
-QUICK_FILM = replace(FILM, learning_rates=(3e-3, 1e-2), stops=(25, 50))
-"""Films on a page: higher rates than `FILM` and half its epochs, for the same errors on held-out frames."""
+QUICK_FILM = replace(FILM_FEW_SHOT, learning_rates=(3e-3, 1e-2), eval_epochs=(25, 50))
+"""Films on a page: higher rates than `FILM_FEW_SHOT` and half its epochs, for the same errors on held-out frames."""
 
 Progress = Callable[[float, str], None]
 
@@ -60,7 +60,7 @@ def page_config(run: Run) -> FewShotConfig:
 
 
 def prepare_learning(stage: Stage, run: str) -> None:
-    """Compiles what learning needs, in the background of a page that has just been opened; see `rehearse`.
+    """Compiles what learning needs, in the background of a page that has just been opened; see `precompile`.
 
     An upload goes first, and waits for the preparation of its own run alone.
     """
@@ -68,7 +68,7 @@ def prepare_learning(stage: Stage, run: str) -> None:
         pass
     cast = stage.cast(run)
     with stage.preparation(run):
-        background.do(partial(rehearse, cast.run, page_config(cast.run)), niceness=NICENESS)
+        background.do(partial(precompile, cast.run, page_config(cast.run)), niceness=NICENESS)
         background.do(partial(rehearse_walks, cast.controller), niceness=NICENESS)
 
 
@@ -183,7 +183,7 @@ def check_upload(name: str, data: bytes) -> None:
 
 def _learn(run: Run, clip: ClipFile, progress: Progress) -> None:
     try:
-        learn_style(run, clip, page_config(run), mirror=is_symmetric(clip.style), progress=progress)
+        learn_style(run, clip, page_config(run), mirror=is_symmetric(clip.style), progress_callback=progress)
     except InputError as error:
         file = clip.path.name if error.file == str(clip.path) else error.file
         raise InputError(file, error.place, error.value, error.rule) from error
