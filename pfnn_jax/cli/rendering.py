@@ -14,8 +14,8 @@ from pfnn_jax.cli.progress import frame_progress
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import refuse_existing
 from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate, cut_seconds
 from pfnn_jax.viewer.draw.body import Up, upright
-from pfnn_jax.viewer.draw.tracks import Track, cut_track, label_track
 from pfnn_jax.viewer.render import MOMENTS, check_output, render
 
 
@@ -57,20 +57,20 @@ class Render(Command):
         if self.names and len(self.names) != len(self.clips):
             raise InputError("command line", "names", f"{len(self.names)} for {len(self.clips)} clips", "one a clip")
         names = self.names or [clip.stem for clip in self.clips]
-        tracks = [self._track(path, name) for path, name in zip(self.clips, names, strict=True)]
+        clips = [self._annotate(path, name) for path, name in zip(self.clips, names, strict=True)]
         with frame_progress() as progress:
             settings = {"fps": self.fps, "moments": self.moments, "overwrite": self.overwrite}
-            size = render(tracks, self.out, **settings, progress=progress)
-        for track in tracks:
-            if track.note:
-                print(f"{track.name}: {track.note}")
-        seconds = max(track.seconds for track in tracks)
+            size = render(clips, self.out, **settings, progress=progress)
+        for annotated in clips:
+            if annotated.note:
+                print(f"{annotated.name}: {annotated.note}")
+        seconds = max(annotated.seconds for annotated in clips)
         print(f"{self.out}: {seconds:.1f} s, {size / 1e3:,.0f} kB")
-        notes = {track.name: track.note for track in tracks if track.note}
+        notes = {annotated.name: annotated.note for annotated in clips if annotated.note}
         return {"out": self.out, "seconds": seconds, "bytes": size, "notes": notes}
 
-    def _track(self, path: Path, name: str) -> Track:
+    def _annotate(self, path: Path, name: str) -> AnnotatedClip:
         clip = upright(read_bvh(path, roles_file=self.roles), self.up)
         phase = path.with_suffix(".phase")
-        track = label_track(clip, name, phase if phase.is_file() else None)
-        return cut_track(track, self.start, self.seconds)
+        annotated = annotate(clip, name, phase if phase.is_file() else None)
+        return cut_seconds(annotated, self.start, self.seconds)

@@ -16,8 +16,8 @@ from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.skeleton import need_roles
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
 from pfnn_jax.viewer.draw.filmstrip import filmstrip
-from pfnn_jax.viewer.draw.tracks import Track
 
 COLUMNS = (
     "method",
@@ -57,7 +57,7 @@ def write_demo_report(
             f"{style.capitalize()} on a figure-eight, learned from a straight walk",
             "Left: the whole of what was shown. Then the same network in the style it learned from it, in no style, "
             "and in one of the styles it was pretrained on, sent along the same path. Drag to look around.",
-            tracks=[_track("shown", clip), *(_walk_track(name, walk) for name, walk in walks.items())],
+            clips=[_annotated("shown", clip), *(_annotated_walk(name, walk) for name, walk in walks.items())],
         ),
         Section(
             "What the character does",
@@ -111,15 +111,15 @@ def _errors(methods: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     }
 
 
-def _track(name: str, labelled: LabelledClip) -> Track:
+def _annotated(name: str, labelled: LabelledClip) -> AnnotatedClip:
     clip = labelled.clip
     positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     contacts = foot_contacts(positions, need_roles(clip.skeleton), clip.fps)
-    return Track(name, clip, phase=labelled.labels.phase, contacts=contacts)
+    return AnnotatedClip(name, clip, phase=labelled.labels.phase, contacts=contacts)
 
 
-def _walk_track(name: str, walk: Generated) -> Track:
+def _annotated_walk(name: str, walk: Generated) -> AnnotatedClip:
     contacts = foot_contacts(
         np.asarray(walk.frames.joint_positions, np.float64), need_roles(walk.clip.skeleton), walk.clip.fps
     )
-    return Track(name, walk.clip, phase=np.asarray(walk.frames.phase), contacts=contacts)
+    return AnnotatedClip(name, walk.clip, phase=np.asarray(walk.frames.phase), contacts=contacts)

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import json_text, write_whole
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
 from pfnn_jax.viewer.draw.drawing import png_bytes
-from pfnn_jax.viewer.draw.tracks import Track
 from pfnn_jax.viewer.player.player import player_assets, player_html
 
 
@@ -52,14 +52,14 @@ class Section:
         text: paragraphs, parted by blank lines.
         table: a table, or None.
         figures: (caption, figure) pairs.
-        tracks: clips.
+        clips: clips.
     """
 
     title: str
     text: str = ""
     table: Table | None = None
     figures: Sequence[tuple[str, Figure]] = ()
-    tracks: Sequence[Track] = field(default_factory=tuple)
+    clips: Sequence[AnnotatedClip] = field(default_factory=tuple)
 
 
 def write_report(
@@ -107,7 +107,7 @@ def render_report(
 ) -> str:
     """The page's HTML: style, pictures, motion and script all inside it."""
     style = files("pfnn_jax.evaluation").joinpath("report.css").read_text(encoding="utf-8")
-    assets = player_assets() if any(section.tracks for section in sections) else ""
+    assets = player_assets() if any(section.clips for section in sections) else ""
     head = f"<h1>{html.escape(title)}</h1>" + (f'<p class="subtitle">{html.escape(subtitle)}</p>' if subtitle else "")
     body = head + _facts(facts or {}) + "".join(_section(section) for section in sections)
     return (
@@ -129,8 +129,8 @@ def _section(section: Section) -> str:
     if section.table is not None:
         parts.append(_table(section.table))
     parts += [_picture(caption, figure) for caption, figure in section.figures]
-    if section.tracks:
-        parts.append(player_html(section.tracks, assets=False))
+    if section.clips:
+        parts.append(player_html(section.clips, assets=False))
     return "".join(parts) + "</section>"
 
 

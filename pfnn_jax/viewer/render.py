@@ -15,11 +15,11 @@ from PIL import Image
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import refuse_existing, require_suffix, write_whole
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
 from pfnn_jax.viewer.draw.drawing import png_bytes
-from pfnn_jax.viewer.draw.film import Film
 from pfnn_jax.viewer.draw.filmstrip import filmstrip
 from pfnn_jax.viewer.draw.palette import PANEL
-from pfnn_jax.viewer.draw.tracks import Track
+from pfnn_jax.viewer.draw.video import Video
 from pfnn_jax.viewer.player.player import FPS, player_page
 
 GIF_FPS, GIF_DPI, GIF_COLOURS, GIF_SAMPLES = 20.0, 80, 128, 8
@@ -34,7 +34,7 @@ Progress = Callable[[int, int], None]
 
 
 def render(
-    tracks: Sequence[Track],
+    clips: Sequence[AnnotatedClip],
     out: str | Path,
     *,
     fps: float | None = None,
@@ -45,23 +45,23 @@ def render(
     """Draw clips side by side and in step; the file's suffix decides how.
 
     Args:
-        tracks: the clips, with their contacts and phases.
-        out: `.html` for a page that plays without a server, `.gif` or `.mp4` for a film, `.png` for poses along time.
-        fps: frames per second of a page (30) or film (20 in a GIF, 30 in an MP4); a GIF takes the nearest it can tell.
+        clips: the clips, with their contacts and phases.
+        out: `.html` for a page that plays without a server, `.gif` or `.mp4` for a video, `.png` for poses along time.
+        fps: frames per second of a page (30) or video (20 in a GIF, 30 in an MP4); a GIF takes the nearest it can tell.
         moments: poses in a picture.
         overwrite: replace an existing file.
-        progress: called after every frame of a film.
+        progress: called after every frame of a video.
 
     Returns:
         Bytes written.
 
     Raises:
-        InputError: for another suffix, an existing file, a setting out of range, or a page or film that cannot be made.
+        InputError: for another suffix, an existing file, a setting out of range, or a page or video that fails.
     """
     out = Path(out)
     check_output(out, fps, moments)
     refuse_existing(out, overwrite)
-    content = FORMATS[out.suffix.lower()](tracks, out, fps, moments, progress)
+    content = FORMATS[out.suffix.lower()](clips, out, fps, moments, progress)
     write_whole(out, content)
     return len(content)
 
@@ -81,26 +81,32 @@ def check_output(out: Path, fps: float | None, moments: int) -> None:
         raise InputError(out, "moments", moments, f"must be 1 to {MOST_MOMENTS}")
 
 
-def _html(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, progress: Progress | None) -> bytes:
-    return player_page(tracks, title=", ".join(track.name for track in tracks), fps=fps or FPS).encode()
+def _html(
+    clips: Sequence[AnnotatedClip], out: Path, fps: float | None, moments: int, progress: Progress | None
+) -> bytes:
+    return player_page(clips, title=", ".join(annotated.name for annotated in clips), fps=fps or FPS).encode()
 
 
-def _png(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, progress: Progress | None) -> bytes:
-    return png_bytes(filmstrip(*tracks, moments=moments))
+def _png(
+    clips: Sequence[AnnotatedClip], out: Path, fps: float | None, moments: int, progress: Progress | None
+) -> bytes:
+    return png_bytes(filmstrip(*clips, moments=moments))
 
 
-def _gif(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, progress: Progress | None) -> bytes:
+def _gif(
+    clips: Sequence[AnnotatedClip], out: Path, fps: float | None, moments: int, progress: Progress | None
+) -> bytes:
     hundredths = max(2, round(1 / ((fps or GIF_FPS) * CENTISECOND)))  # browsers take shorter ones for ten
-    film = Film(tracks, 1 / (hundredths * CENTISECOND), GIF_DPI)
-    if film.num_frames > MOST_GIF:
-        shown = f"{film.seconds:.0f} s at {film.fps:g} frames per second"
-        raise InputError(out, "film", shown, f"a GIF holds {MOST_GIF} frames: show fewer seconds, or make an MP4")
-    palette = _palette(film)
+    video = Video(clips, 1 / (hundredths * CENTISECOND), GIF_DPI)
+    if video.num_frames > MOST_GIF:
+        shown = f"{video.seconds:.0f} s at {video.fps:g} frames per second"
+        raise InputError(out, "video", shown, f"a GIF holds {MOST_GIF} frames: show fewer seconds, or make an MP4")
+    palette = _palette(video)
     frames = []
-    for number, frame in enumerate(film.frames()):
+    for number, frame in enumerate(video.frames()):
         frames.append(Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE))
         if progress:
-            progress(number + 1, film.num_frames)
+            progress(number + 1, video.num_frames)
     buffer = io.BytesIO()
     frames[0].save(
         buffer, "GIF", save_all=True, append_images=frames[1:], duration=10 * hundredths, loop=0, optimize=False
@@ -108,9 +114,9 @@ def _gif(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, pr
     return buffer.getvalue()
 
 
-def _palette(film: Film) -> Image.Image:
+def _palette(video: Video) -> Image.Image:
     """The colours of some frames: one palette for all, or flat colours would flicker."""
-    some = [film.frame_at(second) for second in np.linspace(0, film.seconds, GIF_SAMPLES)]
+    some = [video.frame_at(second) for second in np.linspace(0, video.seconds, GIF_SAMPLES)]
     colours, counts = np.unique(np.concatenate(some).reshape(-1, 3), axis=0, return_counts=True)
     weighted = np.repeat(colours, np.ceil(np.sqrt(counts)).astype(int), axis=0)  # thin lines count, not only areas
     cut = Image.fromarray(weighted[None]).quantize(GIF_COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or []
@@ -123,7 +129,9 @@ def _palette(film: Film) -> Image.Image:
     return palette
 
 
-def _mp4(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, progress: Progress | None) -> bytes:
+def _mp4(
+    clips: Sequence[AnnotatedClip], out: Path, fps: float | None, moments: int, progress: Progress | None
+) -> bytes:
     try:
         import imageio_ffmpeg
     except ImportError:
@@ -131,23 +139,23 @@ def _mp4(tracks: Sequence[Track], out: Path, fps: float | None, moments: int, pr
         raise InputError(out, "suffix", ".mp4", rule) from None
     # Its way to keep Ctrl-C from ffmpeg forks a process in which threads, such as JAX's, may hold locks for ever.
     os.environ.setdefault("IMAGEIO_FFMPEG_NO_PREVENT_SIGINT", "1")
-    film = Film(tracks, fps or MP4_FPS, MP4_DPI)
+    video = Video(clips, fps or MP4_FPS, MP4_DPI)
     start: Any = imageio_ffmpeg.write_frames  # says that rates are whole numbers, and takes any
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "film.mp4"
+        path = Path(folder) / "video.mp4"
         try:
             writer = start(
-                str(path), (film.width, film.height), fps=film.fps, quality=MP4_QUALITY, macro_block_size=2,
+                str(path), (video.width, video.height), fps=video.fps, quality=MP4_QUALITY, macro_block_size=2,
                 ffmpeg_log_level="error", output_params=["-movflags", "+faststart"],
             )  # fmt: skip
             writer.send(None)
-            for number, frame in enumerate(film.frames()):
+            for number, frame in enumerate(video.frames()):
                 writer.send(np.ascontiguousarray(frame))
                 if progress:
-                    progress(number + 1, film.num_frames)
+                    progress(number + 1, video.num_frames)
             writer.close()
         except (OSError, RuntimeError) as error:  # ffmpeg absent or stopped
-            raise InputError(out, "film", str(error).splitlines()[0], "ffmpeg must be able to write it") from None
+            raise InputError(out, "video", str(error).splitlines()[0], "ffmpeg must be able to write it") from None
         return path.read_bytes()
 
 

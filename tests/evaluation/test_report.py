@@ -17,16 +17,16 @@ from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer.draw.body import body_points
 from pfnn_jax.viewer.draw.drawing import save_figure
 from pfnn_jax.viewer.draw.filmstrip import filmstrip, to_view
-from tests.viewer.pages import check_page, make_track
+from tests.viewer.pages import check_page, make_annotated
 
 
 def every_figure():
-    track = make_track()
+    annotated = make_annotated()
     yield plots.loss_curves({"train": [1.0, 0.5, 0.2], "held out": ([0, 2], [1.0, 0.4])})
     yield plots.loss_curves({"only": [0.0, 1.0]}, logarithmic=False)
     yield plots.error_bars({"a": {"straight": [0.1, 0.2], "turning": 0.3}, "b": {"straight": 0.2}})
-    yield filmstrip(track.clip, moments=4, title="walk")
-    yield filmstrip(track.clip, moments=3, span=(10, 40))
+    yield filmstrip(annotated.clip, moments=4, title="walk")
+    yield filmstrip(annotated.clip, moments=3, span=(10, 40))
 
 
 def test_pictures_are_png_and_leave_matplotlib_alone(tmp_path: Path):
@@ -64,7 +64,7 @@ def make_sections() -> list[report.Section]:
     figure = plots.loss_curves({"train": [1.0, 0.5]})
     return [
         report.Section("Errors <1>", "One.\n\nTwo & three.", table, figures=[("A caption", figure)]),
-        report.Section("Motion", tracks=[make_track("a"), make_track("b")]),
+        report.Section("Motion", clips=[make_annotated("a"), make_annotated("b")]),
     ]
 
 

@@ -58,11 +58,11 @@ def served(played_run, second_run) -> Iterator[Any]:
     """The page of the small run and of a second one, on a free port."""
     pytest.importorskip("viser", reason="viser is not installed")
     from pfnn_jax.viewer.page.play import Page
-    from pfnn_jax.viewer.page.stage import Stage
+    from pfnn_jax.viewer.page.run_library import RunLibrary
 
-    stage = Stage([played_run, second_run])
-    stage.warm_up()
-    with Page(stage, port=0) as page:
+    library = RunLibrary([played_run, second_run])
+    library.warm_up()
+    with Page(library, port=0) as page:
         yield page
 
 

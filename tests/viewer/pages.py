@@ -11,15 +11,19 @@ from html.parser import HTMLParser
 import numpy as np
 
 from pfnn_jax.motion.synthetic.walks import STYLES, stance_contacts, synthesise
-from pfnn_jax.viewer.draw.tracks import Track
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
 
 VOID = {"meta", "input", "img"}
 
 
-def make_track(name: str = "zombie", frames: int = 120, extras: bool = True) -> Track:
+def make_annotated(name: str = "zombie", frames: int = 120, extras: bool = True) -> AnnotatedClip:
     style = STYLES["zombie"]
     clip, labels = synthesise(style, np.full(frames, 0.5), np.full(frames, 0.8))
-    return Track(name, clip, labels.phase, stance_contacts(style, labels.phase)) if extras else Track(name, clip)
+    return (
+        AnnotatedClip(name, clip, labels.phase, stance_contacts(style, labels.phase))
+        if extras
+        else AnnotatedClip(name, clip)
+    )
 
 
 class Balanced(HTMLParser):
@@ -58,7 +62,7 @@ def captions(page: str) -> list[str]:
     return [html.unescape(name) for name in re.findall(r"<figcaption>([^<]*)<", page)]
 
 
-def decoded(track: dict, of: str = "points") -> np.ndarray:
-    """[T, P, 3] metres of a track's points, or of what the camera looks at."""
-    values = np.frombuffer(base64.b64decode(track[of]), "<i2").astype(float) * track["unit"]
-    return values.reshape(-1, track["count"] if of == "points" else 1, 3)
+def decoded(annotated: dict, of: str = "points") -> np.ndarray:
+    """[T, P, 3] metres of a annotated's points, or of what the camera looks at."""
+    values = np.frombuffer(base64.b64decode(annotated[of]), "<i2").astype(float) * annotated["unit"]
+    return values.reshape(-1, annotated["count"] if of == "points" else 1, 3)

@@ -93,7 +93,7 @@ def test_a_port_is_held_before_anything_is_loaded(monkeypatch, capsys):
             play.check_address("127.0.0.1", int(found[1]))
         raise InputError("run", "config", "none", "must be there")
 
-    monkeypatch.setattr(play, "Stage", load)
+    monkeypatch.setattr(play, "RunLibrary", load)
     with pytest.raises(InputError, match="config"):
         play.play(["run"], port=0)
     assert len(answers) == 1
@@ -108,7 +108,7 @@ def test_a_page_that_cannot_begin_leaves_its_work(monkeypatch, error, code):
     def fail(**_: object) -> None:
         raise error
 
-    monkeypatch.setattr(play, "Stage", lambda _: SimpleNamespace(runs=(), styles=(), warm_up=lambda: None))
+    monkeypatch.setattr(play, "RunLibrary", lambda _: SimpleNamespace(runs=(), styles=(), warm_up=lambda: None))
     monkeypatch.setattr(play, "Page", fail)
     monkeypatch.setattr(background, "leave_work", codes.append)
     with pytest.raises(type(error)):

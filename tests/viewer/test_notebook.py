@@ -17,7 +17,7 @@ from pfnn_jax.motion.clip import MotionClip, cut, resample
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer.player import player
 from pfnn_jax.viewer.player.notebook import show
-from tests.viewer.pages import captions, check_page, make_track, payload
+from tests.viewer.pages import captions, check_page, make_annotated, payload
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
 browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
@@ -58,7 +58,7 @@ def test_what_is_given_wins_over_what_is_found():
     shown = show(
         clip, clip, names=["a", "b"], phase=[None, given], contacts=[np.zeros((clip.num_frames, 2), bool), None]
     )
-    first, second = payload(shown.html)["tracks"]
+    first, second = payload(shown.html)["clips"]
     assert captions(shown.html) == ["a", "b"]
     assert first["contacts"] == [[], []] and second["contacts"][0]
     assert set(second["phases"][0]["angle"]) == {1.25} and len(set(first["phases"][0]["angle"])) > 9
@@ -149,7 +149,7 @@ def test_two_shows_in_one_page_play_apart_and_in_step(tmp_path: Path):
 
 
 def test_a_track_of_local_phases_can_be_shown():
-    track = make_track()
-    vectors = np.tile([0.3, 0.4], (track.clip.num_frames, 4, 1))
-    lines = payload(show(track.clip, phase=[vectors]).html)["tracks"][0]["phases"]
+    annotated = make_annotated()
+    vectors = np.tile([0.3, 0.4], (annotated.clip.num_frames, 4, 1))
+    lines = payload(show(annotated.clip, phase=[vectors]).html)["clips"][0]["phases"]
     assert [line["name"] for line in lines] == ["left hand", "right hand", "left toe", "right toe"]

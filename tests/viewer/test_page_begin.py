@@ -19,7 +19,7 @@ class Tab:
 
     begun: list[int] = []
 
-    def __init__(self, client: Any, stage: Any) -> None:
+    def __init__(self, client: Any, library: Any) -> None:
         self._number = client.client_id
 
     def start(self) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed")
 
-from pfnn_jax.viewer.page import dials  # noqa: E402
+from pfnn_jax.viewer.page import widgets  # noqa: E402
 from pfnn_jax.viewer.page.play import Page  # noqa: E402
 
 # A tab may close while its picture is being sent; a served page ignores it, but each test has filters of its own.
@@ -50,7 +50,7 @@ def test_a_style_of_the_list_or_the_triangle_says_how_to_see_it(visitor):
     assert hint.count() == 0
     visitor.choose("Style", "proud")
     hint.wait_for()
-    assert dials.UNSEEN in hint.inner_text()
+    assert widgets.UNSEEN in hint.inner_text()
     visitor.walk(0.2)
     visitor.wait(lambda: hint.count() == 0, "who has walked has seen it")
 
@@ -63,13 +63,13 @@ def test_a_page_says_that_its_program_has_ended_and_comes_back(browser, served):
         tab.set_default_timeout(60e3)
         tab.goto(page.url)
         tab.get_by_text("Compiling").wait_for()
-        page.begin(served._stage)
+        page.begin(served._library)
         tab.wait_for_selector("[data-readout=root]")
         assert tab.get_by_text("Compiling").count() == 0 and not tab.locator(words).is_visible()
         port = page.port
     tab.locator(words).wait_for()
     assert "has ended" in tab.locator(words).inner_text()
-    with Page(served._stage, port=port):
+    with Page(served._library, port=port):
         tab.bring_to_front()  # viser connects anew where somebody looks
         tab.locator(words).wait_for(state="hidden")
         tab.wait_for_selector("[data-readout=root]")

@@ -12,14 +12,14 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer.draw.body import capsule_ends
-from pfnn_jax.viewer.draw.solids import TAPER, Body, Mesh, frustum, sphere
-from pfnn_jax.viewer.page import background, dials
+from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.guard import names_of, objection
+from pfnn_jax.viewer.page.meshes import TAPER, BodyMeshes, Mesh, frustum, sphere
 from pfnn_jax.viewer.page.play import check_address, play
 from pfnn_jax.viewer.page.scene import camera_yaw
 from pfnn_jax.viewer.page.timeline import SAMPLES, Timeline
 from pfnn_jax.viewer.page.view import Dial
-from pfnn_jax.viewer.page.words import Values, word_of
+from pfnn_jax.viewer.page.words import FieldChanges, parse_message
 
 EXACT = 1e-9  # float64 over a few products
 ROUND = 0.05  # share of a sphere's volume that its flat faces cut off
@@ -44,7 +44,7 @@ def test_solids_are_round_and_look_outwards():
 def test_a_body_of_instances_lies_on_the_bones():
     clip, _ = synthesise("zombie", np.full(40, 0.5), np.ones(40))
     positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
-    body = Body(clip.skeleton)
+    body = BodyMeshes(clip.skeleton)
     starts, turned, balls = body.place(positions[-1], rotations[-1])
     tips = starts + quat_rotate(turned, np.array([0.0, 1.0, 0.0]) * body.limb_scales)
     ends = [
@@ -69,41 +69,43 @@ def test_a_body_of_instances_lies_on_the_bones():
     ],
 )
 def test_what_a_browser_says_is_numbers_or_nothing(text):
-    assert word_of(text) is None
+    assert parse_message(text) is None
 
 
 def test_a_word_of_the_script():
-    word = word_of("17 0.5 -1 1 1 59.9")
-    assert word is not None and word.stick == (0.5, -1.0, 1.0, True) and word.rate == 59.9
+    message = parse_message("17 0.5 -1 1 1 59.9")
+    assert message is not None and message.stick == (0.5, -1.0, 1.0, True) and message.rate == 59.9
 
 
 def test_shares_sum_to_one_whatever_is_typed():
-    assert dials.shares_of("50, 30 20 %") == pytest.approx((0.5, 0.3, 0.2))
-    assert dials.shares_of("2 0 2") == (0.5, 0.0, 0.5)
+    assert widgets.shares_of("50, 30 20 %") == pytest.approx((0.5, 0.3, 0.2))
+    assert widgets.shares_of("2 0 2") == (0.5, 0.0, 0.5)
     for text in ("", "1 2", "1 2 x", "0 0 0", "-1 1 1", "nan 1 1", "1e400 1 1", "1 2 3 4"):
-        assert dials.shares_of(text) is None, text
+        assert widgets.shares_of(text) is None, text
 
 
 def test_percents_are_told_alike_by_picture_and_field():
-    assert dials.percents((1 / 3, 1 / 3, 1 / 3)) == [34, 33, 33]
-    assert dials.percents((0.005, 0.005, 0.99)) == [0, 0, 100]
-    assert dials.percents((0.0, 1.0, 0.0)) == [0, 100, 0]
-    shown = dials.triangle(["a", "b", "c"], (1 / 3, 1 / 3, 1 / 3), False)
+    assert widgets.percents((1 / 3, 1 / 3, 1 / 3)) == [34, 33, 33]
+    assert widgets.percents((0.005, 0.005, 0.99)) == [0, 0, 100]
+    assert widgets.percents((0.0, 1.0, 0.0)) == [0, 100, 0]
+    shown = widgets.triangle(["a", "b", "c"], (1 / 3, 1 / 3, 1 / 3), False)
     assert [text in shown for text in ("a 34%", "b 33%", "c 33%")] == [True] * 3
 
 
 def test_names_cannot_break_out_of_pictures():
     evil = '</svg><img src=x onerror="alert(1)">'
     for name in (evil, f"&deg;{evil}", "<img>&deg;"):
-        shown = dials.triangle([name, "b", "c"], (0.2, 0.3, 0.5), True)
-        shown += dials.message("bad", name) + dials.phase_dial([Dial(name, 0.0)] * 2) + dials.legend({name: "#000000"})
+        shown = widgets.triangle([name, "b", "c"], (0.2, 0.3, 0.5), True)
+        shown += (
+            widgets.message("bad", name) + widgets.phase_dial([Dial(name, 0.0)] * 2) + widgets.legend({name: "#000000"})
+        )
         assert "<img" not in shown and "&lt;" in shown
 
 
 def test_dials_of_every_kind_of_phase():
-    assert "velocities" in dials.phase_dial(())
-    assert "90°" in dials.phase_dial((Dial("gait", np.pi / 2),))
-    local = dials.phase_dial(
+    assert "velocities" in widgets.phase_dial(())
+    assert "90°" in widgets.phase_dial((Dial("gait", np.pi / 2),))
+    local = widgets.phase_dial(
         tuple(Dial(name, 0.0, 0.5) for name in ("left hand", "right hand", "left toe", "right toe"))
     )
     assert local.count("<line") == 4 and "right toe" in local
@@ -180,7 +182,7 @@ def test_a_camera_looks_along_a_yaw():
 
 
 def test_values_given_here_are_no_changes():
-    values = Values()
+    values = FieldChanges()
     assert not values.changed("style", "proud") and values.changed("style", "neutral")
     values.set(style="angry")
     assert not values.changed("style", "angry") and values.changed("style", "neutral")

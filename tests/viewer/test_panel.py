@@ -19,9 +19,9 @@ viser = pytest.importorskip("viser", reason="viser is not installed")
 
 from viser import _messages as messages  # noqa: E402
 
-from pfnn_jax.viewer.page import dials  # noqa: E402
 from pfnn_jax.viewer.page import panel as panel_module  # noqa: E402
 from pfnn_jax.viewer.page import tab as tab_module  # noqa: E402
+from pfnn_jax.viewer.page import widgets  # noqa: E402
 from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
 from pfnn_jax.viewer.page.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
 from pfnn_jax.viewer.page.tab import Tab  # noqa: E402
@@ -37,16 +37,16 @@ def server() -> Iterator[Any]:
     served.stop()
 
 
-class Cast:
-    """A stage of names alone."""
+class LoadedRun:
+    """A library of names alone."""
 
     def __init__(self) -> None:
         self.styles = {"run": ("angry", "neutral", "proud"), "two": ("neutral", "old")}
         self.runs, self.version = tuple(self.styles), 0
 
-    def cast(self, run: str) -> SimpleNamespace:
+    def get(self, run: str) -> SimpleNamespace:
         if run not in self.styles:
-            raise InputError("stage", "run", run, "must be known")
+            raise InputError("library", "run", run, "must be known")
         return SimpleNamespace(styles=self.styles[run])
 
     def join(self, run: str, style: str) -> None:
@@ -103,7 +103,7 @@ def client(server) -> Iterator[Client]:
 
 @pytest.fixture
 def panel(client) -> Any:
-    return Panel(client, any_of(Cast()), any_of(Puppet()), any_of(SimpleNamespace(yaw=0.0)))
+    return Panel(client, any_of(LoadedRun()), any_of(Puppet()), any_of(SimpleNamespace(yaw=0.0)))
 
 
 def any_of(stand_in: object) -> Any:
@@ -125,20 +125,20 @@ def test_no_style_can_be_called_as_the_mixture_is():
 
 
 def test_a_choice_beside_a_style_that_arrives_is_heard(server):
-    stage, actor = any_of(Cast()), any_of(Puppet())
-    picker = StylePicker(server.gui, stage, actor)
+    library, character = any_of(LoadedRun()), any_of(Puppet())
+    picker = StylePicker(server.gui, library, character)
     picker.hear(0.0)
-    stage.join("run", "zombie")
+    library.join("run", "zombie")
     picker._style.value = "proud"
     picker.refresh()
     assert picker._style.options == ("angry", "neutral", "proud", "zombie", MIXTURE)
     picker.hear(0.1)
-    assert actor.shares == {"proud": 1.0}
-    stage.join("run", "weary")
+    assert character.shares == {"proud": 1.0}
+    library.join("run", "weary")
     picker._corners[0].value = "zombie"
     picker.refresh()
     picker.hear(0.2)
-    assert set(actor.shares) == {"zombie", "neutral", "proud"} and picker._style.value == MIXTURE
+    assert set(character.shares) == {"zombie", "neutral", "proud"} and picker._style.value == MIXTURE
     server.gui.reset()
 
 
@@ -150,7 +150,7 @@ def test_corners_of_another_run_are_all_different():
 
 
 def test_a_run_of_two_styles_leaves_no_corner_behind(server):
-    picker = StylePicker(server.gui, any_of(Cast()), any_of(Puppet()))
+    picker = StylePicker(server.gui, any_of(LoadedRun()), any_of(Puppet()))
     for run, corners in (("two", {"neutral", "old"}), ("run", {"angry", "neutral", "proud"})):
         picker._run.value = run
         picker.hear(0.0)
@@ -168,7 +168,7 @@ def seen(**values: Any) -> Any:
 def test_a_style_chosen_while_it_stands_says_how_to_see_it(panel):
     def told(**values: Any) -> bool:
         panel.show(seen(**values), 0.0, 60.0)
-        return dials.UNSEEN in panel._readout.content
+        return widgets.UNSEEN in panel._readout.content
 
     assert not told()
     panel._picker.select("run", "proud")
@@ -176,7 +176,7 @@ def test_a_style_chosen_while_it_stands_says_how_to_see_it(panel):
     panel._picker.select("run", "proud")
     assert not told()
     panel.learned("run", "neutral")
-    assert told() and dials.UNSEEN in panel._message.content and not told(speed=0.5)
+    assert told() and widgets.UNSEEN in panel._message.content and not told(speed=0.5)
 
 
 def test_a_recording_that_has_ended_waits_for_its_download(panel):
@@ -188,18 +188,18 @@ def test_a_recording_that_has_ended_waits_for_its_download(panel):
 
 
 def test_a_style_learned_does_not_call_back_who_has_gone_on(panel):
-    stage, actor = panel._stage, panel._actor
+    library, character = panel._library, panel._character
     panel.serve(0.0)
-    stage.join("run", "zombie")
+    library.join("run", "zombie")
     panel.learned("run", "zombie")
     panel.serve(0.1)
-    assert actor.shares == {"zombie": 1.0} and "zombie is learned" in panel._message.content
+    assert character.shares == {"zombie": 1.0} and "zombie is learned" in panel._message.content
     panel._picker._run.value = "two"
     panel.serve(0.2)
-    stage.join("run", "weary")
+    library.join("run", "weary")
     panel.learned("run", "weary")
     panel.serve(0.3)
-    assert (actor.run, actor.shares) == ("two", {"neutral": 1.0})
+    assert (character.run, character.shares) == ("two", {"neutral": 1.0})
     assert "weary" in panel._message.content and "choose that run" in panel._message.content
 
 
@@ -207,8 +207,8 @@ def test_a_download_is_written_beside_the_character(panel, client, monkeypatch):
     written, free = panel_module.bvh_bytes, threading.Event()
     monkeypatch.setattr(panel_module, "bvh_bytes", lambda clip: free.wait(SOON) and written(clip))
     panel._record_or_stop()
-    assert panel._actor.recording and not client.told
-    panel._actor.clip = synthesise("zombie", np.zeros(30), np.ones(30))[0]
+    assert panel._character.recording and not client.told
+    panel._character.clip = synthesise("zombie", np.zeros(30), np.ones(30))[0]
     panel._record_or_stop()  # would wait for the writing
     assert not client.told
     free.set()
@@ -216,7 +216,7 @@ def test_a_download_is_written_beside_the_character(panel, client, monkeypatch):
 
 
 def tab_of(client: Any) -> Tab:
-    return Tab(client, any_of(Cast()))
+    return Tab(client, any_of(LoadedRun()))
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
@@ -227,7 +227,7 @@ def test_an_upload_that_fails_as_nobody_expected_is_told(panel, client, monkeypa
     monkeypatch.setattr(tab_module, "learn_upload", fail)
     tab, file = tab_of(client), any_of(SimpleNamespace(name="walk.bvh", content=b""))
     with pytest.raises(RuntimeError):
-        tab._learn(panel._actor, panel, file)
+        tab._learn(panel._character, panel, file)
     assert "walk.bvh: RuntimeError: out of paper" in panel._message.content
     assert not panel.upload.disabled
 
@@ -242,10 +242,10 @@ def test_a_second_file_meanwhile_is_not_dropped_without_a_word(panel, client, mo
 
     monkeypatch.setattr(tab_module, "learn_upload", learn)
     files = [any_of(SimpleNamespace(name=name, content=b"")) for name in ("walk.bvh", "second.bvh")]
-    first = threading.Thread(target=tab._learn, args=(panel._actor, panel, files[0]))
+    first = threading.Thread(target=tab._learn, args=(panel._character, panel, files[0]))
     first.start()
     assert begun.wait(SOON)
-    tab._learn(panel._actor, panel, files[1])
+    tab._learn(panel._character, panel, files[1])
     free.set()
     first.join(SOON)
     assert client.told == [("second.bvh is not learned", "Another file is being learned: upload it again after that.")]
@@ -256,7 +256,7 @@ def test_a_character_that_stops_says_so(client, monkeypatch):
     def fail(_: Any) -> None:
         raise RuntimeError("no legs")
 
-    monkeypatch.setattr(tab_module, "Actor", fail)
+    monkeypatch.setattr(tab_module, "Character", fail)
     tab = tab_of(client)
     tab.start()
     soon(lambda: not tab.alive)

@@ -13,13 +13,20 @@ from pfnn_jax.motion.clip import MotionClip, resample
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_rotate
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_skeleton
+from pfnn_jax.viewer.draw.annotated_clip import (
+    AnnotatedClip,
+    annotate,
+    annotate_clips,
+    cut_seconds,
+    foot_bars,
+    phase_lines,
+)
 from pfnn_jax.viewer.draw.body import Z_TO_Y, body_capsules, body_points, capsule_ends, upright
 from pfnn_jax.viewer.draw.palette import SIDES
 from pfnn_jax.viewer.draw.scene import make_scene
-from pfnn_jax.viewer.draw.tracks import Track, as_tracks, cut_track, foot_bars, label_track, phase_lines
 from pfnn_jax.viewer.player import player
 from pfnn_jax.viewer.player.player import player_html, player_page
-from tests.viewer.pages import captions, check_page, decoded, make_track, payload
+from tests.viewer.pages import captions, check_page, decoded, make_annotated, payload
 
 QUANTUM = 0.00051  # metres: half a millimetre of rounding
 KILOBYTE = 1000
@@ -27,9 +34,9 @@ LABELLED = 0.2  # radians: the labeller times contacts to a frame or two
 
 
 def test_player_carries_the_capsules_of_the_motion():
-    track = make_track()
-    data = payload(player_html([track], fps=30.0))["tracks"][0]
-    points, capsules = body_points(track.clip)[::2], body_capsules(track.clip.skeleton)
+    annotated = make_annotated()
+    data = payload(player_html([annotated], fps=30.0))["clips"][0]
+    points, capsules = body_points(annotated.clip)[::2], body_capsules(annotated.clip.skeleton)
     shown = decoded(data)
     assert data["fps"] == 30.0 and len(shown) == len(points) == len(data["phases"][0]["angle"])
     assert len(data["capsules"]) == len(capsules)
@@ -42,21 +49,21 @@ def test_player_carries_the_capsules_of_the_motion():
 
 @pytest.mark.parametrize("fps", [60.0, 30.0, 20.0])
 def test_player_shows_contacts_as_runs_whatever_its_rate(fps):
-    track = make_track()
-    data = payload(player_html([track], fps=fps))["tracks"][0]
-    assert track.contacts is not None
+    annotated = make_annotated()
+    data = payload(player_html([annotated], fps=fps))["clips"][0]
+    assert annotated.contacts is not None
     for foot, runs in enumerate(data["contacts"]):
-        stands = np.zeros(track.clip.num_frames, bool)
+        stands = np.zeros(annotated.clip.num_frames, bool)
         for first, past in runs:
             stands[round(first * 60 / fps) : round(past * 60 / fps)] = True
-        np.testing.assert_array_equal(stands, track.contacts[:, 2 * foot : 2 * foot + 2].any(axis=1))
+        np.testing.assert_array_equal(stands, annotated.contacts[:, 2 * foot : 2 * foot + 2].any(axis=1))
 
 
 def test_a_second_takes_eight_kilobytes_and_scenes_of_a_kilometre_still_fit():
-    track = make_track(frames=1200)
-    assert len(player_html([track], fps=30.0, assets=False)) < 20 * 8 * KILOBYTE
+    annotated = make_annotated(frames=1200)
+    assert len(player_html([annotated], fps=30.0, assets=False)) < 20 * 8 * KILOBYTE
     far = synthesise("neutral", np.zeros(600), np.full(600, 100.0))[0]
-    data = payload(player_html([Track("fast", far)]))["tracks"][0]
+    data = payload(player_html([AnnotatedClip("fast", far)]))["clips"][0]
     for values, true in ((decoded(data)[:, 0], body_points(far)[::2, 0]), (decoded(data, "focus")[:, 0, :1], 0.0)):
         np.testing.assert_allclose(values, np.broadcast_to(true, values.shape), atol=1000 / 32767)
 
@@ -64,12 +71,12 @@ def test_a_second_takes_eight_kilobytes_and_scenes_of_a_kilometre_still_fit():
 def test_pages_refuse_to_grow_without_end(monkeypatch):
     monkeypatch.setattr(player, "MOST", 10 * KILOBYTE)
     with pytest.raises(InputError, match=r"player: 0 MB for 2 s of motion; a page holds 0 MB: show fewer seconds"):
-        player_html([make_track()])
+        player_html([make_annotated()])
 
 
 def test_players_are_balanced_and_names_cannot_break_out():
     name = "</script><script>alert(1)</script>"
-    page = player_page([make_track(name), make_track("plain", extras=False)], title=name)
+    page = player_page([make_annotated(name), make_annotated("plain", extras=False)], title=name)
     check_page(page.removeprefix("<!doctype html>"))
     assert name not in page
     assert captions(page) == [name, "plain"]
@@ -79,13 +86,13 @@ def test_players_are_balanced_and_names_cannot_break_out():
 def test_players_refuse_nothing_and_mismatched_lengths():
     with pytest.raises(ValueError, match="at least one"):
         player_html([])
-    track = make_track()
-    with pytest.raises(ValueError, match="phase of track 'x' has 3 frames, its clip 120"):
-        Track("x", track.clip, phase=np.zeros(3))
-    with pytest.raises(ValueError, match=r"phase of track 'x' is \[120, 3\]"):
-        Track("x", track.clip, phase=np.zeros((120, 3)))
-    with pytest.raises(ValueError, match=r"contacts of track 'x' are \[120, 3\]"):
-        Track("x", track.clip, contacts=np.zeros((120, 3), bool))
+    annotated = make_annotated()
+    with pytest.raises(ValueError, match="phase of 'x' has 3 frames, its clip 120"):
+        AnnotatedClip("x", annotated.clip, phase=np.zeros(3))
+    with pytest.raises(ValueError, match=r"phase of 'x' is \[120, 3\]"):
+        AnnotatedClip("x", annotated.clip, phase=np.zeros((120, 3)))
+    with pytest.raises(ValueError, match=r"contacts of 'x' are \[120, 3\]"):
+        AnnotatedClip("x", annotated.clip, contacts=np.zeros((120, 3), bool))
 
 
 def test_the_script_is_one_function_and_the_colours_are_those_of_pictures():
@@ -103,7 +110,7 @@ def test_the_script_is_one_function_and_the_colours_are_those_of_pictures():
 
 
 def test_what_cannot_be_shown_is_refused_by_name():
-    clip = dataclasses.replace(make_track().clip, source="a.bvh")
+    clip = dataclasses.replace(make_annotated().clip, source="a.bvh")
     empty = dataclasses.replace(clip, root_positions=clip.root_positions[:0], rotations=clip.rotations[:0])
     away, turned = clip.root_positions.copy(), clip.rotations.copy()
     away[7, 1], turned[9, 3] = np.inf, np.nan
@@ -114,20 +121,20 @@ def test_what_cannot_be_shown_is_refused_by_name():
         "frame rate: nan; frames per second must be positive": dataclasses.replace(clip, fps=np.nan),
     }
     for message, shown in bad.items():
-        for make in (lambda c: Track("x", c), lambda c: label_track(c, "x"), lambda c: as_tracks([c])):
+        for make in (lambda c: AnnotatedClip("x", c), lambda c: annotate(c, "x"), lambda c: annotate_clips([c])):
             with pytest.raises(InputError, match=f"^a.bvh: {message}"):
                 make(shown)
 
 
 def test_labels_are_those_of_the_motion():
-    known = make_track(frames=240)
-    track = label_track(known.clip, "zombie")
-    assert track.phase is not None and known.phase is not None and track.note == ""
-    labelled = np.isfinite(track.phase)
+    known = make_annotated(frames=240)
+    annotated = annotate(known.clip, "zombie")
+    assert annotated.phase is not None and known.phase is not None and annotated.note == ""
+    labelled = np.isfinite(annotated.phase)
     assert labelled.mean() > 0.8
-    off = np.angle(np.exp(1j * (track.phase - known.phase)))[labelled]
+    off = np.angle(np.exp(1j * (annotated.phase - known.phase)))[labelled]
     assert np.median(np.abs(off - np.median(off))) < LABELLED
-    (name, bars), (other, _) = foot_bars(track)
+    (name, bars), (other, _) = foot_bars(annotated)
     assert (name, other) == ("left", "right") and 2 <= len(bars) <= 6
 
 
@@ -135,10 +142,10 @@ def test_standing_has_contacts_and_no_phase_and_says_so():
     clip, _ = synthesise("neutral", np.zeros(90), np.zeros(90))
     still = dataclasses.replace(clip, root_positions=clip.root_positions[:1].repeat(90, 0),
                                 rotations=clip.rotations[:1].repeat(90, 0))  # fmt: skip
-    track = label_track(still, "still")
-    assert (track.phase, track.note) == (None, "no steps: no phase")
-    assert [runs.tolist() for _, runs in foot_bars(track)] == [[[0, 90]], [[0, 90]]]
-    assert phase_lines(track) == []
+    annotated = annotate(still, "still")
+    assert (annotated.phase, annotated.note) == (None, "no steps: no phase")
+    assert [runs.tolist() for _, runs in foot_bars(annotated)] == [[[0, 90]], [[0, 90]]]
+    assert phase_lines(annotated) == []
 
 
 def test_where_steps_are_found_for_a_part_only_the_note_says_so():
@@ -149,15 +156,15 @@ def test_where_steps_are_found_for_a_part_only_the_note_says_so():
         root_positions=np.append(clip.root_positions[:180], clip.root_positions[180:181].repeat(180, 0), 0),
         rotations=np.append(clip.rotations[:180], clip.rotations[180:181].repeat(180, 0), 0),
     )
-    track = label_track(stands, "stops")
-    assert track.phase is not None and np.isnan(track.phase[-30:]).all()
-    assert track.note == "phase only where there are steps"
-    assert cut_track(track, 1.0, 1.0).note == ""
-    assert cut_track(track, 5.5, None).note == "no steps: no phase"
-    told = dataclasses.replace(track, note="mine")
-    assert cut_track(told, 1.0, 1.0).note == "mine"
+    annotated = annotate(stands, "stops")
+    assert annotated.phase is not None and np.isnan(annotated.phase[-30:]).all()
+    assert annotated.note == "phase only where there are steps"
+    assert cut_seconds(annotated, 1.0, 1.0).note == ""
+    assert cut_seconds(annotated, 5.5, None).note == "no steps: no phase"
+    told = dataclasses.replace(annotated, note="mine")
+    assert cut_seconds(told, 1.0, 1.0).note == "mine"
     local = dataclasses.replace(told, phase=np.ones((360, 4, 2)))
-    assert cut_track(local, 1.0, 1.0).note == "mine"
+    assert cut_seconds(local, 1.0, 1.0).note == "mine"
 
 
 def test_local_phases_become_four_lines_as_strong_as_their_vectors():
@@ -165,11 +172,11 @@ def test_local_phases_become_four_lines_as_strong_as_their_vectors():
     angle = np.linspace(0, 6, 120)
     vectors[:, 1] = 0.5 * np.stack([np.sin(angle), np.cos(angle)], -1)
     vectors[:, 3] = 2 * vectors[:, 1]
-    lines = phase_lines(Track("x", make_track().clip, phase=vectors))
+    lines = phase_lines(AnnotatedClip("x", make_annotated().clip, phase=vectors))
     assert [line.name for line in lines] == ["left hand", "right hand", "left toe", "right toe"]
     np.testing.assert_allclose(lines[1].angle, angle, atol=1e-12)
     assert lines[0].weight.max() == 0.0 and lines[1].weight[60] == pytest.approx(0.5) and lines[3].weight[60] == 1.0
-    data = payload(player_html([Track("x", make_track().clip, phase=vectors)]))["tracks"][0]
+    data = payload(player_html([AnnotatedClip("x", make_annotated().clip, phase=vectors)]))["clips"][0]
     assert data["phases"][1]["weight"][30] == pytest.approx(0.5)
 
 
@@ -178,30 +185,30 @@ def test_frames_without_local_phases_are_gaps(bones):
     vectors = np.ones((120, bones, 2))
     vectors[30:60] = np.nan
     vectors[60, :, 1] = np.inf
-    track = Track("x", make_track().clip, phase=vectors)
-    text = player_html([track], fps=60.0, assets=False)
-    lines = payload(text)["tracks"][0]["phases"]
+    annotated = AnnotatedClip("x", make_annotated().clip, phase=vectors)
+    text = player_html([annotated], fps=60.0, assets=False)
+    lines = payload(text)["clips"][0]["phases"]
     assert len({line["name"] for line in lines}) == len(lines) == bones and "NaN" not in text
     for line in lines:
         assert [value is None for value in line["angle"]] == [30 <= t <= 60 for t in range(120)]
         assert line["weight"] is None  # all of it or none
-    nowhere = Track("x", track.clip, phase=np.full((120, bones, 2), np.nan))
+    nowhere = AnnotatedClip("x", annotated.clip, phase=np.full((120, bones, 2), np.nan))
     assert all(line.weight.max() == 0.0 and np.isnan(line.angle).all() for line in phase_lines(nowhere))
 
 
 def test_a_phase_that_is_not_finite_is_none():
-    track = make_track()
-    (line,) = phase_lines(Track("x", track.clip, phase=np.where(np.arange(120) < 9, np.inf, 1.0)))
+    annotated = make_annotated()
+    (line,) = phase_lines(AnnotatedClip("x", annotated.clip, phase=np.where(np.arange(120) < 9, np.inf, 1.0)))
     assert np.isnan(line.angle[:9]).all() and (line.angle[9:] == 1.0).all() and line.weight.sum() == 111
 
 
 def test_a_part_keeps_the_labels_of_the_whole():
-    track = make_track()
-    part = cut_track(track, 0.5, 1.0)
+    annotated = make_annotated()
+    part = cut_seconds(annotated, 0.5, 1.0)
     assert part.clip.num_frames == 61 and part.seconds == 1.0
-    assert track.phase is not None and part.phase is not None
-    np.testing.assert_array_equal(part.phase, track.phase[30:91])
-    assert cut_track(track, 1.5, 1e300).clip.num_frames == 30
+    assert annotated.phase is not None and part.phase is not None
+    np.testing.assert_array_equal(part.phase, annotated.phase[30:91])
+    assert cut_seconds(annotated, 1.5, 1e300).clip.num_frames == 30
     bad = (
         (2.5, None),
         (-1.0, 1.0),
@@ -214,15 +221,15 @@ def test_a_part_keeps_the_labels_of_the_whole():
     )
     for start, seconds in bad:
         with pytest.raises(InputError, match="start and seconds: .*; what is shown lies in the clip's 2.0 seconds"):
-            cut_track(track, start, seconds)
+            cut_seconds(annotated, start, seconds)
 
 
 def test_names_are_style_and_content_or_the_file():
-    clip = make_track().clip
+    clip = make_annotated().clip
     nameless = dataclasses.replace(clip, style="unknown", content="", source="a/b.bvh")
-    assert [track.name for track in as_tracks([clip, nameless])] == ["zombie walk", "b"]
+    assert [annotated.name for annotated in annotate_clips([clip, nameless])] == ["zombie walk", "b"]
     with pytest.raises(ValueError, match="2 clips and 1 names"):
-        as_tracks([clip, clip], ["one"])
+        annotate_clips([clip, clip], ["one"])
 
 
 def test_body_of_the_walker_is_symmetric_and_bodies_without_roles_are_equally_thin():
@@ -241,9 +248,9 @@ def test_body_of_the_walker_is_symmetric_and_bodies_without_roles_are_equally_th
 
 
 def test_capsule_ends_lie_on_the_bone():
-    track = make_track()
-    head = next(c for c in body_capsules(track.clip.skeleton) if c.span != (0.0, 1.0))
-    points = body_points(track.clip)
+    annotated = make_annotated()
+    head = next(c for c in body_capsules(annotated.clip.skeleton) if c.span != (0.0, 1.0))
+    points = body_points(annotated.clip)
     a, b = capsule_ends(points, head)
     bone = points[:, head.end] - points[:, head.start]
     np.testing.assert_allclose(b - a, (head.span[1] - head.span[0]) * bone, atol=1e-12)
@@ -268,14 +275,14 @@ def one_joint(frames: int = 40) -> MotionClip:
 
 @pytest.mark.parametrize("frames", [1, 2, 40])
 def test_a_single_joint_plays_as_a_dot(frames):
-    track = as_tracks([one_joint(frames)])[0]
-    assert track.note == "no feet known: no contacts, no phase" and track.name == "clip 1"
-    data = payload(player_html([track]))["tracks"][0]
+    annotated = annotate_clips([one_joint(frames)])[0]
+    assert annotated.note == "no feet known: no contacts, no phase" and annotated.name == "clip 1"
+    data = payload(player_html([annotated]))["clips"][0]
     assert decoded(data).shape == (frames, 1, 3) and data["tall"] > 0 and len(data["capsules"]) == 1
 
 
 def test_z_up_becomes_y_up_and_y_up_stays():
-    clip = make_track().clip
+    clip = make_annotated().clip
     tipped = dataclasses.replace(
         clip,
         root_positions=quat_rotate(quat_conjugate(Z_TO_Y), clip.root_positions),
@@ -285,11 +292,11 @@ def test_z_up_becomes_y_up_and_y_up_stays():
     )
     np.testing.assert_allclose(body_points(upright(tipped)), body_points(clip), atol=1e-12)
     assert upright(clip) is clip and upright(tipped, "y") is tipped
-    assert as_tracks([tipped])[0].phase is not None  # steps are found once it stands
+    assert annotate_clips([tipped])[0].phase is not None  # steps are found once it stands
 
 
 def test_the_ground_is_where_the_feet_are():
-    clip = make_track().clip
+    clip = make_annotated().clip
     low = dataclasses.replace(clip, root_positions=clip.root_positions - [0.0, 0.95, 0.0])
     assert abs(make_scene(low).points[..., 1].min()) < 0.05
     np.testing.assert_array_equal(make_scene(clip).points, body_points(clip))  # a file that means 0 keeps it

@@ -18,15 +18,15 @@ from pfnn_jax.motion.clip import resample
 from pfnn_jax.motion.labels.phase import label_phase, write_phase
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer import render as rendering
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate
 from pfnn_jax.viewer.draw.camera import Camera
 from pfnn_jax.viewer.draw.drawing import body_shapes, outlines
-from pfnn_jax.viewer.draw.film import Film
 from pfnn_jax.viewer.draw.filmstrip import filmstrip
 from pfnn_jax.viewer.draw.scene import make_scene
-from pfnn_jax.viewer.draw.tracks import Track, label_track
+from pfnn_jax.viewer.draw.video import Video
 from pfnn_jax.viewer.player.player import player_html
 from pfnn_jax.viewer.render import render
-from tests.viewer.pages import captions, check_page, make_track, payload
+from tests.viewer.pages import captions, check_page, make_annotated, payload
 
 EXACT = 1e-9
 FPS = 10.0  # of the films made here: few frames
@@ -39,8 +39,8 @@ def plain_start(monkeypatch):
 
 
 @pytest.fixture
-def short() -> Track:
-    return make_track(frames=40)
+def short() -> AnnotatedClip:
+    return make_annotated(frames=40)
 
 
 def test_outlines_touch_both_circles_and_enclose_them():
@@ -79,34 +79,34 @@ def test_the_camera_looks_at_its_target_from_ahead_whatever_the_heading():
 
 
 def test_films_are_in_step_and_as_long_as_their_longest_clip(short):
-    slow = Track("slow", resample(make_track(frames=90).clip, 20.0))
-    film = Film([short, slow], FPS, 60)
-    assert film.num_frames == 15 and film.width % 2 == 0 and film.height % 2 == 0
-    frames = list(film.frames())
-    assert {frame.shape for frame in frames} == {(film.height, film.width, 3)}
-    left = [frame[:, : film.width // 2].astype(int) for frame in frames]
+    slow = AnnotatedClip("slow", resample(make_annotated(frames=90).clip, 20.0))
+    video = Video([short, slow], FPS, 60)
+    assert video.num_frames == 15 and video.width % 2 == 0 and video.height % 2 == 0
+    frames = list(video.frames())
+    assert {frame.shape for frame in frames} == {(video.height, video.width, 3)}
+    left = [frame[:, : video.width // 2].astype(int) for frame in frames]
     assert np.abs(left[3] - left[2]).max() > 100 and np.abs(left[-1][:200] - left[-2][:200]).max() < 100
-    np.testing.assert_array_equal(film.frame_at(0.3), frames[3])  # a frame depends on its second alone
+    np.testing.assert_array_equal(video.frame_at(0.3), frames[3])  # a frame depends on its second alone
 
 
 def test_a_clip_that_has_ended_turns_pale_when_it_does_in_players(short):
-    long = make_track(frames=60, extras=False)
-    over = payload(player_html([short, long], fps=15.0))["tracks"][0]["over"]
+    long = make_annotated(frames=60, extras=False)
+    over = payload(player_html([short, long], fps=15.0))["clips"][0]["over"]
     assert over == pytest.approx(39.5 / 60, abs=1e-4)
-    film = Film([Track("", short.clip), long], FPS, 60)
-    before, after = (film.frame_at(over + late)[:, : film.width // 2].astype(int) for late in (-0.002, 0.002))
+    video = Video([AnnotatedClip("", short.clip), long], FPS, 60)
+    before, after = (video.frame_at(over + late)[:, : video.width // 2].astype(int) for late in (-0.002, 0.002))
     grey = (np.ptp(before, axis=-1).max(), np.ptp(after, axis=-1).max())
     assert grey[0] > 1.5 * grey[1]  # blue and orange fade
 
 
 def test_long_films_move_their_time_line(short):
     clip, _ = synthesise("neutral", np.zeros(720), np.full(720, 1.0))
-    film = Film([label_track(clip, "long")], FPS, 60)
-    strip = slice(film.height - 50, film.height - 12)
-    early, late = film.frame_at(1.0)[strip].astype(int), film.frame_at(11.0)[strip].astype(int)
+    video = Video([annotate(clip, "long")], FPS, 60)
+    strip = slice(video.height - 50, video.height - 12)
+    early, late = video.frame_at(1.0)[strip].astype(int), video.frame_at(11.0)[strip].astype(int)
     assert np.abs(early - late).max() > 100
-    with pytest.raises(ValueError, match="at least one track"):
-        Film([], FPS, 60)
+    with pytest.raises(ValueError, match="at least one annotated"):
+        Video([], FPS, 60)
 
 
 def test_every_format(short, tmp_path: Path, monkeypatch):
@@ -121,7 +121,7 @@ def test_every_format(short, tmp_path: Path, monkeypatch):
     assert sorted(p.suffix for p in tmp_path.iterdir()) == [".gif", ".html", ".mp4", ".png"]  # and nothing else
     page = (tmp_path / "walk.html").read_text(encoding="utf-8")
     check_page(page.removeprefix("<!doctype html>"))
-    assert payload(page)["tracks"][0]["fps"] == FPS
+    assert payload(page)["clips"][0]["fps"] == FPS
     with Image.open(tmp_path / "walk.gif") as gif:
         assert (getattr(gif, "n_frames", 1), gif.info["duration"], gif.info["loop"]) == (7, 100, 0)
         colours = {colour for _, colour in gif.convert("RGB").getcolors(1 << 16) or []}
@@ -138,10 +138,10 @@ def test_films_can_be_read_by_others(short, tmp_path: Path, monkeypatch):
     render([short], tmp_path / "a.mp4", fps=20.0)
     reader = imageio_ffmpeg.read_frames(str(tmp_path / "a.mp4"))
     about = next(reader)
-    film = Film([short], 20.0, 40)
-    assert about["fps"] == 20.0 and about["size"] == (film.width, film.height)
-    first = np.frombuffer(next(reader), np.uint8).reshape(film.height, film.width, 3)
-    assert np.abs(first.astype(int) - film.frame_at(0.0)).mean() < 3  # of 255: compression
+    video = Video([short], 20.0, 40)
+    assert about["fps"] == 20.0 and about["size"] == (video.width, video.height)
+    first = np.frombuffer(next(reader), np.uint8).reshape(video.height, video.width, 3)
+    assert np.abs(first.astype(int) - video.frame_at(0.0)).mean() < 3  # of 255: compression
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_existing_files_stay_unless_asked(short, tmp_path: Path):
 
 def test_gifs_have_a_limit_and_films_name_their_extra(short, tmp_path: Path, monkeypatch):
     monkeypatch.setattr(rendering, "MOST_GIF", 5)
-    with pytest.raises(InputError, match="film: 1 s at 20 frames per second; a GIF holds 5 frames"):
+    with pytest.raises(InputError, match="video: 1 s at 20 frames per second; a GIF holds 5 frames"):
         render([short], tmp_path / "a.gif")
     real = builtins.__import__
 
@@ -188,7 +188,7 @@ def test_gifs_have_a_limit_and_films_name_their_extra(short, tmp_path: Path, mon
 
 
 def test_filmstrips_have_a_row_for_each_clip(short):
-    one, two = filmstrip(short.clip, moments=4), filmstrip(short, make_track("b", extras=False), moments=4)
+    one, two = filmstrip(short.clip, moments=4), filmstrip(short, make_annotated("b", extras=False), moments=4)
     assert two.get_size_inches()[1] > 1.9 * one.get_size_inches()[1]
     alone = filmstrip(short.clip, span=(5, 5))
     assert alone.get_size_inches()[0] < one.get_size_inches()[0]
@@ -208,12 +208,12 @@ def test_every_figure_stands_above_its_moment(short, moments):
 
 
 def test_time_lines_end_with_their_clips(short):
-    long = make_track(frames=120)
+    long = make_annotated(frames=120)
     figure = filmstrip(short, long, moments=3)
     lines = [axes for axes in figure.axes if any(text.get_text() == "phase" for text in axes.texts)]
-    for axes, track in zip(lines, (short, long), strict=True):
+    for axes, annotated in zip(lines, (short, long), strict=True):
         behind = axes.collections[0].get_paths()[0].get_extents()
-        assert (behind.x0, behind.x1) == pytest.approx((0.0, track.clip.num_frames / 60))
+        assert (behind.x0, behind.x1) == pytest.approx((0.0, annotated.clip.num_frames / 60))
         assert [text.get_text() for text in axes.texts] == ["left foot", "right foot", "phase", "2π", "0"]
 
 
@@ -228,7 +228,7 @@ def test_the_command_labels_draws_and_tells(tmp_path: Path, capsys):
     command = ["render", str(tmp_path / "a.bvh"), str(tmp_path / "b.bvh"), "--out", str(out), "--names", "one", "two"]
     main([*command, "--start", "0.5", "--seconds", "2", "--fps", "20"])
     page = out.read_text(encoding="utf-8")
-    first, _ = payload(page)["tracks"]
+    first, _ = payload(page)["clips"]
     assert captions(page) == ["one", "two"] and first["fps"] == 20.0
     shown = np.array([np.nan if value is None else value for value in first["phases"][0]["angle"]])
     want = np.where(labels.labelled, labels.phase, np.nan)[30:151:3]
@@ -257,10 +257,10 @@ def test_the_command_says_what_is_wrong(tmp_path: Path, capsys, args, message):
 def test_a_film_of_a_bouncing_dot_shows_it():
     from tests.viewer.test_player import one_joint
 
-    track = Track("dot", one_joint())
-    scene = make_scene(track.clip)
+    annotated = AnnotatedClip("dot", one_joint())
+    scene = make_scene(annotated.clip)
     assert scene.capsules[0].start_radius == pytest.approx(0.07 * scene.tall)
-    grey = Film([track], FPS, 60).frame_at(0.5).astype(int)
+    grey = Video([annotated], FPS, 60).frame_at(0.5).astype(int)
     assert (np.abs(grey - [138, 148, 163]).max(axis=-1) < 60).sum() > 20
 
 

@@ -14,9 +14,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from pfnn_jax.io.files import write_whole
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, foot_bars, phase_lines
 from pfnn_jax.viewer.draw.body import Capsule, capsule_ends
 from pfnn_jax.viewer.draw.palette import MUTED, PANEL, PHASE, SIDES
-from pfnn_jax.viewer.draw.tracks import Track, foot_bars, phase_lines
 
 LIGHT = np.array([-0.5, 0.85])  # on the page: from above left
 SMALLER = np.linspace(0.0, 0.72, 9)  # of nested outlines: how much smaller each is
@@ -129,44 +129,48 @@ def outlines(a: np.ndarray, b: np.ndarray, ra: np.ndarray, rb: np.ndarray) -> np
     return np.concatenate([circle(b, rb, far), circle(a, ra, near)], axis=-2)
 
 
-def strip_height(track: Track) -> float:
-    """Inches of a track's time line; zero where it has neither contacts nor phases."""
-    heights = _row_heights(track)
+def strip_height(annotated: AnnotatedClip) -> float:
+    """Inches of a annotated's time line; zero where it has neither contacts nor phases."""
+    heights = _row_heights(annotated)
     return sum(heights) + ROW_GAP * max(0, len(heights) - 1)
 
 
-def _row_heights(track: Track) -> list[float]:
-    lines = phase_lines(track)
-    return [FOOT_ROW] * len(foot_bars(track)) + [PHASE_ROW if len(lines) == 1 else BONE_ROW] * len(lines)
+def _row_heights(annotated: AnnotatedClip) -> list[float]:
+    lines = phase_lines(annotated)
+    return [FOOT_ROW] * len(foot_bars(annotated)) + [PHASE_ROW if len(lines) == 1 else BONE_ROW] * len(lines)
 
 
-def draw_strip(axes: Axes, track: Track) -> None:
-    """Draw a track's time line: a bar while a foot stands, a line that rises from 0 to 2π with every cycle.
+def draw_strip(axes: Axes, annotated: AnnotatedClip) -> None:
+    """Draw a annotated's time line: a bar while a foot stands, a line that rises from 0 to 2π with every cycle.
 
     Args:
         axes: `strip_height` high; its x are seconds.
-        track: the clip.
+        annotated: the clip.
     """
-    bars, lines = foot_bars(track), phase_lines(track)
-    heights = _row_heights(track)
-    top = strip_height(track)
+    bars, lines = foot_bars(annotated), phase_lines(annotated)
+    heights = _row_heights(annotated)
+    top = strip_height(annotated)
     axes.set_ylim(0, top)
     names = [*(f"{name} foot" for name, _ in bars), *(line.name for line in lines)]
     for row, (name, height) in enumerate(zip(names, heights, strict=True)):
         top -= height
         # as long as the clip: nothing is known of what comes after
-        axes.broken_barh([(0.0, track.clip.num_frames / track.clip.fps)], (top, height), color=PANEL, lw=0, zorder=0)
+        axes.broken_barh(
+            [(0.0, annotated.clip.num_frames / annotated.clip.fps)], (top, height), color=PANEL, lw=0, zorder=0
+        )
         scaled = height == PHASE_ROW
         _beside(axes, name, top + height / 2, -14 if scaled else -6, 7.5)
         if scaled:
             _beside(axes, "2π", top + 0.84 * height, -3, 6)
             _beside(axes, "0", top + 0.16 * height, -3, 6)
         if row < len(bars):
-            spans = [(first / track.clip.fps, (past - first) / track.clip.fps) for first, past in bars[row][1]]
+            spans = [(first / annotated.clip.fps, (past - first) / annotated.clip.fps) for first, past in bars[row][1]]
             axes.broken_barh(spans, (top, height), facecolors=SIDES[bars[row][0]], linewidth=0, zorder=1)
         else:
             line = lines[row - len(bars)]
-            draw_phase(axes, np.arange(track.clip.num_frames) / track.clip.fps, line.angle, line.weight, top, height)
+            draw_phase(
+                axes, np.arange(annotated.clip.num_frames) / annotated.clip.fps, line.angle, line.weight, top, height
+            )
         top -= ROW_GAP
     axes.set_yticks([])
     axes.set_frame_on(False)

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, cut_frames
 from pfnn_jax.viewer.draw.drawing import blank_figure, draw_body, draw_strip, strip_height
 from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED, SIDES
 from pfnn_jax.viewer.draw.scene import Scene, make_scene
-from pfnn_jax.viewer.draw.tracks import Track, cut_frames
 
 TURN = np.deg2rad(62)  # from a body's front to its right, where the viewer stands
 BODY, MAP, NAMES = 1.75, 1.9, 0.85  # inches: height of the bodies, width of the map, names of a time line's rows
@@ -26,14 +26,14 @@ TRAVELS = 0.5  # metres; a clip that stays in place needs no map
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    track: Track
+    annotated: AnnotatedClip
     scene: Scene
     frames: np.ndarray  # those drawn
     seconds: np.ndarray
 
 
 def filmstrip(
-    *clips: MotionClip | Track, moments: int = 8, title: str = "", span: tuple[int, int] | None = None
+    *clips: MotionClip | AnnotatedClip, moments: int = 8, title: str = "", span: tuple[int, int] | None = None
 ) -> Figure:
     """Clips at several moments, a row each: figures seen from the side, and where they are on the ground.
 
@@ -53,17 +53,17 @@ def filmstrip(
     """
     if not clips or moments < 1:
         raise ValueError(f"A filmstrip needs a clip and a moment, got {len(clips)} and {moments}.")
-    tracks = [clip if isinstance(clip, Track) else Track("", clip) for clip in clips]
+    shown = [clip if isinstance(clip, AnnotatedClip) else AnnotatedClip("", clip) for clip in clips]
     if span is not None:
-        tracks = [cut_frames(track, span[0], span[1] + 1) for track in tracks]
-    longest = max(track.seconds for track in tracks)
+        shown = [cut_frames(annotated, span[0], span[1] + 1) for annotated in shown]
+    longest = max(annotated.seconds for annotated in shown)
     times = np.linspace(0, longest, moments) if longest > 0 else np.zeros(1)
-    rows = [_row(track, times) for track in tracks]
-    left = NAMES if any(strip_height(track) for track in tracks) else EDGE
+    rows = [_row(annotated, times) for annotated in shown]
+    left = NAMES if any(strip_height(annotated) for annotated in shown) else EDGE
     wide = STEP * max(len(times), LEAST)
     with_map = any(np.ptp(row.scene.points[:, 0][:, [0, 2]], axis=0).max() > TRAVELS for row in rows)
     width = left + wide + (MAP + APART if with_map else 0) + EDGE
-    height = (TITLE if title else EDGE / 2) + sum(_height(row.track) for row in rows)
+    height = (TITLE if title else EDGE / 2) + sum(_height(row.annotated) for row in rows)
     figure = blank_figure(width, height)
     top = height
     if title:
@@ -73,19 +73,19 @@ def filmstrip(
         top -= EDGE / 2
     for row in rows:
         _draw_row(figure, row, times, top, left, wide, with_map)
-        top -= _height(row.track)
+        top -= _height(row.annotated)
     return figure
 
 
-def _row(track: Track, times: np.ndarray) -> _Row:
-    there = times[times <= track.seconds + 0.5 / track.clip.fps]
-    frames = np.minimum(np.round(there * track.clip.fps).astype(int), track.clip.num_frames - 1)
-    return _Row(track, make_scene(track.clip), frames, there)
+def _row(annotated: AnnotatedClip, times: np.ndarray) -> _Row:
+    there = times[times <= annotated.seconds + 0.5 / annotated.clip.fps]
+    frames = np.minimum(np.round(there * annotated.clip.fps).astype(int), annotated.clip.num_frames - 1)
+    return _Row(annotated, make_scene(annotated.clip), frames, there)
 
 
-def _height(track: Track) -> float:
-    strip = strip_height(track)
-    return (CAPTION if track.name else 0.0) + BODY + LABELS + (strip + 0.06 if strip else 0.0) + APART
+def _height(annotated: AnnotatedClip) -> float:
+    strip = strip_height(annotated)
+    return (CAPTION if annotated.name else 0.0) + BODY + LABELS + (strip + 0.06 if strip else 0.0) + APART
 
 
 def _draw_row(
@@ -98,21 +98,21 @@ def _draw_row(
     def place(x: float, y: float, w: float, h: float) -> Axes:
         return figure.add_axes((x / width, y / height, w / width, h / height))
 
-    if row.track.name:
+    if row.annotated.name:
         style = {"color": INK, "fontsize": 9.5, "fontweight": "bold", "va": "baseline"}
-        caption = figure.text(EDGE / width, (top - 0.17) / height, row.track.name, **style)
+        caption = figure.text(EDGE / width, (top - 0.17) / height, row.annotated.name, **style)
         beside = {"xycoords": caption, "xytext": (9, 0), "textcoords": "offset points", "va": "bottom"}
-        note = Annotation(row.track.note, (1, 0), **beside, fontsize=8.5, color=MUTED, annotation_clip=False)
+        note = Annotation(row.annotated.note, (1, 0), **beside, fontsize=8.5, color=MUTED, annotation_clip=False)
         figure.add_artist(note)
         top -= CAPTION
     side = place(left, top - BODY - LABELS, wide, BODY + LABELS)
     _draw_bodies(side, row, (row.seconds - times[0] + pad) / (span + 2 * pad), wide)
     if with_map:
         _draw_path(place(left + wide + APART, top - BODY - LABELS, MAP, BODY + LABELS), row)
-    if strip := strip_height(row.track):
+    if strip := strip_height(row.annotated):
         before = wide * pad / (span + 2 * pad)  # so that the rows' names stand beside their first second
         line = place(left + before, top - BODY - LABELS - strip - 0.06, wide - before, strip)
-        draw_strip(line, row.track)
+        draw_strip(line, row.annotated)
         line.vlines(row.seconds, *line.get_ylim(), color=INK, alpha=0.25, linewidth=0.8)
         line.set_xlim(times[0], times[0] + span + pad)
         line.set_xticks([])
@@ -128,7 +128,7 @@ def _draw_bodies(axes: Axes, row: _Row, across: np.ndarray, inches: float) -> No
     radius = max(max(c.start_radius, c.end_radius) for c in scene.capsules)
     low, high = min(0.0, *(v[:, 1].min() for v in views)), max(v[:, 1].max() for v in views) + radius
     reach = max(np.ptp(v[:, 0]) for v in views) + 2 * radius
-    known = row.track.clip.skeleton.roles is not None
+    known = row.annotated.clip.skeleton.roles is not None
     tall = max((high - low) * HEADROOM, (CLOSE if known else APART_BODIES) * reach * BODY / STEP, 1e-6)
     per_inch = tall / BODY
     wide = per_inch * inches
@@ -173,7 +173,7 @@ def _draw_path(axes: Axes, row: _Row) -> None:
     """The path from above, a triangle pointing where the body faces at each moment, and a bar of one metre."""
     path, facing = _laid_out(row.scene)
     axes.plot(*path.T, color=SIDES["middle"], linewidth=1.5)
-    knows = row.track.clip.skeleton.roles is not None
+    knows = row.annotated.clip.skeleton.roles is not None
     for number, frame in enumerate(row.frames):
         angle = np.rad2deg(np.arctan2(-facing[frame, 0], facing[frame, 1]))
         marker = (3, 0, angle) if knows else "o"

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.viewer.page import dials
-from pfnn_jax.viewer.page.actor import Actor
+from pfnn_jax.viewer.page import widgets
+from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.colours import HEEL, LEFT, PLAIN, RIGHT, TOE, rgb
 from pfnn_jax.viewer.page.recording import bvh_bytes
+from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look
-from pfnn_jax.viewer.page.stage import Stage
 from pfnn_jax.viewer.page.style_picker import StylePicker
 from pfnn_jax.viewer.page.timeline import SECONDS, Timeline
 from pfnn_jax.viewer.page.view import View
-from pfnn_jax.viewer.page.words import Values, word_of
+from pfnn_jax.viewer.page.words import FieldChanges, parse_message
 
 if TYPE_CHECKING:
     import viser
@@ -41,7 +41,7 @@ KEYS = {
 }
 FEET = {"left": LEFT, "right": RIGHT, "heel": HEEL, "toe": TOE}
 STILL = 0.05  # metres per second: slower is standing
-TURNED = math.radians(0.5)  # of a camera: less is no one's wish
+TURNED = math.radians(0.5)  # of a camera: less is no one's drive
 QUEUED = 64  # presses and clicks that may wait
 
 
@@ -53,8 +53,8 @@ class Panel:
 
     Args:
         client: the tab.
-        stage: the runs.
-        actor: the tab's character.
+        library: the runs.
+        character: the tab's character.
         scene: its picture.
 
     Attributes:
@@ -63,26 +63,32 @@ class Panel:
         rate: pictures per second that the browser manages, 0 while that is not known.
     """
 
-    def __init__(self, client: viser.ClientHandle, stage: Stage, actor: Actor, scene: PageScene) -> None:
-        self._client, self._gui, self._stage, self._actor, self._scene = client, client.gui, stage, actor, scene
+    def __init__(self, client: viser.ClientHandle, library: RunLibrary, character: Character, scene: PageScene) -> None:
+        self._client, self._gui, self._library, self._character, self._scene = (
+            client,
+            client.gui,
+            library,
+            character,
+            scene,
+        )
         self.clicks: queue.Queue[Any] = queue.Queue(QUEUED)
         self.rate = 0.0
         self._held, self._heard = "", -math.inf
         self._look: float | None = None
-        self._walked = (actor.run, actor.shares)
-        self._values = Values()
-        self._character()
+        self._walked = (character.run, character.shares)
+        self._values = FieldChanges()
+        self._build_readouts()
         self._drive()
         with self._gui.add_folder("Style"):
-            self._picker = StylePicker(self._gui, stage, actor)
+            self._picker = StylePicker(self._gui, library, character)
         self._files()
         self._gait()
         self._camera()
         self._commands()
-        self._gui.add_html(dials.script())
+        self._gui.add_html(widgets.script())
 
     def serve(self, now: float) -> None:
-        """Carries out what has been pressed and chosen since the last call; `now` in seconds of the actor's clock."""
+        """Carries out what has been pressed and chosen since the last call; `now` in seconds of its clock."""
         self._picker.refresh()
         for _ in range(QUEUED):
             try:
@@ -102,11 +108,11 @@ class Panel:
 
         Args:
             view: the moment.
-            now: seconds of the actor's clock.
+            now: seconds of the character's clock.
             drawn: pictures per second.
         """
-        self._readout.content = dials.readout(view, drawn, self.rate, dials.UNSEEN if self._unseen(view) else "")
-        self._dial.content = dials.phase_dial(view.dials)
+        self._readout.content = widgets.readout(view, drawn, self.rate, widgets.UNSEEN if self._unseen(view) else "")
+        self._dial.content = widgets.phase_dial(view.dials)
         self._timeline.show(now)
         seconds = view.recorded_seconds
         stop = "Stop and download" if view.recording else "Download"
@@ -118,7 +124,7 @@ class Panel:
 
     def tell(self, kind: str, text: str) -> None:
         """A message under the upload button: `good`, `bad` or `plain`."""
-        self._message.content = dials.message(kind, text)
+        self._message.content = widgets.message(kind, text)
 
     def notify(self, title: str, text: str) -> None:
         """A message above everything that stays until it is closed."""
@@ -136,16 +142,16 @@ class Panel:
 
     def learned(self, run: str, style: str) -> None:
         """Puts the character into a style that it has waited for, unless it has gone on to another run meanwhile."""
-        stays = self._actor.run == self._picker.run == run
+        stays = self._character.run == self._picker.run == run
         self._picker.refresh()
         if stays:
             self._picker.select(run, style)
-        then = f". In it now: {dials.UNSEEN}" if stays else ": choose that run"
+        then = f". In it now: {widgets.UNSEEN}" if stays else ": choose that run"
         self.tell("good", f"{style} is learned and among the styles of {run}{then}.")
 
     def _unseen(self, view: View) -> bool:
         """Whether the character stands in another style than it has walked in last, and so looks as it did."""
-        wears = (self._actor.run, self._actor.shares)
+        wears = (self._character.run, self._character.shares)
         if view.speed > STILL or view.wanted_speed > 0.0:
             self._walked = wears
         return wears != self._walked
@@ -154,7 +160,7 @@ class Panel:
 
     def _drive(self) -> None:
         with self._gui.add_folder("Drive"):
-            self._gui.add_html(dials.pad())
+            self._gui.add_html(widgets.pad())
             self._channel = self._gui.add_text(DRIVE, "")
             self._gui.add_button("Reset", color=rgb(PLAIN)).on_click(self._later(self._reset))
 
@@ -164,15 +170,15 @@ class Panel:
             self._speed = self._gui.add_slider("Speed", *SPEEDS, step=0.05, initial_value=1.2, disabled=True)
             self._strafe = self._gui.add_checkbox("Sidestep", False, hint="Face ahead while stepping aside or back.")
 
-    def _character(self) -> None:
+    def _build_readouts(self) -> None:
         """A panel of its own for everything that is only read."""
         panel = self._gui.add_panel()
         with panel.add_tab("Character"):
             self._readout = self._gui.add_html("")
             self._dial = self._gui.add_html("")
             self._timeline = Timeline(self._gui)
-            self._gui.add_html(dials.legend(FEET, f"last {SECONDS:.0f} s"))
-        panel.float(x=15, y=15, width=dials.READOUT_WIDTH)
+            self._gui.add_html(widgets.legend(FEET, f"last {SECONDS:.0f} s"))
+        panel.float(x=15, y=15, width=widgets.READOUT_WIDTH)
 
     def _files(self) -> None:
         with self._gui.add_folder("Clips"):
@@ -181,7 +187,7 @@ class Panel:
             self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
             self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
             note = "A walk of a few seconds: its style is learned here."
-            self._message = self._gui.add_html(dials.message("plain", note))
+            self._message = self._gui.add_html(widgets.message("plain", note))
 
     def _camera(self) -> None:
         with self._gui.add_folder("Camera", expand_by_default=False):
@@ -190,7 +196,7 @@ class Panel:
             self._gui.add_button("Behind the character", color=rgb(PLAIN)).on_click(self._later(self._look_again))
 
     def _commands(self) -> None:
-        """Keys for pages whose script is not at work; they know of presses only."""
+        """HeldKeys for pages whose script is not at work; they know of presses only."""
         for key, label in KEYS.items():
             for shift in (False, True):
                 command = self._gui.add_command(
@@ -198,7 +204,7 @@ class Panel:
                     hotkey=key.upper(),  # type: ignore[arg-type]
                     modifier="shift" if shift else None,
                 )
-                command.on_trigger(self._later(lambda key=key, shift=shift: self._actor.press(key, shift)))
+                command.on_trigger(self._later(lambda key=key, shift=shift: self._character.press(key, shift)))
 
     # Serving
 
@@ -215,21 +221,21 @@ class Panel:
         text = self._channel.value
         if text != self._held:
             self._held, self._heard = text, now
-            word = word_of(text)
-            if word is not None:
-                self._actor.set_stick(*word.stick)
-                self.rate = word.rate
+            message = parse_message(text)
+            if message is not None:
+                self._character.set_stick(*message.stick)
+                self.rate = message.rate
         elif now - self._heard > SILENCE:
             self._heard = math.inf
-            self._actor.set_stick(0.0, 0.0)
+            self._character.set_stick(0.0, 0.0)
 
     def _hear_values(self, now: float) -> None:
         own, speed = self._own.value, float(self._speed.value)
         if self._values.changed("speed", (own, speed)):
             self._speed.disabled = own
-            self._actor.set_speed(None if own else speed)
+            self._character.set_speed(None if own else speed)
         if self._values.changed("strafe", self._strafe.value):
-            self._actor.set_strafe(self._strafe.value)
+            self._character.set_strafe(self._strafe.value)
         self._scene.follow, self._scene.turn = self._follow.value, self._turn.value
         self._hear_camera()
         self._picker.hear(now)
@@ -243,18 +249,18 @@ class Panel:
         yaw, before = camera_yaw(camera.position, camera.look_at), self._look
         if yaw is not None and (before is None or abs(math.remainder(yaw - before, 2.0 * math.pi)) > TURNED):
             self._look = yaw
-            self._actor.set_heading(math.remainder(yaw + self._scene.yaw, 2.0 * math.pi))
+            self._character.set_heading(math.remainder(yaw + self._scene.yaw, 2.0 * math.pi))
 
     def _reset(self) -> None:
-        self._actor.reset()
-        self._scene.settle(self._actor.advance(time.monotonic()))
+        self._character.reset()
+        self._scene.settle(self._character.advance(time.monotonic()))
 
     def _record_or_stop(self) -> None:
-        clip = self._actor.stop_recording()
+        clip = self._character.stop_recording()
         if clip is None:
-            self._actor.start_recording()
+            self._character.start_recording()
             return
-        name = f"{'_'.join(self._actor.shares)[:60]}_{clip.num_frames}.bvh"
+        name = f"{'_'.join(self._character.shares)[:60]}_{clip.num_frames}.bvh"
         # Ten minutes take seconds to write, during which the character would stand still.
         threading.Thread(target=self._send, args=(name, clip), name="download", daemon=True).start()
 

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.viewer.page import background, dials
+from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.colours import ACCENT, rgb
 from pfnn_jax.viewer.page.guard import guarded
-from pfnn_jax.viewer.page.learning import give_up, prepare_learning
+from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
-from pfnn_jax.viewer.page.stage import Stage
 from pfnn_jax.viewer.page.tab import Tab
+from pfnn_jax.viewer.page.uploads import give_up, prepare_learning
 
 if TYPE_CHECKING:
     import viser
@@ -47,15 +47,15 @@ class Page:
     so, and gets its character once they are.
 
     Args:
-        stage: the runs; without them they are waited for, see `begin`.
+        library: the runs; without them they are waited for, see `begin`.
         host, port: where to listen; port 0 takes a free one.
 
     Raises:
         InputError: if viser is missing, or nobody can listen there.
     """
 
-    def __init__(self, stage: Stage | None = None, host: str = LOCAL, port: int = 8080) -> None:
-        self._stage = stage
+    def __init__(self, library: RunLibrary | None = None, host: str = LOCAL, port: int = 8080) -> None:
+        self._library = library
         self._tabs: dict[int, Tab] = {}
         self._waiting: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
         self._lock = threading.Lock()
@@ -88,12 +88,12 @@ class Page:
         with self._lock:
             return tuple(self._tabs.values())
 
-    def begin(self, stage: Stage) -> None:
+    def begin(self, library: RunLibrary) -> None:
         """The runs are ready: browsers that have waited for them get their characters, and those that come."""
         with self._lock:
-            self._stage = stage
+            self._library = library
             waiting, self._waiting = self._waiting, {}
-            tabs = {number: Tab(client, stage) for number, (client, _) in waiting.items()}
+            tabs = {number: Tab(client, library) for number, (client, _) in waiting.items()}
             self._tabs |= tabs
         for number, (_, note) in waiting.items():
             note.remove()
@@ -126,11 +126,11 @@ class Page:
         with self._lock:
             if self._closed:
                 return
-            if self._stage is None:
-                note = client.gui.add_html(dials.message("plain", f"Compiling: your character comes {SOON}."))
+            if self._library is None:
+                note = client.gui.add_html(widgets.message("plain", f"Compiling: your character comes {SOON}."))
                 self._waiting[client.client_id] = client, note
                 return
-            tab = self._tabs[client.client_id] = Tab(client, self._stage)
+            tab = self._tabs[client.client_id] = Tab(client, self._library)
         tab.start()
 
     async def _close(self, client: viser.ClientHandle) -> None:
@@ -172,22 +172,22 @@ def _play(
     run_paths: Sequence[str | Path], host: str, port: int, open_browser: bool, ending: Callable[[], None]
 ) -> None:
     background.do(check_viser)
-    stage = None
+    library = None
     with Page(host=host, port=port) as page:  # before anything is loaded: a port that is taken is no surprise later
         try:
             print(f"compiling; the page opens at {page.url} {SOON}", flush=True)
             if open_browser:
                 webbrowser.open(page.url)
-            stage = background.do(partial(Stage, run_paths))
-            threading.Thread(target=_rehearse, args=(stage,), name="rehearsal", daemon=True).start()
-            background.do(stage.warm_up)
-            page.begin(stage)
-            print(f"{', '.join(stage.runs)}: {len(stage.styles)} styles at {page.url}  (Ctrl-C ends)", flush=True)
+            library = background.do(partial(RunLibrary, run_paths))
+            threading.Thread(target=_rehearse, args=(library,), name="rehearsal", daemon=True).start()
+            background.do(library.warm_up)
+            page.begin(library)
+            print(f"{', '.join(library.runs)}: {len(library.styles)} styles at {page.url}  (Ctrl-C ends)", flush=True)
             threading.Event().wait()
         finally:
             ending()
-            if stage is not None:
-                give_up(stage)
+            if library is not None:
+                give_up(library)
 
 
 @contextlib.contextmanager
@@ -211,10 +211,10 @@ def _ended_by_signals() -> Iterator[Callable[[], None]]:
             signal.signal(number, handler)
 
 
-def _rehearse(stage: Stage) -> None:
+def _rehearse(library: RunLibrary) -> None:
     """Compiles what the first upload would wait for, on the core that compiling a step leaves idle."""
-    for run in stage.runs:
-        prepare_learning(stage, run)
+    for run in library.runs:
+        prepare_learning(library, run)
 
 
 def check_viser() -> None:

@@ -14,8 +14,8 @@ import numpy as np
 
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.viewer.draw.solids import TAPER, Body, Mesh, frustum, sphere
 from pfnn_jax.viewer.page.colours import BODY, CELL, FUTURE, GROUND, HORIZON, PAST, SECTION, SKY
+from pfnn_jax.viewer.page.meshes import TAPER, BodyMeshes, Mesh, frustum, sphere
 from pfnn_jax.viewer.page.view import View
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ CAMERA_FIELD = math.radians(40.0)
 
 
 class PageScene:
-    """Body, ground, trajectory and contact marks of one tab.
+    """BodyMeshes, ground, trajectory and contact marks of one tab.
 
     Args:
         scene: the tab's own.
@@ -77,7 +77,7 @@ class PageScene:
         """Builds the body of a skeleton in place of the one before."""
         for part in self._parts:
             part.remove()
-        self._skeleton, self._body = skeleton, Body(skeleton)
+        self._skeleton, self._body = skeleton, BodyMeshes(skeleton)
         colours = np.array([BODY[capsule.side] for capsule in self._body.capsules], np.uint8)
         self._limbs = [
             (chosen, self._batch(name, frustum(ratio), colours[chosen], self._body.limb_scales[chosen]))

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from pfnn_jax.viewer.page import dials
-from pfnn_jax.viewer.page.actor import Actor
-from pfnn_jax.viewer.page.stage import Stage
-from pfnn_jax.viewer.page.words import Values
+from pfnn_jax.viewer.page import widgets
+from pfnn_jax.viewer.page.character import Character
+from pfnn_jax.viewer.page.run_library import RunLibrary
+from pfnn_jax.viewer.page.words import FieldChanges
 
 if TYPE_CHECKING:
     import viser
@@ -30,19 +30,19 @@ class StylePicker:
 
     Args:
         gui: the tab's own, in whose present folder the picker is put.
-        stage: the runs.
-        actor: the tab's character.
+        library: the runs.
+        character: the tab's character.
     """
 
-    def __init__(self, gui: viser.GuiApi, stage: Stage, actor: Actor) -> None:
-        self._stage, self._actor = stage, actor
-        self._version = stage.version
+    def __init__(self, gui: viser.GuiApi, library: RunLibrary, character: Character) -> None:
+        self._library, self._character = library, character
+        self._version = library.version
         self._mixing, self._shares = False, (1 / 3, 1 / 3, 1 / 3)
         self._redraw_at = math.inf
-        self._values = Values()
-        runs, names = stage.runs, self._names(actor.run)
-        self._run = gui.add_dropdown("Run", runs, initial_value=actor.run, visible=len(runs) > 1)
-        self._style = gui.add_dropdown("Style", (*names, MIXTURE), initial_value=next(iter(actor.shares)))
+        self._values = FieldChanges()
+        runs, names = library.runs, self._names(character.run)
+        self._run = gui.add_dropdown("Run", runs, initial_value=character.run, visible=len(runs) > 1)
+        self._style = gui.add_dropdown("Style", (*names, MIXTURE), initial_value=next(iter(character.shares)))
         with gui.add_folder("Mix three", expand_by_default=len(names) > 2):
             self._triangle = gui.add_html("")
             with gui.add_folder("Corners and shares", expand_by_default=False):
@@ -50,7 +50,7 @@ class StylePicker:
                     gui.add_dropdown(label, names, initial_value=name)
                     for label, name in zip(("Top", "Left", "Right"), spread(("",) * 3, names), strict=True)
                 ]
-                self._share_field = gui.add_text(SHARES, " ".join(map(str, dials.percents(self._shares))))
+                self._share_field = gui.add_text(SHARES, " ".join(map(str, widgets.percents(self._shares))))
         self._set_seen(self._run.value, self._style.value)
         self._values.set(shares=self._share_field.value)
         self._draw()
@@ -62,9 +62,9 @@ class StylePicker:
 
     def refresh(self) -> None:
         """Offers what any tab has learned since; what has been chosen meanwhile is left to be heard."""
-        if self._stage.version != self._version:
-            self._version = self._stage.version
-            self._offer(self._actor.run)
+        if self._library.version != self._version:
+            self._version = self._library.version
+            self._offer(self._character.run)
 
     def hear(self, now: float) -> None:
         """Puts the character into what has been chosen since the last call; `now` in seconds of its clock.
@@ -90,7 +90,7 @@ class StylePicker:
         Raises:
             InputError: for an unknown run or style.
         """
-        self._actor.choose(run, style)
+        self._character.choose(run, style)
         self._mixing = False
         self._offer(run)
         self._run.value, self._style.value = run, style
@@ -98,11 +98,11 @@ class StylePicker:
         self._draw()
 
     def _mix(self, corners: tuple[str, ...], now: float) -> None:
-        shares = dials.shares_of(self._share_field.value)
+        shares = widgets.shares_of(self._share_field.value)
         if shares is None:
             return  # half typed
         self._shares, self._mixing = shares, True
-        self._actor.mix(corners, shares)
+        self._character.mix(corners, shares)
         self._style.value = MIXTURE
         self._values.set(style=MIXTURE)
         self._redraw_at = now + REDRAWN
@@ -128,11 +128,11 @@ class StylePicker:
         return tuple(corner.value for corner in self._corners)
 
     def _names(self, run: str) -> tuple[str, ...]:
-        return tuple(self._stage.cast(run).styles)
+        return tuple(self._library.get(run).styles)
 
     def _draw(self) -> None:
         self._redraw_at = math.inf
-        self._triangle.content = dials.triangle(self._corner_names(), self._shares, self._mixing)
+        self._triangle.content = widgets.triangle(self._corner_names(), self._shares, self._mixing)
 
 
 def spread(kept: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:

@@ -9,18 +9,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError, TrainingError
-from pfnn_jax.viewer.page.actor import Actor
-from pfnn_jax.viewer.page.learning import GivenUp, learn_upload
+from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.panel import Panel
+from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene
-from pfnn_jax.viewer.page.stage import Stage
-from pfnn_jax.viewer.page.uploads import drop_large
+from pfnn_jax.viewer.page.uploads import GivenUp, drop_large, learn_upload
 
 if TYPE_CHECKING:
     import viser
 
 FRAME = 1.0 / 60.0
-"""Seconds from one picture to the next; the simulation's own clock is the actor's."""
+"""Seconds from one picture to the next; the simulation's own clock is the character's."""
 
 SLOWEST = 1.0 / 5.0
 """Seconds after which a picture is drawn even when steps are late."""
@@ -40,11 +39,11 @@ class Tab:
 
     Args:
         client: the tab as viser knows it.
-        stage: the runs.
+        library: the runs.
     """
 
-    def __init__(self, client: viser.ClientHandle, stage: Stage) -> None:
-        self._client, self._stage = client, stage
+    def __init__(self, client: viser.ClientHandle, library: RunLibrary) -> None:
+        self._client, self._library = client, library
         self._closed = threading.Event()
         self._learning = threading.Lock()
         self._drawn: deque[float] = deque(maxlen=240)
@@ -76,15 +75,15 @@ class Tab:
             raise
 
     def _play(self) -> None:
-        actor, scene = Actor(self._stage), PageScene(self._client.scene)
-        panel = Panel(self._client, self._stage, actor, scene)
+        character, scene = Character(self._library), PageScene(self._client.scene)
+        panel = Panel(self._client, self._library, character, scene)
 
         async def uploaded(event: Any) -> None:  # not in one of viser's threads: the program's end waits for those
-            work = partial(self._learn, actor, panel, event.target.value)
+            work = partial(self._learn, character, panel, event.target.value)
             threading.Thread(target=work, name="upload", daemon=True).start()
 
         panel.upload.on_upload(uploaded)
-        view = actor.advance(time.monotonic())
+        view = character.advance(time.monotonic())
         worn = ""
         drawn_at = shown_at = -1.0
         cost = 0.0
@@ -93,13 +92,13 @@ class Tab:
             for refusal in drop_large(self._client.gui._current_file_upload_states):
                 panel.tell("bad", refusal)
             panel.serve(now)
-            view = actor.advance(now)
+            view = character.advance(now)
             panel.add_contacts(view, now)
             stepped = time.monotonic() - now
             if now - drawn_at >= self._interval(stepped + cost, panel.rate):
                 if view.run != worn:
                     worn = view.run
-                    scene.wear(self._stage.cast(view.run).run.skeleton)
+                    scene.wear(self._library.get(view.run).run.skeleton)
                     scene.settle(view)
                 before = time.monotonic()
                 with self._client.atomic():
@@ -123,17 +122,17 @@ class Tab:
         own = 0.0 if work <= BUSY * FRAME else min(3.0 * work, SLOWEST)
         return max(browser, own, 0.9 * FRAME)
 
-    def _learn(self, actor: Actor, panel: Panel, file: viser.UploadedFile) -> None:
+    def _learn(self, character: Character, panel: Panel, file: viser.UploadedFile) -> None:
         """Learns the style of an uploaded clip and puts the character into it; runs beside the tab's thread."""
         if not self._learning.acquire(blocking=False):
             panel.notify(
                 f"{file.name[:80]} is not learned", "Another file is being learned: upload it again after that."
             )
             return
-        run = actor.run
+        run = character.run
         try:
             panel.learning(True)
-            style = learn_upload(self._stage, run, file.name, file.content, panel.progress)
+            style = learn_upload(self._library, run, file.name, file.content, panel.progress)
             panel.clicks.put(lambda: panel.learned(run, style), timeout=10.0)
         except (InputError, TrainingError) as error:
             panel.tell("bad", str(error))

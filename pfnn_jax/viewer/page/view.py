@@ -47,7 +47,7 @@ class View:
 
     Attributes:
         run: name of its run, to which its body belongs.
-        frame: steps since the actor came on stage.
+        frame: steps since the character came on library.
         joints: [J, 3] world positions.
         world_rotations: [J, 4] of the joints' frames.
         root: [2] on the ground (x, z).
@@ -89,7 +89,7 @@ class View:
     recording: bool
 
 
-class Way:
+class RootHistory:
     """Where a character has been in its last steps.
 
     What the network remembers of its way is turned with it; this is where it really was.
@@ -142,7 +142,7 @@ def view_of(
     state: ControllerState,
     layout: FrameLayout,
     styles: Sequence[str],
-    way: Way,
+    history: RootHistory,
     *,
     run: str,
     frame: int,
@@ -166,24 +166,24 @@ def view_of(
             `View`.
     """
     positions, directions = np.asarray(state.motion.positions), np.asarray(state.motion.directions)
-    ahead, pace = np.concatenate([way.root[None], positions[ROOT + STRIDE :: STRIDE]]), float(state.pace)
+    ahead, pace = np.concatenate([history.root[None], positions[ROOT + STRIDE :: STRIDE]]), float(state.pace)
     weights = np.asarray(state.style)
     return View(
         run=run,
         frame=frame,
         joints=np.array(state.joints),
         world_rotations=np.array(state.world_rotations),
-        root=way.root,
-        facing=way.facing,
+        root=history.root,
+        facing=history.facing,
         heading=heading,
-        past_positions=way.positions,
-        past_directions=way.directions,
+        past_positions=history.positions,
+        past_directions=history.directions,
         # What lies n frames ahead in its own time is walked in n / pace of the world's, and never at pace 0.
-        future_positions=way.root + pace * (ahead - way.root),
-        future_directions=np.concatenate([way.facing[None], directions[ROOT + STRIDE :: STRIDE]]),
+        future_positions=history.root + pace * (ahead - history.root),
+        future_directions=np.concatenate([history.facing[None], directions[ROOT + STRIDE :: STRIDE]]),
         contacts=np.array(state.contacts),
         dials=phase_dials(layout, np.asarray(state.motion.phase), phase_scale),
-        speed=way.speed,
+        speed=history.speed,
         wanted_speed=wanted_speed,
         style_weights={n: float(w) for n, w in zip(styles, weights, strict=False) if w >= SEEN_SHARE},
         step_milliseconds=step_milliseconds,

@@ -8,7 +8,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Word:
+class ClientMessage:
     """What the page's script says.
 
     Attributes:
@@ -20,7 +20,7 @@ class Word:
     rate: float
 
 
-def word_of(text: str) -> Word | None:
+def parse_message(text: str) -> ClientMessage | None:
     """Reads a count and five numbers: ahead, left, turn, run, pictures per second; None for anything else."""
     parts = text.split()
     if len(parts) != 6 or len(text) > 100:
@@ -33,11 +33,11 @@ def word_of(text: str) -> Word | None:
         return None
     if not 0.0 <= rate < 1e4:
         return None
-    return Word((ahead, left, turn, run > 0.0), rate)
+    return ClientMessage((ahead, left, turn, run > 0.0), rate)
 
 
-class Values:
-    """Values of fields as they were when they were last looked at."""
+class FieldChanges:
+    """FieldChanges of fields as they were when they were last looked at."""
 
     def __init__(self) -> None:
         self._seen: dict[str, Any] = {}
@@ -49,5 +49,5 @@ class Values:
         return before != value
 
     def set(self, **values: Any) -> None:
-        """Values that were given to fields here, which is no change made in a browser."""
+        """FieldChanges that were given to fields here, which is no change made in a browser."""
         self._seen.update(values)

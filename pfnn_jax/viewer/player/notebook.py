@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.viewer.draw.tracks import Track, as_tracks, foot_bars, phase_lines
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate_clips, foot_bars, phase_lines
 from pfnn_jax.viewer.player.player import player_page
 
 SCENE_HEIGHT, STACKED_HEIGHT = 330, 250  # pixels of a scene alone in its column, and of one of several rows
@@ -24,11 +24,11 @@ class Shown:
     """What `show` returns; a notebook draws it.
 
     Attributes:
-        tracks: the clips with their contacts and phases.
+        clips: the clips with their contacts and phases.
         height: pixels.
     """
 
-    tracks: Sequence[Track]
+    clips: Sequence[AnnotatedClip]
     height: int
 
     @property
@@ -38,7 +38,7 @@ class Shown:
         Raises:
             InputError: for clips too long for a page.
         """
-        return player_page(self.tracks, title=", ".join(track.name for track in self.tracks))
+        return player_page(self.clips, title=", ".join(annotated.name for annotated in self.clips))
 
     def _repr_html_(self) -> str:
         """A frame that holds the whole page.
@@ -53,8 +53,8 @@ class Shown:
         )
 
     def __repr__(self) -> str:
-        longest = max(track.seconds for track in self.tracks)
-        return f"Shown({', '.join(track.name for track in self.tracks)}; {longest:.1f} s)"
+        longest = max(annotated.seconds for annotated in self.clips)
+        return f"Shown({', '.join(annotated.name for annotated in self.clips)}; {longest:.1f} s)"
 
 
 def show(
@@ -84,26 +84,26 @@ def show(
     """
     if not clips:
         raise ValueError("show needs at least one clip.")
-    tracks = as_tracks(clips, names)
+    annotated = annotate_clips(clips, names)
     for field, given in (("phase", phase), ("contacts", contacts)):
         if given is not None:
-            tracks = _with(tracks, field, given)
-    return Shown(tracks, _height(tracks))
+            annotated = _with(annotated, field, given)
+    return Shown(annotated, _height(annotated))
 
 
-def _with(tracks: Sequence[Track], field: str, given: Sequence[np.ndarray | None]) -> list[Track]:
-    if len(given) != len(tracks):
-        raise ValueError(f"There are {len(tracks)} clips and {len(given)} entries of {field}.")
-    changed: list[Track] = []
-    for track, values in zip(tracks, given, strict=True):
+def _with(clips: Sequence[AnnotatedClip], field: str, given: Sequence[np.ndarray | None]) -> list[AnnotatedClip]:
+    if len(given) != len(clips):
+        raise ValueError(f"There are {len(clips)} clips and {len(given)} entries of {field}.")
+    changed: list[AnnotatedClip] = []
+    for annotated, values in zip(clips, given, strict=True):
         new: dict[str, Any] = {} if values is None else {field: np.asarray(values)}
         if "phase" in new:  # the note is about the one that was found
             new["note"] = ""
-        changed.append(replace(track, **new))
+        changed.append(replace(annotated, **new))
     return changed
 
 
-def _height(tracks: Sequence[Track]) -> int:
-    rows = math.ceil(len(tracks) / PER_ROW)
-    strip = max(14 * len(foot_bars(track)) + 34 * min(2, len(phase_lines(track))) for track in tracks)
+def _height(clips: Sequence[AnnotatedClip]) -> int:
+    rows = math.ceil(len(clips) / PER_ROW)
+    strip = max(14 * len(foot_bars(annotated)) + 34 * min(2, len(phase_lines(annotated))) for annotated in clips)
     return rows * ((SCENE_HEIGHT if rows == 1 else STACKED_HEIGHT) + strip) + AROUND

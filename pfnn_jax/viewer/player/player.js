@@ -7,11 +7,11 @@ class Player {
   constructor(root) {
     const data = JSON.parse(root.querySelector("script[type='application/json']").textContent);
     this.root = root;
-    this.tracks = data.tracks.map(decode);
-    this.duration = Math.max(...this.tracks.map((track) => (track.frames - 1) / track.fps), 1e-3);
+    this.clips = data.clips.map(decode);
+    this.duration = Math.max(...this.clips.map((clip) => (clip.frames - 1) / clip.fps), 1e-3);
     this.camera = { ...DEFAULT_VIEW };
-    this.scenes = [...root.querySelectorAll("canvas.scene")].map((canvas, i) => new Scene(canvas, this.tracks[i]));
-    const strip = (canvas) => new Strip(canvas, this.tracks[Number(canvas.dataset.track)], this.duration);
+    this.scenes = [...root.querySelectorAll("canvas.scene")].map((canvas, i) => new Scene(canvas, this.clips[i]));
+    const strip = (canvas) => new Strip(canvas, this.clips[Number(canvas.dataset.clip)], this.duration);
     this.strips = [...root.querySelectorAll("canvas.strip")].map(strip);
     this.button = root.querySelector("button.play");
     this.slider = root.querySelector("input[type=range]");
@@ -91,7 +91,7 @@ class Player {
   // To the next frame or the one before, of the clip with most of them in a second.
   step(direction) {
     this.play(false);
-    const fps = Math.max(...this.tracks.map((track) => track.fps));
+    const fps = Math.max(...this.clips.map((clip) => clip.fps));
     const now = this.time * fps, near = 1e-3; // of a frame: this near to one it stands on it
     const frame = direction > 0 ? Math.floor(now + near) + 1 : Math.ceil(now - near) - 1;
     this.time = Math.max(0, Math.min(this.duration, frame / fps));
@@ -104,7 +104,7 @@ class Player {
   }
 
   play(on) {
-    if (on === this.playing || this.tracks.every((track) => track.frames < 2)) return;
+    if (on === this.playing || this.clips.every((clip) => clip.frames < 2)) return;
     this.playing = on;
     this.button.textContent = on ? "Pause" : "Play";
     if (!on) return;

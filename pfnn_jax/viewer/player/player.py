@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, foot_bars, phase_lines
 from pfnn_jax.viewer.draw.body import Capsule
 from pfnn_jax.viewer.draw.palette import BRIGHT, DARK, css_variables
 from pfnn_jax.viewer.draw.scene import make_scene
-from pfnn_jax.viewer.draw.tracks import Track, foot_bars, phase_lines
 
 MILLIMETRE = 0.001  # finest step of a position; wider scenes than ±32 m get a coarser one
 INT16 = 32767
@@ -30,13 +30,13 @@ HINT = "Drag to look around, Ctrl + wheel to come nearer; space pauses, arrow ke
 MOST = 32_000_000  # characters of a page; browsers and notebooks become slow beyond
 
 
-def player_html(tracks: Sequence[Track], *, fps: float = FPS, assets: bool = True) -> str:
+def player_html(clips: Sequence[AnnotatedClip], *, fps: float = FPS, assets: bool = True) -> str:
     """A piece of HTML that plays clips side by side, in step.
 
     A second of one clip of 28 points takes about 7 kB at 30 frames per second.
 
     Args:
-        tracks: clips to show; shorter ones hold their last frame.
+        clips: clips to show; shorter ones hold their last frame.
         fps: frames per second kept, as near as whole steps of the clip's rate allow; the page interpolates.
         assets: include style and script. They are needed once in a page: `player_assets`.
 
@@ -44,18 +44,18 @@ def player_html(tracks: Sequence[Track], *, fps: float = FPS, assets: bool = Tru
         HTML to be put inside a page's body.
 
     Raises:
-        ValueError: no tracks.
+        ValueError: no clips.
         InputError: clips too long for a page.
     """
-    if not tracks:
-        raise ValueError("A player needs at least one track.")
+    if not clips:
+        raise ValueError("A player needs at least one annotated.")
     if not fps > 0:
         raise ValueError(f"fps must be positive, got {fps}.")
-    data = {"tracks": [_track_data(track, fps) for track in tracks]}
+    data = {"clips": [_track_data(annotated, fps) for annotated in clips]}
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     text = text.replace("<", "\\u003c")  # no name may end the script
-    _require_small(tracks, len(text))
-    panes = "".join(_pane(number, track) for number, track in enumerate(tracks))
+    _require_small(clips, len(text))
+    panes = "".join(_pane(number, annotated) for number, annotated in enumerate(clips))
     options = "".join(f'<option value="{r}"{" selected" if r == "1" else ""}>{r}×</option>' for r in RATES)
     return (
         f"{player_assets() if assets else ''}"
@@ -68,11 +68,11 @@ def player_html(tracks: Sequence[Track], *, fps: float = FPS, assets: bool = Tru
     )
 
 
-def player_page(tracks: Sequence[Track], *, title: str, fps: float = FPS) -> str:
+def player_page(clips: Sequence[AnnotatedClip], *, title: str, fps: float = FPS) -> str:
     """A whole page with a player that fills its window.
 
     Args:
-        tracks: clips to show.
+        clips: clips to show.
         title: the page's title.
         fps: as in `player_html`.
 
@@ -83,7 +83,7 @@ def player_page(tracks: Sequence[Track], *, title: str, fps: float = FPS) -> str
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<title>{html.escape(title)}</title>{player_assets()}</head><body class="motion-page">'
-        f"{player_html(tracks, fps=fps, assets=False)}</body></html>\n"
+        f"{player_html(clips, fps=fps, assets=False)}</body></html>\n"
     )
 
 
@@ -101,38 +101,38 @@ def _colours() -> str:
     return f".motion-player {{ {css_variables(BRIGHT)} }}\n{dark}\n"
 
 
-def _pane(number: int, track: Track) -> str:
-    feet, lines = len(foot_bars(track)), len(phase_lines(track))
-    name = html.escape(track.name, quote=True)
+def _pane(number: int, annotated: AnnotatedClip) -> str:
+    feet, lines = len(foot_bars(annotated)), len(phase_lines(annotated))
+    name = html.escape(annotated.name, quote=True)
     strip = (
-        f'<canvas class="strip" data-track="{number}" role="img" aria-label="contacts and phase of {name}" '
+        f'<canvas class="strip" data-clip="{number}" role="img" aria-label="contacts and phase of {name}" '
         'title="Press to go there"></canvas>'
         if feet or lines
         else ""
     )
-    note = f"<small>{html.escape(track.note)}</small>" if track.note else ""
+    note = f"<small>{html.escape(annotated.note)}</small>" if annotated.note else ""
     caption = f"<figcaption>{name}{note}</figcaption>"
     scene = f'<canvas class="scene" role="img" aria-label="{name}" title="{HINT}"></canvas>'
     return f"<figure>{caption}{scene}{strip}</figure>"
 
 
-def _require_small(tracks: Sequence[Track], size: int) -> None:
+def _require_small(clips: Sequence[AnnotatedClip], size: int) -> None:
     if size > MOST:
-        seconds = sum(track.seconds for track in tracks)
+        seconds = sum(annotated.seconds for annotated in clips)
         shown = f"{size / 1e6:.0f} MB for {seconds:.0f} s of motion"
         rule = f"a page holds {MOST / 1e6:.0f} MB: show fewer seconds or fewer frames per second"
-        raise InputError(tracks[0].clip.source or tracks[0].name, "player", shown, rule)
+        raise InputError(clips[0].clip.source or clips[0].name, "player", shown, rule)
 
 
-def _track_data(track: Track, fps: float) -> dict[str, Any]:
-    scene = make_scene(track.clip)
+def _track_data(annotated: AnnotatedClip, fps: float) -> dict[str, Any]:
+    scene = make_scene(annotated.clip)
     step = max(1, round(scene.fps / fps))
     frames = np.arange(0, len(scene.points), step)
     used = sorted({0, *(c.start for c in scene.capsules), *(c.end for c in scene.capsules)})
     points, focus = scene.points[frames][:, used], scene.focus[frames]
     unit = max(MILLIMETRE, float(np.abs(points).max()) / INT16, float(np.abs(focus).max()) / INT16)
     return {
-        "over": round(track.over, 4),
+        "over": round(annotated.over, 4),
         "fps": scene.fps / step,
         "count": len(used),
         "unit": unit,
@@ -141,10 +141,10 @@ def _track_data(track: Track, fps: float) -> dict[str, Any]:
         "points": _quantised(points, unit),
         "focus": _quantised(focus, unit),
         "capsules": [_capsule_data(capsule, used) for capsule in scene.capsules],
-        "contacts": [(foot_runs / step).tolist() for _, foot_runs in foot_bars(track)],
+        "contacts": [(foot_runs / step).tolist() for _, foot_runs in foot_bars(annotated)],
         "phases": [
             {"name": line.name, "angle": _listed(line.angle[frames]), "weight": _weights(line.weight[frames])}
-            for line in phase_lines(track)
+            for line in phase_lines(annotated)
         ],
     }
 

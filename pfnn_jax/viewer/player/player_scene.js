@@ -11,9 +11,9 @@ function numbers(text, unit) {
   return values;
 }
 
-function decode(track) {
-  const values = numbers(track.points, track.unit), focus = numbers(track.focus, track.unit);
-  return { ...track, values, focus, frames: focus.length / 3 };
+function decode(clip) {
+  const values = numbers(clip.points, clip.unit), focus = numbers(clip.focus, clip.unit);
+  return { ...clip, values, focus, frames: focus.length / 3 };
 }
 
 function mix(hex, other, share) {
@@ -37,9 +37,9 @@ function palette(element) {
 }
 
 class Scene {
-  constructor(canvas, track) {
+  constructor(canvas, clip) {
     this.canvas = canvas;
-    this.track = track;
+    this.clip = clip;
     this.context = canvas.getContext("2d");
   }
 
@@ -54,33 +54,33 @@ class Scene {
 
   draw(time, camera, colours) {
     this.resize();
-    const { track, context } = this;
-    const frame = Math.min(time * track.fps, track.frames - 1);
-    const before = Math.floor(frame), after = Math.min(before + 1, track.frames - 1), share = frame - before;
+    const { clip, context } = this;
+    const frame = Math.min(time * clip.fps, clip.frames - 1);
+    const before = Math.floor(frame), after = Math.min(before + 1, clip.frames - 1), share = frame - before;
     const blend = (array, stride, offset) =>
       (1 - share) * array[stride * before + offset] + share * array[stride * after + offset];
-    this.aim(camera, [0, 1, 2].map((axis) => blend(track.focus, 3, axis)));
+    this.aim(camera, [0, 1, 2].map((axis) => blend(clip.focus, 3, axis)));
     const points = [];
-    for (let p = 0; p < track.count; p++) {
-      points.push([0, 1, 2].map((axis) => blend(track.values, 3 * track.count, 3 * p + axis)));
+    for (let p = 0; p < clip.count; p++) {
+      points.push([0, 1, 2].map((axis) => blend(clip.values, 3 * clip.count, 3 * p + axis)));
     }
     context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this.grid(colours);
     this.trail(before, colours);
     this.shadow(points, colours);
-    const over = time > track.over; // it has ended and waits for the others
+    const over = time > clip.over; // it has ended and waits for the others
     this.body(points, over ? colours.pale : colours.tones);
     if (over) this.ended(colours);
-    else if (track.phases.length === 1 && track.phases[0].angle[before] !== null) {
-      this.dial(track.phases[0].angle[before], colours);
+    else if (clip.phases.length === 1 && clip.phases[0].angle[before] !== null) {
+      this.dial(clip.phases[0].angle[before], colours);
     }
   }
 
   aim(camera, target) {
-    const { width, height } = this.canvas, yaw = camera.yaw + this.track.heading;
+    const { width, height } = this.canvas, yaw = camera.yaw + this.clip.heading;
     this.target = target;
     this.sines = [Math.cos(yaw), Math.sin(yaw), Math.cos(camera.pitch), Math.sin(camera.pitch)];
-    this.distance = camera.distance * this.track.tall;
+    this.distance = camera.distance * this.clip.tall;
     this.zoom = 1.75 * Math.min(height, 1.25 * width);
   }
 
@@ -98,7 +98,7 @@ class Scene {
 
   grid(colours) {
     const { context } = this, reach = 7;
-    const step = this.track.tall > 3 || this.track.tall < 0.3 ? 10 ** Math.round(Math.log10(this.track.tall)) : 1;
+    const step = this.clip.tall > 3 || this.clip.tall < 0.3 ? 10 ** Math.round(Math.log10(this.clip.tall)) : 1;
     const cx = Math.round(this.target[0] / step), cz = Math.round(this.target[2] / step);
     context.strokeStyle = colours.grid;
     context.lineWidth = window.devicePixelRatio || 1;
@@ -125,18 +125,18 @@ class Scene {
   }
 
   trail(now, colours) {
-    const { context, track } = this;
+    const { context, clip } = this;
     context.strokeStyle = colours.ink;
     context.lineWidth = 2 * (window.devicePixelRatio || 1);
-    const reach = Math.round(TRAIL * track.fps), every = Math.max(1, Math.round(track.fps / 10));
-    const past = Math.max(0, now - reach), future = Math.min(track.frames - 1, now + reach);
+    const reach = Math.round(TRAIL * clip.fps), every = Math.max(1, Math.round(clip.fps / 10));
+    const past = Math.max(0, now - reach), future = Math.min(clip.frames - 1, now + reach);
     for (const [first, last, alpha] of [[past, now, 0.55], [now, future, 0.18]]) {
       context.globalAlpha = alpha;
       context.beginPath();
       let open = false;
       for (let step = first; step < last + every; step += every) {
         const t = Math.min(step, last);
-        const p = this.project(track.focus[3 * t], 0, track.focus[3 * t + 2]);
+        const p = this.project(clip.focus[3 * t], 0, clip.focus[3 * t + 2]);
         if (p) open ? context.lineTo(p[0], p[1]) : context.moveTo(p[0], p[1]);
         open = Boolean(p);
       }
@@ -155,7 +155,7 @@ class Scene {
     const { context } = this;
     context.fillStyle = colours.shadow;
     context.beginPath();
-    for (const capsule of this.track.capsules) {
+    for (const capsule of this.clip.capsules) {
       const [a, b] = this.ends(points, capsule).map((p) => this.project(p[0], 0, p[2]));
       if (a && b) this.hull(a, b, capsule[2] * a[2] * 0.9, capsule[3] * b[2] * 0.9, Math.max(0.25, this.sines[3]));
     }
@@ -164,7 +164,7 @@ class Scene {
 
   body(points, tones) {
     const drawn = [];
-    for (const capsule of this.track.capsules) {
+    for (const capsule of this.clip.capsules) {
       const [a, b] = this.ends(points, capsule).map((p) => this.project(...p));
       if (a && b) drawn.push({ a, b, capsule, depth: a[3] + b[3] });
     }
@@ -218,7 +218,7 @@ class Scene {
     context.textAlign = "right";
     context.textBaseline = "bottom";
     context.fillStyle = colours.muted;
-    const last = (this.track.frames - 1) / this.track.fps;
+    const last = (this.clip.frames - 1) / this.clip.fps;
     context.fillText(`ended at ${last.toFixed(1)} s`, canvas.width - 10 * ratio, canvas.height - 8 * ratio);
   }
 

@@ -5,10 +5,10 @@ const GUTTER = 62; // pixels for the names of its rows
 const FOOT_ROW = 11, PHASE_ROW = 30, BONE_ROW = 17, ROW_GAP = 3;
 
 class Strip {
-  constructor(canvas, track, duration) {
-    Object.assign(this, { canvas, track, duration, context: canvas.getContext("2d") });
-    const line = track.phases.length > 1 ? BONE_ROW : PHASE_ROW;
-    this.heights = [...track.contacts.map(() => FOOT_ROW), ...track.phases.map(() => line)];
+  constructor(canvas, clip, duration) {
+    Object.assign(this, { canvas, clip, duration, context: canvas.getContext("2d") });
+    const line = clip.phases.length > 1 ? BONE_ROW : PHASE_ROW;
+    this.heights = [...clip.contacts.map(() => FOOT_ROW), ...clip.phases.map(() => line)];
     canvas.style.height = `${this.heights.reduce((sum, height) => sum + height + ROW_GAP, 0) + 14}px`;
   }
 
@@ -27,7 +27,7 @@ class Strip {
   }
 
   draw(time, colours) {
-    const ratio = window.devicePixelRatio || 1, { canvas, context, track } = this;
+    const ratio = window.devicePixelRatio || 1, { canvas, context, clip } = this;
     canvas.width = Math.round(canvas.clientWidth * ratio);
     canvas.height = Math.round(canvas.clientHeight * ratio);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -35,14 +35,14 @@ class Strip {
     this.x = (second) => GUTTER + ((second - from) / span) * width;
     context.font = "11px system-ui, sans-serif";
     context.textBaseline = "middle";
-    const ends = Math.max(0, Math.min(this.x(track.over) - GUTTER, width)); // nothing is known of what comes after
-    const names = [...track.contacts.map((_, i) => (i ? "right foot" : "left foot")), ...track.phases.map((p) => p.name)];
+    const ends = Math.max(0, Math.min(this.x(clip.over) - GUTTER, width)); // nothing is known of what comes after
+    const names = [...clip.contacts.map((_, i) => (i ? "right foot" : "left foot")), ...clip.phases.map((p) => p.name)];
     let top = 0;
     this.heights.forEach((height, row) => {
       context.globalAlpha = 1;
       context.fillStyle = colours.muted;
       context.fillText(names[row], 0, top + height / 2);
-      const foot = row < track.contacts.length;
+      const foot = row < clip.contacts.length;
       if (!foot && height === PHASE_ROW) this.scale(top, height);
       context.fillStyle = colours.panel;
       context.fillRect(GUTTER, top, ends, height);
@@ -50,8 +50,8 @@ class Strip {
       context.beginPath();
       context.rect(GUTTER, top, ends, height);
       context.clip();
-      if (foot) this.bars(track.contacts[row], top, height, colours.tones[row ? "right" : "left"][1]);
-      else this.line(track.phases[row - track.contacts.length], top, height, from, span, colours);
+      if (foot) this.bars(clip.contacts[row], top, height, colours.tones[row ? "right" : "left"][1]);
+      else this.line(clip.phases[row - clip.contacts.length], top, height, from, span, colours);
       context.restore();
       top += height + ROW_GAP;
     });
@@ -72,17 +72,17 @@ class Strip {
   }
 
   bars(runs, top, height, colour) {
-    const { context, track } = this;
+    const { context, clip } = this;
     context.fillStyle = colour;
     for (const [first, past] of runs) {
-      const left = this.x(first / track.fps);
-      context.fillRect(left, top, this.x(past / track.fps) - left, height);
+      const left = this.x(first / clip.fps);
+      context.fillRect(left, top, this.x(past / clip.fps) - left, height);
     }
   }
 
   line(phase, top, height, from, span, colours) {
-    const { context, track } = this, { angle, weight } = phase;
-    const first = Math.max(0, Math.floor(from * track.fps)), last = Math.min(angle.length - 2, Math.ceil((from + span) * track.fps));
+    const { context, clip } = this, { angle, weight } = phase;
+    const first = Math.max(0, Math.floor(from * clip.fps)), last = Math.min(angle.length - 2, Math.ceil((from + span) * clip.fps));
     const y = (value) => top + height - 1.5 - (value / TAU) * (height - 3);
     context.strokeStyle = colours.phase;
     context.lineWidth = 1.6;
@@ -90,8 +90,8 @@ class Strip {
       if (angle[t] === null || angle[t + 1] === null || Math.abs(angle[t + 1] - angle[t]) > TAU / 2) continue;
       context.globalAlpha = weight ? weight[t] : 1;
       context.beginPath();
-      context.moveTo(this.x(t / track.fps), y(angle[t]));
-      context.lineTo(this.x((t + 1) / track.fps), y(angle[t + 1]));
+      context.moveTo(this.x(t / clip.fps), y(angle[t]));
+      context.lineTo(this.x((t + 1) / clip.fps), y(angle[t + 1]));
       context.stroke();
     }
   }

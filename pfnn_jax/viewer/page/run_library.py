@@ -24,7 +24,7 @@ SPARE = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Cast:
+class LoadedRun:
     """A run as it is played: never changed, but replaced when a style joins.
 
     Attributes:
@@ -47,7 +47,7 @@ class Cast:
         return self.controller.styles
 
 
-class Stage:
+class RunLibrary:
     """Everything that all characters share. Safe to use from several threads.
 
     Args:
@@ -62,51 +62,51 @@ class Stage:
 
     def __init__(self, run_paths: Sequence[str | Path]) -> None:
         if not run_paths:
-            raise InputError("stage", "runs", "none", "there must be at least one run to play")
+            raise InputError("library", "runs", "none", "there must be at least one run to play")
         paths = [Path(path) for path in run_paths]
         self._lock = threading.RLock()
-        self._casts = {name: load_cast(name, path) for name, path in zip(_names(paths), paths, strict=True)}
-        self._preparations = {name: threading.Lock() for name in self._casts}
+        self._loaded = {name: load_for_play(name, path) for name, path in zip(_names(paths), paths, strict=True)}
+        self._preparations = {name: threading.Lock() for name in self._loaded}
         self._version = 0
         self.ended = threading.Event()
 
     @property
     def runs(self) -> tuple[str, ...]:
         """Names of the runs, in the order given."""
-        return tuple(self._casts)
+        return tuple(self._loaded)
 
     @property
     def styles(self) -> list[tuple[str, str]]:
         """(run, style) of all that can be chosen; grows when a style is learned."""
-        return [(name, style) for name, cast in self._casts.items() for style in cast.styles]
+        return [(name, style) for name, loaded in self._loaded.items() for style in loaded.styles]
 
     @property
     def version(self) -> int:
         """Grows by one whenever `styles` does."""
         return self._version
 
-    def cast(self, run: str) -> Cast:
+    def get(self, run: str) -> LoadedRun:
         """A run as it is played now.
 
         Raises:
-            InputError: for a run that is not on stage.
+            InputError: for a run that is not on library.
         """
-        if run not in self._casts:
-            raise InputError("stage", "run", ascii(run)[:60], f"must be one of {', '.join(self.runs)}")
-        return self._casts[run]
+        if run not in self._loaded:
+            raise InputError("library", "run", ascii(run)[:60], f"must be one of {', '.join(self.runs)}")
+        return self._loaded[run]
 
     def preparation(self, run: str) -> threading.Lock:
         """Held by who compiles or learns in a run, so that nothing is compiled twice.
 
         Raises:
-            InputError: for a run that is not on stage.
+            InputError: for a run that is not on library.
         """
-        return self._preparations[self.cast(run).name]
+        return self._preparations[self.get(run).name]
 
     def warm_up(self) -> None:
         """Compiles one step of every run, so that the first character does not wait for it."""
         for name in self.runs:
-            try_out(self.cast(name).controller)
+            try_out(self.get(name).controller)
 
     def add_style(self, run: str, style: str) -> None:
         """Takes a style that has been saved in a run's folder into its bank; characters can choose it at once.
@@ -114,13 +114,13 @@ class Stage:
         Raises:
             InputError: for an unknown run or style, or a style of another kind than the run's.
         """
-        parameters = load_style(self.cast(run).run, style)
+        parameters = load_style(self.get(run).run, style)
         with self._lock:
-            cast = self.cast(run)
-            controller = joined(cast.run, cast.controller, style, parameters)
-            if controller.capacity != cast.controller.capacity:
+            loaded = self.get(run)
+            controller = joined(loaded.run, loaded.controller, style, parameters)
+            if controller.capacity != loaded.controller.capacity:
                 try_out(controller)  # before characters have to wait for its compilation
-            self._casts = {**self._casts, run: replace(cast, controller=controller, speeds=_speeds(controller))}
+            self._loaded = {**self._loaded, run: replace(loaded, controller=controller, speeds=_speeds(controller))}
             self._version += 1
 
 
@@ -145,12 +145,12 @@ def make_command(speed: float, going: float, facing: float, weights: np.ndarray)
     return Command(**arrays)
 
 
-def load_cast(name: str, path: Path) -> Cast:
+def load_for_play(name: str, path: Path) -> LoadedRun:
     """A run with the controller of all of its styles."""
     run = load_run(path)
     styles = list_styles(run.path)
     controller = _bound(make_controller(run, styles, capacity=len(styles) + SPARE))
-    return Cast(name, run, controller, _speeds(controller), phase_scale(run.normaliser))
+    return LoadedRun(name, run, controller, _speeds(controller), phase_scale(run.normaliser))
 
 
 def joined(run: Run, controller: Controller, style: str, parameters: object) -> Controller:

@@ -18,9 +18,10 @@ from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
 from pfnn_jax.run import list_styles, load_run, load_style
 from pfnn_jax.training.few_shot import FewShotConfig
-from pfnn_jax.viewer.page import learning
-from pfnn_jax.viewer.page.actor import Actor
-from pfnn_jax.viewer.page.learning import (
+from pfnn_jax.viewer.page import uploads
+from pfnn_jax.viewer.page.character import Character
+from pfnn_jax.viewer.page.run_library import RunLibrary
+from pfnn_jax.viewer.page.uploads import (
     LONGEST,
     MOST_BYTES,
     MOST_FRAMES,
@@ -33,7 +34,6 @@ from pfnn_jax.viewer.page.learning import (
     prepare_learning,
     style_name,
 )
-from pfnn_jax.viewer.page.stage import Stage
 from pfnn_jax.workflows.learn import learn_style
 
 FRAME = 1.0 / 60.0
@@ -48,26 +48,28 @@ def run_path(played_run, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def stage(run_path) -> Stage:
-    return Stage([run_path])
+def library(run_path) -> RunLibrary:
+    return RunLibrary([run_path])
 
 
 @pytest.fixture(autouse=True)
 def quickly(monkeypatch):
     monkeypatch.setattr(turning, "SECONDS", 1.2)  # whether it is stable is not the question here
-    monkeypatch.setattr(learning, "page_config", lambda run: SMALL)
+    monkeypatch.setattr(uploads, "page_config", lambda run: SMALL)
 
 
 def contents(folder: Path) -> dict[str, bytes | None]:
     return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
-def test_an_upload_becomes_a_style_as_few_shot_learns_it(stage, run_path, zombie_bvh, tmp_path):
-    prepare_learning(stage, "run")
+def test_an_upload_becomes_a_style_as_few_shot_learns_it(library, run_path, zombie_bvh, tmp_path):
+    prepare_learning(library, "run")
     told: list[tuple[float, str]] = []
     before = set(contents(run_path))
-    name = learn_upload(stage, "run", "C:\\clips\\zombie walk.bvh", zombie_bvh.read_bytes(), lambda *t: told.append(t))
-    assert name == "zombie walk" and ("run", name) in stage.styles
+    name = learn_upload(
+        library, "run", "C:\\clips\\zombie walk.bvh", zombie_bvh.read_bytes(), lambda *t: told.append(t)
+    )
+    assert name == "zombie walk" and ("run", name) in library.styles
     assert all(new.startswith(("uploads", "styles/zombie walk")) for new in set(contents(run_path)) - before)
     assert (run_path / "uploads" / "zombie walk.bvh").read_bytes() == zombie_bvh.read_bytes()
     shares = [share for share, _ in told]
@@ -79,15 +81,15 @@ def test_an_upload_becomes_a_style_as_few_shot_learns_it(stage, run_path, zombie
     here, there = load_style(load_run(run_path), name), load_style(load_run(again), "same")
     jax.tree.map(np.testing.assert_array_equal, here, there)
 
-    actor = Actor(stage, style="neutral")
-    actor.set_stick(1.0, 0.0)
-    actor.advance(0.0)
-    actor.choose("run", name)
-    views = [actor.advance(frame * FRAME) for frame in range(1, 121)]
+    character = Character(library, style="neutral")
+    character.set_stick(1.0, 0.0)
+    character.advance(0.0)
+    character.choose("run", name)
+    views = [character.advance(frame * FRAME) for frame in range(1, 121)]
     assert views[-1].style_weights == pytest.approx({name: 1.0}, abs=0.01)
     assert np.isfinite(views[-1].joints).all()
 
-    assert learn_upload(stage, "run", "zombie walk.bvh", zombie_bvh.read_bytes()) == "zombie walk 2"
+    assert learn_upload(library, "run", "zombie walk.bvh", zombie_bvh.read_bytes()) == "zombie walk 2"
 
 
 BAD = {
@@ -126,11 +128,11 @@ LIMITS = {
 
 
 @pytest.mark.parametrize(("within", "beyond", "rule"), LIMITS.values(), ids=LIMITS)
-def test_sound_clips_are_refused_by_their_size_alone(stage, run_path, tmp_path, within, beyond, rule):
+def test_sound_clips_are_refused_by_their_size_alone(library, run_path, tmp_path, within, beyond, rule):
     before = contents(run_path)
     check_upload("walk", within())
     with pytest.raises(InputError, match=rf"walk\.bvh: .*{rule}"):
-        learn_upload(stage, "run", "walk.bvh", beyond())
+        learn_upload(library, "run", "walk.bvh", beyond())
     assert contents(run_path) == before
     path = tmp_path / "walk.bvh"
     path.write_bytes(beyond())
@@ -138,26 +140,26 @@ def test_sound_clips_are_refused_by_their_size_alone(stage, run_path, tmp_path, 
 
 
 @pytest.mark.parametrize(("data", "rule"), BAD.values(), ids=BAD)
-def test_a_bad_upload_changes_nothing(stage, run_path, data, rule):
-    before, styles = contents(run_path), stage.styles
+def test_a_bad_upload_changes_nothing(library, run_path, data, rule):
+    before, styles = contents(run_path), library.styles
     with pytest.raises(InputError, match=rule) as refused:
-        learn_upload(stage, "run", "bad.bvh", data)
+        learn_upload(library, "run", "bad.bvh", data)
     assert str(run_path) not in str(refused.value)
-    assert contents(run_path) == before and stage.styles == styles
+    assert contents(run_path) == before and library.styles == styles
 
 
-def test_clips_that_read_well_but_cannot_be_learned_change_nothing(stage, run_path, zombie_bvh):
+def test_clips_that_read_well_but_cannot_be_learned_change_nothing(library, run_path, zombie_bvh):
     before, text = contents(run_path), zombie_bvh.read_text()
     still = re.sub(r"(Frames:).*", r"\1 100", text.split("Frame Time")[0]) + "Frame Time: 0.0166667\n"
     row = text.split("Frame Time")[1].splitlines()[1]
     other = text.replace("LeftUpLeg", "LeftThigh").replace("JOINT Spine1", "JOINT Belly")
     for data in (still + (row + "\n") * 100, text.replace("0.01666", "0.0000166"), other):
         with pytest.raises(InputError) as refused:
-            learn_upload(stage, "run", "walk.bvh", data.encode())
+            learn_upload(library, "run", "walk.bvh", data.encode())
         assert str(run_path) not in str(refused.value)
         assert contents(run_path) == before
     with pytest.raises(InputError, match="must be one of run"):
-        learn_upload(stage, "../run", "walk.bvh", text.encode())
+        learn_upload(library, "../run", "walk.bvh", text.encode())
 
 
 def test_a_first_upload_that_fails_leaves_no_folder(played_run, tmp_path, monkeypatch):
@@ -169,16 +171,16 @@ def test_a_first_upload_that_fails_leaves_no_folder(played_run, tmp_path, monkey
         assert (path / "uploads" / "walk.bvh").is_file()
         raise MemoryError
 
-    monkeypatch.setattr(learning, "learn_style", broken)
+    monkeypatch.setattr(uploads, "learn_style", broken)
     with pytest.raises(MemoryError):
-        learn_upload(Stage([path]), "run", "walk.bvh", b"HIERARCHY")
+        learn_upload(RunLibrary([path]), "run", "walk.bvh", b"HIERARCHY")
     assert contents(path) == before
 
 
 def test_a_page_that_ends_leaves_no_trace_of_what_it_learns(played_run, zombie_bvh, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(played_run, path)
-    before, ending = contents(path), Stage([path])
+    before, ending = contents(path), RunLibrary([path])
 
     def end(share: float, what: str) -> None:
         assert (path / "uploads" / "walk.bvh").is_file()
@@ -190,23 +192,23 @@ def test_a_page_that_ends_leaves_no_trace_of_what_it_learns(played_run, zombie_b
     assert contents(path) == before
 
 
-def test_a_style_that_cannot_be_taken_on_stage_is_left_out(stage, run_path, zombie_bvh, monkeypatch):
-    before, styles = contents(run_path), stage.styles
+def test_a_style_that_cannot_be_taken_on_stage_is_left_out(library, run_path, zombie_bvh, monkeypatch):
+    before, styles = contents(run_path), library.styles
 
     def refused(run: str, style: str) -> None:
         assert style in list_styles(run_path)
         raise InputError(run_path, "style", style, "must be of the kind of the run's other styles to be played")
 
-    monkeypatch.setattr(stage, "add_style", refused)
+    monkeypatch.setattr(library, "add_style", refused)
     with pytest.raises(InputError, match="must be of the kind"):
-        learn_upload(stage, "run", "odd.bvh", zombie_bvh.read_bytes())
-    assert contents(run_path) == before and stage.styles == styles
+        learn_upload(library, "run", "odd.bvh", zombie_bvh.read_bytes())
+    assert contents(run_path) == before and library.styles == styles
 
 
 def test_a_style_that_is_saved_outlives_the_page(played_run, zombie_bvh, tmp_path, monkeypatch):
     path = tmp_path / "run"
     shutil.copytree(played_run, path)
-    ending = Stage([path])
+    ending = RunLibrary([path])
     monkeypatch.setattr(ending, "add_style", lambda run, style: give_up(ending, wait=0.0))
     assert learn_upload(ending, "run", "walk.bvh", zombie_bvh.read_bytes()) == "walk"
     assert "walk" in list_styles(path) and (path / "uploads" / "walk.bvh").is_file()
@@ -217,7 +219,7 @@ def test_what_is_played_is_never_overwritten(played_run, zombie_bvh, tmp_path, m
     shutil.copytree(played_run, path)
     for style in list_styles(path):
         shutil.rmtree(path / "styles" / style)
-    bare = Stage([path])
+    bare = RunLibrary([path])
     monkeypatch.setattr(bare, "add_style", lambda run, style: None)
     assert bare.styles == [("bare", "agnostic")]
     assert learn_upload(bare, "bare", "Agnostic.bvh", zombie_bvh.read_bytes()) == "Agnostic 2"
@@ -228,7 +230,7 @@ def test_the_systems_refusals_are_told_by_name(played_run, zombie_bvh, tmp_path,
     path = tmp_path / "run"
     shutil.copytree(played_run, path)
     (path / "uploads").write_text("no folder")
-    before, closed = contents(path), Stage([path])
+    before, closed = contents(path), RunLibrary([path])
     with pytest.raises(InputError, match="^run/uploads: file: not a directory; a run that learns must be"):
         learn_upload(closed, "run", "walk.bvh", zombie_bvh.read_bytes())
     assert contents(path) == before
@@ -238,13 +240,13 @@ def test_the_systems_refusals_are_told_by_name(played_run, zombie_bvh, tmp_path,
 
     (path / "uploads").unlink()
     before = contents(path)
-    monkeypatch.setattr(learning, "learn_style", denied)
+    monkeypatch.setattr(uploads, "learn_style", denied)
     with pytest.raises(InputError, match=r"^run/styles/\.walk\.new: file: permission denied; "):
         learn_upload(closed, "run", "walk.bvh", zombie_bvh.read_bytes())
     assert contents(path) == before
 
 
-def test_an_upload_never_leaves_the_run(stage, run_path, tmp_path):
+def test_an_upload_never_leaves_the_run(library, run_path, tmp_path):
     elsewhere, uploads = tmp_path / "elsewhere", run_path / "uploads"
     elsewhere.mkdir()
     kept = tmp_path / "kept"
@@ -253,7 +255,7 @@ def test_an_upload_never_leaves_the_run(stage, run_path, tmp_path):
     uploads.symlink_to(elsewhere, target_is_directory=True)
     try:
         with pytest.raises(InputError, match="must be a folder of the run itself"):
-            learn_upload(stage, "run", "walk.bvh", b"HIERARCHY")
+            learn_upload(library, "run", "walk.bvh", b"HIERARCHY")
     finally:
         uploads.unlink()
         if kept.exists():
@@ -288,8 +290,8 @@ def test_a_sound_clip_passes_the_limits(zombie_bvh):
     check_upload("walk", zombie_bvh.read_bytes())
 
 
-def test_a_page_learns_styles_of_the_runs_kind(stage, monkeypatch):
+def test_a_page_learns_styles_of_the_runs_kind(library, monkeypatch):
     monkeypatch.undo()
-    config = page_config(stage.cast("run").run)
+    config = page_config(library.get("run").run)
     assert config == FewShotConfig("cp", 4)
-    assert learning.QUICK_FILM.method == "film" and max(learning.QUICK_FILM.eval_epochs) <= 50
+    assert uploads.QUICK_FILM.method == "film" and max(uploads.QUICK_FILM.eval_epochs) <= 50

@@ -55,7 +55,7 @@ def sphere(rings: int = 12, segments: int = 20) -> Mesh:
     return Mesh(vertices, np.concatenate(faces))
 
 
-class Body:
+class BodyMeshes:
     """The instances that make up one skeleton's body.
 
     Attributes:

@@ -25,7 +25,7 @@ GAP = 0.5  # seconds without a phase that are told of: a step. The ends of a wal
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class AnnotatedClip:
     """One clip to show.
 
     Attributes:
@@ -52,11 +52,11 @@ class Track:
         frames = self.clip.num_frames
         for name, values in (("phase", self.phase), ("contacts", self.contacts)):
             if values is not None and len(values) != frames:
-                raise ValueError(f"{name} of track {self.name!r} has {len(values)} frames, its clip {frames}.")
+                raise ValueError(f"{name} of annotated {self.name!r} has {len(values)} frames, its clip {frames}.")
         if self.phase is not None and self.phase.shape[1:] not in ((), (self.phase.size // (2 * frames), 2)):
-            raise ValueError(f"phase of track {self.name!r} is {list(self.phase.shape)}, must be [T] or [T, B, 2].")
+            raise ValueError(f"phase of {self.name!r} is {list(self.phase.shape)}, must be [T] or [T, B, 2].")
         if self.contacts is not None and self.contacts.shape[1:] not in ((2,), (4,)):
-            raise ValueError(f"contacts of track {self.name!r} are {list(self.contacts.shape)}, must be [T, 2 or 4].")
+            raise ValueError(f"contacts of {self.name!r} are {list(self.contacts.shape)}, must be [T, 2 or 4].")
 
     @property
     def seconds(self) -> float:
@@ -105,7 +105,7 @@ def require_motion(clip: MotionClip, name: str = "clip") -> None:
             raise InputError(place, f"frame {bad[0]}", f"{part} not finite", "what is shown is finite")
 
 
-def label_track(clip: MotionClip, name: str, phase_file: Path | None = None) -> Track:
+def annotate(clip: MotionClip, name: str, phase_file: Path | None = None) -> AnnotatedClip:
     """A clip with its contacts and its phase, as far as they can be told; its note says what cannot and why.
 
     Args:
@@ -130,7 +130,7 @@ def label_track(clip: MotionClip, name: str, phase_file: Path | None = None) -> 
     note = phase_note(phase, clip.fps)
     if roles is None:
         note = "no feet known: no contacts" + (", no phase" if phase is None else "")
-    return Track(name, clip, phase, contacts, note)
+    return AnnotatedClip(name, clip, phase, contacts, note)
 
 
 def phase_note(phase: np.ndarray | None, fps: float) -> str:
@@ -149,43 +149,45 @@ def phase_of(labels: PhaseLabels) -> np.ndarray:
     return np.where(labels.labelled, labels.phase, np.nan)
 
 
-def cut_track(track: Track, start: float, seconds: float | None) -> Track:
-    """The part of a track from second `start` on; phase and contacts stay those of the whole clip.
+def cut_seconds(annotated: AnnotatedClip, start: float, seconds: float | None) -> AnnotatedClip:
+    """The part of a annotated from second `start` on; phase and contacts stay those of the whole clip.
 
     Raises:
         InputError: if nothing of the clip lies there, or the seconds are not finite.
     """
-    clip = track.clip
+    clip = annotated.clip
     known = math.isfinite(start) and (seconds is None or math.isfinite(seconds))
-    if not (known and 0 <= start < track.over and (seconds is None or seconds > 0)):
+    if not (known and 0 <= start < annotated.over and (seconds is None or seconds > 0)):
         shown = f"from {start:g}" if seconds is None else f"{seconds:g} from {start:g}"
-        rule = f"what is shown lies in the clip's {track.seconds:.1f} seconds"
-        raise InputError(clip.source or track.name, "start and seconds", shown, rule)
+        rule = f"what is shown lies in the clip's {annotated.seconds:.1f} seconds"
+        raise InputError(clip.source or annotated.name, "start and seconds", shown, rule)
     first = min(round(start * clip.fps), clip.num_frames - 1)
-    length = track.seconds if seconds is None else min(seconds, track.seconds)
-    return cut_frames(track, first, min(clip.num_frames, first + round(length * clip.fps) + 1))
+    length = annotated.seconds if seconds is None else min(seconds, annotated.seconds)
+    return cut_frames(annotated, first, min(clip.num_frames, first + round(length * clip.fps) + 1))
 
 
-def cut_frames(track: Track, start: int, stop: int) -> Track:
-    """Frames start to stop (exclusive) of a track; phase and contacts stay those of the whole clip.
+def cut_frames(annotated: AnnotatedClip, start: int, stop: int) -> AnnotatedClip:
+    """Frames start to stop (exclusive) of a annotated; phase and contacts stay those of the whole clip.
 
     Raises:
         InputError: unless 0 <= start < stop <= number of frames.
     """
-    clip = cut(track.clip, start, stop)
-    phase, contacts = (None if values is None else values[start:stop] for values in (track.phase, track.contacts))
-    note = track.note
-    if note and note == phase_note(track.phase, clip.fps):
+    clip = cut(annotated.clip, start, stop)
+    phase, contacts = (
+        None if values is None else values[start:stop] for values in (annotated.phase, annotated.contacts)
+    )
+    note = annotated.note
+    if note and note == phase_note(annotated.phase, clip.fps):
         note = phase_note(phase, clip.fps)  # of the part that is shown
-    return replace(track, clip=clip, phase=phase, contacts=contacts, note=note)
+    return replace(annotated, clip=clip, phase=phase, contacts=contacts, note=note)
 
 
-def phase_lines(track: Track) -> list[PhaseLine]:
-    """The phases of a track, one line each; none without a phase."""
-    if track.phase is None:
+def phase_lines(annotated: AnnotatedClip) -> list[PhaseLine]:
+    """The phases of a annotated, one line each; none without a phase."""
+    if annotated.phase is None:
         return []
-    finite = np.isfinite(track.phase)
-    phase = np.where(finite, track.phase, 0.0)
+    finite = np.isfinite(annotated.phase)
+    phase = np.where(finite, annotated.phase, 0.0)
     if phase.ndim == 1:
         return [PhaseLine("phase", np.where(finite, phase % (2 * np.pi), np.nan), finite.astype(float))]
     known = finite.all(axis=-1)  # [T, B]
@@ -198,12 +200,12 @@ def phase_lines(track: Track) -> list[PhaseLine]:
     return [PhaseLine(names[bone], angle[:, bone], weight[:, bone]) for bone in range(bones)]
 
 
-def foot_bars(track: Track) -> list[tuple[str, np.ndarray]]:
+def foot_bars(annotated: AnnotatedClip) -> list[tuple[str, np.ndarray]]:
     """(left or right, runs [R, 2] of first and past-the-last frame) in which each foot stands."""
-    if track.contacts is None:
+    if annotated.contacts is None:
         return []
-    half = track.contacts.shape[1] // 2
-    feet = (track.contacts[:, :half], track.contacts[:, half:])
+    half = annotated.contacts.shape[1] // 2
+    feet = (annotated.contacts[:, :half], annotated.contacts[:, half:])
     return [(name, runs(np.any(parts, axis=1))) for name, parts in zip(FEET, feet, strict=True)]
 
 
@@ -213,7 +215,7 @@ def runs(on: np.ndarray) -> np.ndarray:
     return edges.reshape(-1, 2)
 
 
-def as_tracks(clips: Sequence[MotionClip], names: Sequence[str] | None = None) -> list[Track]:
+def annotate_clips(clips: Sequence[MotionClip], names: Sequence[str] | None = None) -> list[AnnotatedClip]:
     """Upright clips with their labels, named by their style and content where no names are given.
 
     Raises:
@@ -225,7 +227,7 @@ def as_tracks(clips: Sequence[MotionClip], names: Sequence[str] | None = None) -
     for number, clip in enumerate(clips):
         require_motion(clip, caption(clip, number))
     captions = list(names) if names is not None else [caption(clip, number) for number, clip in enumerate(clips)]
-    return [label_track(upright(clip), name) for clip, name in zip(clips, captions, strict=True)]
+    return [annotate(upright(clip), name) for clip, name in zip(clips, captions, strict=True)]
 
 
 def caption(clip: MotionClip, number: int = 0) -> str:

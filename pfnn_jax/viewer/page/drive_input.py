@@ -1,4 +1,4 @@
-"""Keys of which only presses are known: which are held, and where they lead.
+"""HeldKeys of which only presses are known: which are held, and where they lead.
 
 A browser page tells when a key goes down and when it repeats, not when it is let go. A key therefore counts as held
 for a short while after its last press: `FIRST_HOLD` after the first, until which repetition begins, and `HOLD` after
@@ -31,7 +31,7 @@ TOGETHER = 0.15
 
 
 @dataclass(frozen=True)
-class Wish:
+class DriveInput:
     """What the keys or the stick ask for.
 
     Attributes:
@@ -47,12 +47,12 @@ class Wish:
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(value) and abs(value) <= 1.0 + 1e-6 for value in (self.ahead, self.left, self.turn)):
-            raise ValueError(f"Wish must be finite and within -1 to 1, got {self}.")
+            raise ValueError(f"DriveInput must be finite and within -1 to 1, got {self}.")
 
     @property
     def moves(self) -> bool:
         """Whether it asks for anything."""
-        return self != Wish(run=self.run)
+        return self != DriveInput(run=self.run)
 
 
 @dataclass
@@ -61,7 +61,7 @@ class _Held:
     until: float
 
 
-class Keys:
+class HeldKeys:
     """Presses as they come, and what is held at a time. Times are seconds of any one clock, never falling."""
 
     def __init__(self) -> None:
@@ -98,7 +98,7 @@ class Keys:
         """Nothing is held."""
         self._held.clear()
 
-    def wish(self, now: float) -> Wish:
+    def drive_input(self, now: float) -> DriveInput:
         """What the keys held at `now` ask for."""
         held = [key for key, state in self._held.items() if now < state.until]
         ahead = sum(MOTION[key][0] for key in held if key in MOTION)
@@ -106,7 +106,7 @@ class Keys:
         length = math.hypot(ahead, left)
         scale = 1.0 / length if length > 1.0 else 1.0
         turn = sum(TURNS[key] for key in held if key in TURNS)
-        return Wish(ahead * scale, left * scale, turn, self._run and bool(held))
+        return DriveInput(ahead * scale, left * scale, turn, self._run and bool(held))
 
     def _expire(self, now: float) -> None:
         self._held = {key: state for key, state in self._held.items() if now < state.until}

@@ -1,4 +1,4 @@
-"""One character on stage: driven by keys or a stick, in any style, through time as a clock tells it."""
+"""One character on library: driven by keys or a stick, in any style, through time as a clock tells it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import SUM
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.viewer.page.clock import Clock
-from pfnn_jax.viewer.page.keys import Keys, Wish
+from pfnn_jax.viewer.page.drive_input import DriveInput, HeldKeys
 from pfnn_jax.viewer.page.recording import Recording
-from pfnn_jax.viewer.page.stage import Cast, Stage, make_command
-from pfnn_jax.viewer.page.view import View, Way, view_of
+from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, make_command
+from pfnn_jax.viewer.page.view import RootHistory, View, view_of
 
 RUN = 2.0
 """By what Shift multiplies the speed (the published demos' running biases are 2 to 4 times those of walking)."""
@@ -33,7 +33,7 @@ FASTEST = 6.0
 """Metres per second: the largest speed that can be asked for."""
 
 
-class Actor:
+class Character:
     """A character with its own state, keys, style and clock. Safe to use from several threads.
 
     The heading is where W leads; Q and E turn it. A character faces where it goes, and does not sidestep unless
@@ -41,30 +41,30 @@ class Actor:
     `now` in seconds of one clock, and the same presses and times give the same motion.
 
     Args:
-        stage: the runs.
+        library: the runs.
         run, style: to begin with; by default the first of the first run.
 
     Raises:
         InputError: for an unknown run or style.
     """
 
-    def __init__(self, stage: Stage, run: str | None = None, style: str | None = None) -> None:
-        self._stage = stage
+    def __init__(self, library: RunLibrary, run: str | None = None, style: str | None = None) -> None:
+        self._library = library
         self._lock = threading.RLock()
-        self._run = run or stage.runs[0]
-        cast = stage.cast(self._run)
-        self._shares = {style or cast.styles[0]: 1.0}
+        self._run = run or library.runs[0]
+        loaded = library.get(self._run)
+        self._shares = {style or loaded.styles[0]: 1.0}
         self._presses: deque[tuple[float, str, bool]] = deque(maxlen=256)
-        self._keys = Keys()
-        self._stick = Wish()
+        self._keys = HeldKeys()
+        self._stick = DriveInput()
         self._speed: float | None = None
         self._strafe = False
         self._recording: Recording | None = None
-        self._clock = Clock(cast.run.layout.fps)  # every layout's is the same
+        self._clock = Clock(loaded.run.layout.fps)  # every layout's is the same
         self._frame = 0
         self._durations: deque[float] = deque(maxlen=60)
         self._heading = 0.0
-        self._begin(cast, np.zeros(2, np.float32), 0.0)
+        self._begin(loaded, np.zeros(2, np.float32), 0.0)
 
     # What is asked of it
 
@@ -86,7 +86,7 @@ class Actor:
         """
         length = max(math.hypot(ahead, left), 1.0)
         with self._lock:
-            self._stick = Wish(ahead / length, left / length, turn, run)
+            self._stick = DriveInput(ahead / length, left / length, turn, run)
 
     def set_heading(self, yaw: float) -> None:
         """Where W leads from now on, radians about +Y: that of a camera moved by hand."""
@@ -128,7 +128,7 @@ class Actor:
         sound = len(values) == len(names) > 0 and all(value >= 0.0 for value in values)
         if not sound or not abs(sum(values) - 1.0) <= SUM:
             shown = ", ".join(f"{value:g}" for value in values[:8])
-            raise InputError("stage", "style weights", shown, "one for each style, not negative, that sum to one")
+            raise InputError("library", "style weights", shown, "one for each style, not negative, that sum to one")
         shares: dict[str, float] = {}
         for name, value in zip(names, values, strict=True):
             shares[name] = shares.get(name, 0.0) + value
@@ -139,9 +139,9 @@ class Actor:
         with self._lock:
             self._presses.clear()
             self._keys.clear()
-            self._stick = Wish()
+            self._stick = DriveInput()
             self._heading = 0.0
-            self._begin(self._stage.cast(self._run), np.zeros(2, np.float32), 0.0)
+            self._begin(self._library.get(self._run), np.zeros(2, np.float32), 0.0)
 
     # What it does
 
@@ -152,10 +152,10 @@ class Actor:
         """
         now = time.monotonic() if now is None else now
         with self._lock:
-            cast = self._stage.cast(self._run)
+            loaded = self._library.get(self._run)
             for moment in self._clock.due(now):
-                self._step(cast, moment)
-            return self._view(cast)
+                self._step(loaded, moment)
+            return self._view(loaded)
 
     def start_recording(self) -> None:
         """Every step from now on is kept, for 10 minutes at most, until the character is put somewhere else.
@@ -164,9 +164,9 @@ class Actor:
         dropped and begun anew.
         """
         with self._lock:
-            cast = self._stage.cast(self._run)
+            loaded = self._library.get(self._run)
             label = "+".join(self._shares)
-            self._recording = Recording(cast.run.skeleton, cast.run.layout.fps, label, str(cast.run.path.name))
+            self._recording = Recording(loaded.run.skeleton, loaded.run.layout.fps, label, str(loaded.run.path.name))
 
     def stop_recording(self) -> MotionClip | None:
         """The recorded clip, up to a change of run or reset if there was one; None where nothing was recorded."""
@@ -186,75 +186,75 @@ class Actor:
 
     def _take(self, run: str, shares: dict[str, float]) -> None:
         with self._lock:
-            cast = self._stage.cast(run)
+            loaded = self._library.get(run)
             for name in shares:
-                if name not in cast.styles:
-                    rule = f"must be one of {', '.join(cast.styles)}"
-                    raise InputError(cast.run.path, "style", ascii(name)[:60], rule)
+                if name not in loaded.styles:
+                    rule = f"must be one of {', '.join(loaded.styles)}"
+                    raise InputError(loaded.run.path, "style", ascii(name)[:60], rule)
             self._shares = shares
             if run != self._run:
                 self._run = run
                 faced = np.asarray(self._state.motion.directions)[ROOT]
-                self._begin(cast, self._root, math.atan2(faced[0], faced[1]))
+                self._begin(loaded, self._root, math.atan2(faced[0], faced[1]))
 
-    def _begin(self, cast: Cast, root: np.ndarray, yaw: float) -> None:
+    def _begin(self, loaded: LoadedRun, root: np.ndarray, yaw: float) -> None:
         """Standing at `root` [2] facing `yaw`; a recording cannot go on from there without a leap."""
         if self._recording is not None:
             self._recording.close()
-        controller = cast.controller
+        controller = loaded.controller
         first = max(self._shares, key=lambda name: self._shares[name])
         self._state: ControllerState = controller.start(position=root, yaw=yaw, style=controller.styles.index(first))
         self._facing_yaw, self._wanted = yaw, 0.0
         self._root = np.asarray(root, np.float32)  # as asked for: some layouts' bodies are one frame behind it
-        self._way = Way(np.array(self._state.root), np.array(self._state.facing), cast.run.layout.fps)
+        self._history = RootHistory(np.array(self._state.root), np.array(self._state.facing), loaded.run.layout.fps)
 
-    def _step(self, cast: Cast, clock: float) -> None:
+    def _step(self, loaded: LoadedRun, clock: float) -> None:
         """One step of the state, by what is held at `clock` seconds."""
         while self._presses and self._presses[0][0] <= clock + 1e-9:
             pressed, key, shift = self._presses.popleft()
             self._keys.press(key, shift, pressed)
-        command = self._command(cast, clock)
-        self._state = fitted(self._state, cast.controller.capacity)
+        command = self._command(loaded, clock)
+        self._state = fitted(self._state, loaded.controller.capacity)
         started = time.perf_counter()
-        self._state = jax.block_until_ready(cast.controller.step(self._state, command))
+        self._state = jax.block_until_ready(loaded.controller.step(self._state, command))
         self._durations.append(time.perf_counter() - started)
         self._frame += 1
         self._root = np.array(self._state.root)
-        self._way.add(self._root, np.array(self._state.facing))
+        self._history.add(self._root, np.array(self._state.facing))
         if self._recording is not None:
             self._recording.add(np.asarray(self._state.joints)[0], np.asarray(self._state.world_rotations))
 
-    def _command(self, cast: Cast, clock: float) -> Command:
-        keys = self._keys.wish(clock)
-        wish = keys if keys.moves else self._stick
-        self._heading = _wrapped(self._heading + wish.turn * TURN_RATE / cast.run.layout.fps)
-        length = math.hypot(wish.ahead, wish.left)
-        self._wanted = min(length * self._walk(cast) * (RUN if wish.run else 1.0), FASTEST)
-        going = self._heading + math.atan2(wish.left, wish.ahead)
+    def _command(self, loaded: LoadedRun, clock: float) -> Command:
+        keys = self._keys.drive_input(clock)
+        drive = keys if keys.moves else self._stick
+        self._heading = _wrapped(self._heading + drive.turn * TURN_RATE / loaded.run.layout.fps)
+        length = math.hypot(drive.ahead, drive.left)
+        self._wanted = min(length * self._walk(loaded) * (RUN if drive.run else 1.0), FASTEST)
+        going = self._heading + math.atan2(drive.left, drive.ahead)
         if length > 0.0 and not self._strafe:
             self._facing_yaw = going
-        elif length > 0.0 or wish.turn:
+        elif length > 0.0 or drive.turn:
             self._facing_yaw = self._heading
-        return make_command(self._wanted, going, self._facing_yaw, cast.controller.style_weights(self._shares))
+        return make_command(self._wanted, going, self._facing_yaw, loaded.controller.style_weights(self._shares))
 
-    def _walk(self, cast: Cast) -> float:
+    def _walk(self, loaded: LoadedRun) -> float:
         """Metres per second of walking: as set, else the styles' own."""
         if self._speed is not None:
             return self._speed
-        return sum(weight * cast.speeds[name] for name, weight in self._shares.items())
+        return sum(weight * loaded.speeds[name] for name, weight in self._shares.items())
 
-    def _view(self, cast: Cast) -> View:
+    def _view(self, loaded: LoadedRun) -> View:
         recording = self._recording
         return view_of(
             self._state,
-            cast.run.layout,
-            cast.styles,
-            self._way,
+            loaded.run.layout,
+            loaded.styles,
+            self._history,
             run=self._run,
             frame=self._frame,
             heading=self._heading,
             wanted_speed=self._wanted,
-            phase_scale=cast.phase_scale,
+            phase_scale=loaded.phase_scale,
             step_milliseconds=1e3 * float(np.mean(self._durations)) if self._durations else 0.0,
             steps_per_second=self._clock.rate,
             recorded_seconds=None if recording is None else recording.seconds,

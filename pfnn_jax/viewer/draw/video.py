@@ -1,4 +1,4 @@
-"""Clips as frames of a film: the scene of the HTML player, drawn frame by frame without a browser."""
+"""Clips as frames of a video: the scene of the HTML player, drawn frame by frame without a browser."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from matplotlib.colors import to_rgb, to_rgba
 from matplotlib.patches import FancyBboxPatch, PathPatch
 from matplotlib.path import Path
 
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
 from pfnn_jax.viewer.draw.camera import Camera
 from pfnn_jax.viewer.draw.drawing import (
     all_ends,
@@ -26,7 +27,6 @@ from pfnn_jax.viewer.draw.drawing import (
 )
 from pfnn_jax.viewer.draw.palette import GROUND, INK, MUTED, PANEL, SHADE, SHADOW
 from pfnn_jax.viewer.draw.scene import make_scene
-from pfnn_jax.viewer.draw.tracks import Track
 
 PER_ROW = 4
 PANES = {1: (6.4, 4.2), 2: (4.4, 4.2), 3: (3.6, 3.8), 4: (3.0, 3.5)}  # inches, by how many stand beside each other
@@ -37,42 +37,42 @@ TRAIL, TRAIL_STEP = 20.0, 0.1  # seconds of the path drawn before and after now,
 PALE = 0.62  # share of the background in a clip that has ended
 
 
-class Film:
+class Video:
     """The frames of clips side by side and in step.
 
     Args:
-        tracks: clips to show; shorter ones hold their last frame and turn pale.
+        clips: clips to show; shorter ones hold their last frame and turn pale.
         fps: frames per second.
-        dpi: pixels per inch; a film of one clip is about 6.6 inches wide.
+        dpi: pixels per inch; a video of one clip is about 6.6 inches wide.
     """
 
-    def __init__(self, tracks: Sequence[Track], fps: float, dpi: int):
-        if not tracks:
-            raise ValueError("A film needs at least one track.")
-        columns = min(len(tracks), PER_ROW)
-        rows = math.ceil(len(tracks) / columns)
+    def __init__(self, clips: Sequence[AnnotatedClip], fps: float, dpi: int):
+        if not clips:
+            raise ValueError("A video needs at least one annotated.")
+        columns = min(len(clips), PER_ROW)
+        rows = math.ceil(len(clips) / columns)
         wide, high = PANES[columns]
-        strip = max(strip_height(track) for track in tracks)
+        strip = max(strip_height(annotated) for annotated in clips)
         below = strip + SECONDS + ABOVE_STRIP if strip else 0.0
         row = CAPTION + high + below
         inches = (2 * EDGE + columns * wide + (columns - 1) * APART, 2 * EDGE + rows * row + (rows - 1) * APART)
         size = [2 * math.ceil(length * dpi / 2) for length in inches]  # even, as video needs
-        self.fps, self.seconds = fps, max(track.seconds for track in tracks)
+        self.fps, self.seconds = fps, max(annotated.seconds for annotated in clips)
         self.width, self.height = size
         figure = blank_figure(size[0] / dpi, size[1] / dpi)
         figure.set_dpi(dpi)
         self._canvas = FigureCanvasAgg(figure)
         self._panes: list[_Pane | _Strip] = []
         self._background = None
-        for number, track in enumerate(tracks):
+        for number, annotated in enumerate(clips):
             left = EDGE + (number % columns) * (wide + APART)
             top = inches[1] - EDGE - (number // columns) * (row + APART)
             box = np.array([left, top - CAPTION - high, wide, high]) / [*inches, *inches]
-            self._panes.append(_Pane(figure.add_axes(tuple(box)), track, dpi))
-            if strip_height(track):
-                at = [left + NAMES, top - CAPTION - high - ABOVE_STRIP - strip_height(track)]
-                box = np.array([*at, wide - NAMES, strip_height(track)]) / [*inches, *inches]
-                self._panes.append(_Strip(figure.add_axes(tuple(box)), track, self.seconds))
+            self._panes.append(_Pane(figure.add_axes(tuple(box)), annotated, dpi))
+            if strip_height(annotated):
+                at = [left + NAMES, top - CAPTION - high - ABOVE_STRIP - strip_height(annotated)]
+                box = np.array([*at, wide - NAMES, strip_height(annotated)]) / [*inches, *inches]
+                self._panes.append(_Strip(figure.add_axes(tuple(box)), annotated, self.seconds))
 
     @property
     def num_frames(self) -> int:
@@ -97,19 +97,19 @@ class Film:
 class _Pane:
     """A scene that is drawn anew for every frame, in pixels."""
 
-    def __init__(self, axes: Axes, track: Track, dpi: int):
-        self.scene, self.track, self.pixel = make_scene(track.clip), track, dpi / 100
+    def __init__(self, axes: Axes, annotated: AnnotatedClip, dpi: int):
+        self.scene, self.annotated, self.pixel = make_scene(annotated.clip), annotated, dpi / 100
         box = axes.get_window_extent()
         self.size = (box.width, box.height)
         axes.set_xlim(0, box.width)
         axes.set_ylim(0, box.height)
         axes.axis("off")
         axes.annotate(
-            track.name, (0, 1), (2, 6), "axes fraction", "offset points", color=INK, fontsize=9.5, weight="bold"
+            annotated.name, (0, 1), (2, 6), "axes fraction", "offset points", color=INK, fontsize=9.5, weight="bold"
         )
-        if track.note:
+        if annotated.note:
             place = {"xycoords": axes.texts[0], "xytext": (8, 0), "textcoords": "offset points"}
-            axes.annotate(track.note, (1, 0), **place, fontsize=8.5, color=MUTED, va="bottom")
+            axes.annotate(annotated.note, (1, 0), **place, fontsize=8.5, color=MUTED, va="bottom")
         rounding = f"round,pad=0,rounding_size={8 * self.pixel}"
         panel = axes.add_patch(FancyBboxPatch((0, 0), *self.size, boxstyle=rounding, facecolor=PANEL, linewidth=0))
         self.grid = LineCollection([], linewidths=0.8)
@@ -134,11 +134,11 @@ class _Pane:
         after, share = min(before + 1, len(scene.points) - 1), frame - before
         points, focus = ((1 - share) * values[before] + share * values[after] for values in (scene.points, scene.focus))
         camera = Camera(focus, scene.heading, scene.tall, *self.size)
-        over = time > self.track.over
+        over = time > self.annotated.over
         self._draw_ground(camera)
         self._draw_trail(camera, before)
         self._draw_body(camera, points, over)
-        self.clock.set_text(f"ended at {self.track.seconds:.1f} s" if over else f"{time:.1f} s")
+        self.clock.set_text(f"ended at {self.annotated.seconds:.1f} s" if over else f"{time:.1f} s")
         for artist in self.artists:
             artist.draw(renderer)
 
@@ -187,11 +187,11 @@ class _Pane:
 
 
 class _Strip:
-    """A time line with a line for now; that of a long film moves along."""
+    """A time line with a line for now; that of a long video moves along."""
 
-    def __init__(self, axes: Axes, track: Track, seconds: float):
+    def __init__(self, axes: Axes, annotated: AnnotatedClip, seconds: float):
         self.axes, self.seconds = axes, seconds
-        draw_strip(axes, track)
+        draw_strip(axes, annotated)
         self.cursor = axes.axvline(0.0, color=INK, linewidth=1.3, zorder=3)
         self.moves = seconds > WINDOW
         axes.set_xlim(0, min(seconds, WINDOW) or 1.0)
