@@ -52,7 +52,7 @@ class AnnotatedClip:
         frames = self.clip.num_frames
         for name, values in (("phase", self.phase), ("contacts", self.contacts)):
             if values is not None and len(values) != frames:
-                raise ValueError(f"{name} of annotated {self.name!r} has {len(values)} frames, its clip {frames}.")
+                raise ValueError(f"{name} of {self.name!r} has {len(values)} frames, its clip {frames}.")
         if self.phase is not None and self.phase.shape[1:] not in ((), (self.phase.size // (2 * frames), 2)):
             raise ValueError(f"phase of {self.name!r} is {list(self.phase.shape)}, must be [T] or [T, B, 2].")
         if self.contacts is not None and self.contacts.shape[1:] not in ((2,), (4,)):
