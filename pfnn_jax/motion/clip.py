@@ -14,7 +14,7 @@ from pfnn_jax.motion.skeleton import Skeleton
 ON_FRAME = 1e-6  # of a frame: a new frame this near to an old one is that frame
 FIT = 0.1  # share of a joint's bone lengths by which left and right may differ in real skeletons
 REFLECTIONS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0]])
-WORLD = REFLECTIONS[0]  # x to -x
+WORLD_REFLECTION = REFLECTIONS[0]  # x to -x
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def resample(clip: MotionClip, fps: float) -> MotionClip:
     return replace(clip, fps=float(fps), root_positions=positions, rotations=rotations)
 
 
-def mirror_clip(clip: MotionClip) -> MotionClip:
+def mirror_clip(clip: MotionClip, signs: np.ndarray | None = None) -> MotionClip:
     """The clip with left and right exchanged: reflected across the plane x = 0, on the same skeleton.
 
     Each joint takes its partner's reflected rotation. A reflection is no rotation, so every joint also has a reflection
@@ -93,15 +93,19 @@ def mirror_clip(clip: MotionClip) -> MotionClip:
     other axes where bones lie along local X as in the Bandai-Namco files. Where bones leave S open, it is the one that
     keeps the mirrored pose closest to the clip's own. Bone lengths stay the skeleton's: if left and right differ, the
     mirrored positions differ from the reflected ones by as much. Mirroring twice gives the clip back.
+
+    Args:
+        clip: the motion.
+        signs: [J, 3] as `frame_reflections` returns them, where they are known already.
     """
-    signs = _frame_reflections(clip)
+    signs = frame_reflections(clip) if signs is None else signs
     partner, parents = clip.skeleton.mirror, clip.skeleton.parents
     # local: S_parent r_partner S; the root's parent is the world, reflected across x
-    outer = np.where(parents[:, None] >= 0, signs[parents], WORLD)
-    rotations = _reflect(clip.rotations[:, partner], outer, signs)
+    outer = np.where(parents[:, None] >= 0, signs[parents], WORLD_REFLECTION)
+    rotations = reflect_rotations(clip.rotations[:, partner], outer, signs)
     return replace(
         clip,
-        root_positions=clip.root_positions * WORLD,
+        root_positions=clip.root_positions * WORLD_REFLECTION,
         rotations=rotations,
         mirrored=not clip.mirrored,
         content=swap_sides(clip.content),
@@ -113,13 +117,14 @@ def swap_sides(content: str) -> str:
     return re.sub(r"left|right", lambda word: "right" if word[0] == "left" else "left", content)
 
 
-def _reflect(q: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
+def reflect_rotations(q: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
     """Quaternions [T, J, 4] of O R I for diagonal reflections outer and inner [J, 3] of signs with product -1.
 
     With O = -A and I = -B for half turns (or identities) A and B about an axis, O R I = A R B: a permutation of the
     quaternion's parts with signs, found by applying it to the unit quaternions.
     """
     units = np.eye(4)[:, None]
+    outer = np.broadcast_to(outer, inner.shape)
     images = quat_multiply(quat_multiply(_half_turn(outer), units), _half_turn(inner))  # [4, J, 4]
     source = np.argmax(np.abs(images), axis=0)  # [J, 4] part of q that each part of the result comes from
     sign = np.take_along_axis(images, source[None], axis=0)[0]
@@ -133,13 +138,14 @@ def _half_turn(signs: np.ndarray) -> np.ndarray:
     return turn
 
 
-def _frame_reflections(clip: MotionClip) -> np.ndarray:
+def frame_reflections(clip: MotionClip) -> np.ndarray:
     """[J, 3] signs of the reflection of each joint's frame, the same for both joints of a pair."""
     skeleton = clip.skeleton
     misfit, length = _bone_misfit(skeleton)
     fits = misfit <= misfit.min(axis=1, keepdims=True) + FIT * length[:, None]
     if np.all(fits[:, 0]):
-        return np.tile(WORLD, (skeleton.num_joints, 1))  # a symmetric zero pose: every frame mirrors as the world does
+        # the zero pose is symmetric, so every frame mirrors as the world does
+        return np.tile(WORLD_REFLECTION, (skeleton.num_joints, 1))
     mean = quat_to_matrix(clip.rotations[:: max(1, clip.num_frames // 100)]).mean(axis=0)
     chosen = np.zeros(skeleton.num_joints, dtype=int)
     for joint in range(skeleton.num_joints):

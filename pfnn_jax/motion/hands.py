@@ -32,6 +32,8 @@ def extend_hands(clip: MotionClip) -> MotionClip:
     roles = need_roles(skeleton, clip.source)
     hands = (roles.left_hand, roles.right_hand)
     present = [_site_joint(skeleton, hand) for hand in hands]
+    if tuple(present) == hands:
+        return clip
     if None not in present:
         roles = replace(roles, left_hand=present[0], right_hand=present[1])
         return replace(clip, skeleton=replace(skeleton, roles=roles))

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from pfnn_jax.motion.features.layout import TRAJECTORY_OFFSETS, FrameLayout
+from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.ground import facing_of, to_local, yaw_of
 from pfnn_jax.motion.skeleton import Roles
 
@@ -60,7 +60,7 @@ def root_motion(positions: np.ndarray, roles: Roles, fps: float, smoothing_secon
     across = across + positions[:, roles.left_hip] - positions[:, roles.right_hip]
     forward = _across_up(across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9))
     if smoothing_seconds > 0:
-        forward = gaussian_filter1d(forward, smoothing_seconds * fps, axis=0, mode="nearest")
+        forward = gaussian_filter(forward, smoothing_seconds * fps)
     return Root(positions[:, roles.hips][:, [0, 2]], _unit(forward))
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pfnn_jax.motion.clip import MotionClip, mirror_clip
+from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.datasets.clip_file import ClipFile
 from pfnn_jax.motion.datasets.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.datasets.splits import SPLITS, row_windows, split_blocks, take_generator
@@ -24,9 +25,13 @@ from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import clip_local_phases, end_effectors, fit_axes, mirror_local_phases
 from pfnn_jax.motion.labels.phase import mirror_phase
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
+from pfnn_jax.motion.world_motion import world_motion
 
 HEAD = 10_000
 """Lines of a BVH file that its hierarchy does not exceed."""
+
+Fit = Callable[[MotionClip], MotionClip]
+"""Gives a clip the joints of a layout."""
 
 Source = ClipFile | LabelledClip
 """A clip on disk, or one in memory with its labels."""
@@ -139,14 +144,12 @@ def load_take(clip_file: ClipFile, layout: FrameLayout, roles_file: Path | None 
         NoGaitError: if the layout needs a phase of the gait cycle and there are no steps.
         InputError: for bad files, or a skeleton without roles.
     """
-    return fit_hands(_load_labelled(clip_file, layout, roles_file), layout)
+    return _load_labelled(clip_file, layout, roles_file, partial(_fit_joints, layout=layout))
 
 
 def fit_hands(take: LabelledClip, layout: FrameLayout) -> LabelledClip:
     """The take with the ends of its hands as joints, where the layout has those and the take has not."""
-    if take.clip.skeleton.num_joints == layout.num_joints:
-        return take
-    return _with_hands(take, layout)
+    return _fitted(take, partial(_fit_joints, layout=layout))
 
 
 def take_features(take: LabelledClip, layout: FrameLayout, mirror: bool = False) -> list[Features]:
@@ -184,30 +187,45 @@ def prepare_group(group: Group) -> list[Prepared]:
 def _load(source: Source, group: Group) -> LabelledClip | str:
     """The take, or why it is left out."""
     wanted = LAYOUTS[group.layout](1)
+    fit = extend_hands if group.hands and wanted.next_frame else _unchanged
     if wanted.next_frame and content_of(source) == IDLE:
         return "an idle take; the layout is of locomotion"
     try:
         if isinstance(source, ClipFile):
-            source = _load_labelled(source, wanted, group.roles_file)
+            source = _load_labelled(source, wanted, group.roles_file, fit)
         need_roles(source.clip.skeleton, source.clip.source)
-        return _with_hands(source, wanted) if group.hands else source
+        return _fitted(source, fit)
     except NoGaitError as error:
         return f"{error.value}; {error.rule}"
 
 
-def _load_labelled(clip_file: ClipFile, layout: FrameLayout, roles_file: Path | None) -> LabelledClip:
-    return load_labelled(clip_file, layout.fps, roles_file, phase=layout.phase_kind == "global")
+def _load_labelled(clip_file: ClipFile, layout: FrameLayout, roles_file: Path | None, fit: Fit) -> LabelledClip:
+    return load_labelled(clip_file, layout.fps, roles_file, phase=layout.phase_kind == "global", fit=fit)
 
 
-def _with_hands(take: LabelledClip, layout: FrameLayout) -> LabelledClip:
-    return replace(take, clip=extend_hands(take.clip)) if layout.next_frame else take
+def _fit_joints(clip: MotionClip, layout: FrameLayout) -> MotionClip:
+    """Returns the clip with hand ends as joints where the layout has these and the clip lacks them."""
+    needs_hands = layout.next_frame and clip.skeleton.num_joints != layout.num_joints
+    return extend_hands(clip) if needs_hands else clip
+
+
+def _unchanged(clip: MotionClip) -> MotionClip:
+    return clip
+
+
+def _fitted(take: LabelledClip, fit: Fit) -> LabelledClip:
+    """Returns the take with its clip fitted and its joints in the world, computed unless they are known."""
+    clip = fit(take.clip)
+    if clip is take.clip and take.world is not None:
+        return take
+    return replace(take, clip=clip, world=world_motion(clip))
 
 
 def _local_phases(takes: Sequence[LabelledClip], layout: FrameLayout) -> list[np.ndarray | None]:
     """[T, 4, 2] of each take, by axes of all of them; None where the layout has no local phases."""
     if layout.phase_kind != "local" or not takes:
         return [None] * len(takes)
-    ends = [end_effectors(take.clip) for take in takes]
+    ends = [end_effectors(take.world or take.clip) for take in takes]
     axes = fit_axes(ends)
     return [clip_local_phases(end, axes=axes) for end in ends]
 
@@ -230,13 +248,13 @@ def _images(
     take: LabelledClip, layout: FrameLayout, mirror: bool, phases: np.ndarray | None
 ) -> list[tuple[MotionClip, Features]]:
     """The take and, with `mirror`, its mirror image, each with its rows."""
-    clip, labels = take.clip, take.labels
-    images = [(clip, clip_features(clip, layout, labels, take.gait, phases))]
+    world, labels = world_motion(take.world or take.clip), take.labels
+    images = [(take.clip, clip_features(world, layout, labels, take.gait, phases))]
     if mirror:
-        twin = mirror_clip(clip)
+        twin = world.mirror()
         labels = mirror_phase(labels)
         phases = None if phases is None else mirror_local_phases(phases)
-        images.append((twin, clip_features(twin, layout, labels, take.gait, phases)))
+        images.append((twin.clip, clip_features(twin, layout, labels, take.gait, phases)))
     return images
 
 

@@ -18,6 +18,7 @@ from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import clip_local_phases
 from pfnn_jax.motion.labels.phase import PhaseLabels, label_phase
 from pfnn_jax.motion.trajectory import EXTRAPOLATION_SECONDS
+from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ def join_rows(parts: Sequence[Features]) -> Features:
 
 
 def clip_features(
-    clip: MotionClip,
+    clip: MotionClip | WorldMotion,
     layout: FrameLayout,
     labels: PhaseLabels | None = None,
     gait: np.ndarray | None = None,
@@ -64,7 +65,7 @@ def clip_features(
     alone. Under the other layouts heights are the file's.
 
     Args:
-        clip: T frames at the layout's frame rate, with roles.
+        clip: T frames at the layout's frame rate, of a skeleton with roles.
         layout: of J joints; `layout_for` makes it.
         labels: phase of the T frames, for layouts with a global phase; None finds them with `label_phase`.
         gait: [T, 6] for `pfnn2017`; None estimates it from speed.
@@ -76,20 +77,21 @@ def clip_features(
             labelled frames in a row.
         InputError: for another frame rate or number of joints or frames, or values that are not finite.
     """
-    _check_clip(clip, layout)
-    local = localise(clip, layout)
+    _check_clip(clip.clip if isinstance(clip, WorldMotion) else clip, layout)
+    motion = world_motion(clip)
+    clip, local = motion.clip, localise(motion, layout)
     frames = np.arange(1, clip.num_frames - 1)
     if layout.phase_kind == "global":
-        labels = label_phase(clip) if labels is None else labels
+        labels = label_phase(motion) if labels is None else labels
         frames, phases = _labelled_frames(clip, labels), labels.phase
     elif layout.phase_kind == "local":
-        phases = _flat_phases(clip, clip_local_phases(clip) if local_phases is None else local_phases)
+        phases = _flat_phases(clip, clip_local_phases(motion) if local_phases is None else local_phases)
     else:
-        phases = end_velocities(clip, layout, local)
+        phases = end_velocities(layout, local)
     if layout.next_frame:
-        rows = next_frame_rows(clip, layout, local, phases, frames)
+        rows = next_frame_rows(layout, local, phases, frames)
     else:
-        rows = current_frame_rows(clip, layout, local, phases, gait, frames)
+        rows = current_frame_rows(layout, local, phases, gait, frames)
     x = _fill(layout.inputs, len(frames), rows.input)
     y = _fill(layout.outputs, len(frames), rows.output)
     require_finite(x, layout.input_names, clip.source, "x")

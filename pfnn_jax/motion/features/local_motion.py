@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.ground import to_local
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw, quat_multiply, quat_rotate
-from pfnn_jax.motion.skeleton import need_roles
+from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.trajectory import Root, layout_root, trajectory_windows
+from pfnn_jax.motion.world_motion import WorldMotion
 
 AXES = {"joint_forward": np.array([0.0, 0.0, 1.0]), "joint_up": np.array([0.0, 1.0, 0.0])}
 """The joint's own axis that a block of directions holds."""
@@ -22,48 +21,47 @@ class LocalMotion:
     """T frames of a clip, each seen from its own root.
 
     Attributes:
+        world: the same frames in the world.
         root: of every frame.
         windows: trajectory around every frame, positions [T, 12, 2] metres and directions [T, 12, 2].
         positions: [T, J, 3] metres.
         velocities: metres per second: [T - 1, J, 3] from each frame to the next or, for `next_frame` layouts,
             [T, J, 3] from each frame's predecessor to it (the first repeats the second).
         rotations: [T, J, 4] wxyz.
-        world_positions: [T, J, 3] metres, in the world.
     """
 
+    world: WorldMotion
     root: Root
     windows: tuple[np.ndarray, np.ndarray]
     positions: np.ndarray
     velocities: np.ndarray
     rotations: np.ndarray
-    world_positions: np.ndarray
 
 
-def localise(clip: MotionClip, layout: FrameLayout) -> LocalMotion:
+def localise(motion: WorldMotion, layout: FrameLayout) -> LocalMotion:
     """A clip seen from the roots that a layout takes.
 
     Args:
-        clip: T frames at the layout's frame rate, with roles.
+        motion: T frames at the layout's frame rate, of a skeleton with roles.
         layout: decides the heading of the root and which way velocities look.
 
     Raises:
         InputError: if the skeleton has no roles.
     """
-    roles = need_roles(clip.skeleton, clip.source)
-    positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
-    root = layout_root(positions, roles, layout)
+    positions = motion.positions
+    root = layout_root(positions, motion.roles, layout)
     offset = positions.copy()
     offset[..., [0, 2]] -= root.positions[:, None]
-    steps = np.diff(positions, axis=0) * clip.fps
+    steps = np.diff(positions, axis=0) * motion.fps
     if layout.next_frame:
         steps = np.concatenate([steps[:1], steps])
     return LocalMotion(
+        world=motion,
         root=root,
-        windows=trajectory_windows(root, clip.fps),
+        windows=trajectory_windows(root, motion.fps),
         positions=to_local(offset, root.facing),
         velocities=to_local(steps, root.facing[: len(steps)]),
-        rotations=quat_multiply(quat_from_yaw(-root.yaw)[:, None], rotations),
-        world_positions=positions,
+        rotations=quat_multiply(quat_from_yaw(-root.yaw)[:, None], motion.rotations),
     )
 
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.layout import NOW, FrameLayout
 from pfnn_jax.motion.features.local_motion import LocalMotion, joint_axis, trajectory_block
 from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.kinematics import quat_log
 from pfnn_jax.motion.labels.contacts import estimate_gait, foot_joints, measured_leg_length, slow_feet
-from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.trajectory import sample_offsets
+from pfnn_jax.motion.world_motion import WorldMotion
 
 CONTACT_SPEED = 0.01 * np.sqrt(0.02) * 60
 """Metres per second: a squared displacement of 0.02 cm² in a frame (Holden's `contacts`; no height test)."""
@@ -29,16 +28,14 @@ class CurrentFrameRows:
     """Blocks of the rows of some frames: y_i describes frame i, x_i the joints of the frame before.
 
     Attributes:
-        clip: T frames.
         layout: one whose `next_frame` is false.
-        local: the clip seen from its roots.
+        local: T frames seen from their roots.
         phases: [T] radians.
         gait: [T, 6], or None to estimate it from speed.
         frames: [N] indices, none of them the first or last frame.
         ground: height of the ground in metres, taken off the joints' heights.
     """
 
-    clip: MotionClip
     layout: FrameLayout
     local: LocalMotion
     phases: np.ndarray
@@ -60,14 +57,13 @@ class CurrentFrameRows:
     def output(self, block: str) -> np.ndarray:
         """[N, ...] one block of y in layout units."""
         layout, frames, local = self.layout, self.frames, self.local
-        rate = layout.time_unit * self.clip.fps
+        rate = layout.time_unit * local.world.fps
         if block.startswith("trajectory"):
             return self._trajectory(block, frames + 1, NOW)
         if block.startswith("joint"):
             return self._joints(block, frames)
         if block == "contacts":
-            roles = need_roles(self.clip.skeleton, self.clip.source)
-            return slow_feet(local.world_positions, roles, self.clip.fps, CONTACT_SPEED)[frames]
+            return _contacts(local.world)[frames]
         if block == "root_velocity":
             return local.velocities[frames][:, 0, [0, 2]] * (layout.time_unit / layout.length_unit)
         if block == "root_yaw_rate":
@@ -91,18 +87,17 @@ class CurrentFrameRows:
 
     def _gait_windows(self) -> np.ndarray:
         """[N, 6, 12]: beyond the clip's ends the first and last label hold."""
-        clip, gait = self.clip, self.gait
+        world, gait = self.local.world, self.gait
         if gait is None:
-            leg = measured_leg_length(self.local.world_positions, need_roles(clip.skeleton, clip.source))
-            gait = estimate_gait(self.local.root.positions, leg, clip.fps)
-        if len(gait) != clip.num_frames:
-            raise InputError(clip.source, "gait", f"{len(gait)} frames", f"the clip has {clip.num_frames}")
-        index = np.clip(self.frames[:, None] + sample_offsets(clip.fps), 0, clip.num_frames - 1)
+            leg = measured_leg_length(world.positions, world.roles)
+            gait = estimate_gait(self.local.root.positions, leg, world.fps)
+        if len(gait) != world.num_frames:
+            raise InputError(world.clip.source, "gait", f"{len(gait)} frames", f"the clip has {world.num_frames}")
+        index = np.clip(self.frames[:, None] + sample_offsets(world.fps), 0, world.num_frames - 1)
         return np.moveaxis(gait[index], 2, 1)
 
 
 def current_frame_rows(
-    clip: MotionClip,
     layout: FrameLayout,
     local: LocalMotion,
     phases: np.ndarray,
@@ -110,13 +105,17 @@ def current_frame_rows(
     frames: np.ndarray,
 ) -> CurrentFrameRows:
     """The blocks of a clip's rows; arguments as `CurrentFrameRows` has them."""
-    ground = _ground(clip, local.world_positions) if layout.has_input("terrain_height") else 0.0
-    return CurrentFrameRows(clip, layout, local, phases, gait, frames, ground)
+    ground = _ground(local.world) if layout.has_input("terrain_height") else 0.0
+    return CurrentFrameRows(layout, local, phases, gait, frames, ground)
 
 
-def _ground(clip: MotionClip, positions: np.ndarray) -> float:
-    """Height of the ground of a flat clip, metres; 0 where no foot ever stands."""
-    roles = need_roles(clip.skeleton, clip.source)
-    contact = slow_feet(positions, roles, clip.fps, CONTACT_SPEED)[:-1]
-    heights = positions[:-1, foot_joints(roles), 1] - np.array(STANDING_HEIGHTS)
+def _contacts(motion: WorldMotion) -> np.ndarray:
+    """Returns the contacts [T, 4] of heels and toes by the authors' rule of speed alone."""
+    return slow_feet(motion.positions, motion.roles, motion.fps, CONTACT_SPEED)
+
+
+def _ground(motion: WorldMotion) -> float:
+    """Returns the height of the ground of a flat clip in metres; 0 where no foot is ever in contact."""
+    contact = _contacts(motion)[:-1]
+    heights = motion.positions[:-1, foot_joints(motion.roles), 1] - np.array(STANDING_HEIGHTS)
     return float(heights[contact].mean()) if contact.any() else 0.0

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.layout import NOW, FrameLayout, end_joints
 from pfnn_jax.motion.features.local_motion import LocalMotion, joint_axis, trajectory_block
 from pfnn_jax.motion.ground import facing_of, to_local, to_world, wrap_angle
@@ -23,16 +22,14 @@ class NextFrameRows:
     """Blocks of the rows of some frames: x_i describes frame i, y_i the frame after it, both seen from root i.
 
     Attributes:
-        clip: T frames.
         layout: one whose `next_frame` is true, in metres and seconds.
-        local: the clip seen from its roots.
+        local: T frames seen from their roots.
         phases: [T, G] what the blending coefficients depend on; [T] for a scalar phase.
         frames: [N] indices, none of them the first or last frame.
         turn: [N] radians, yaw of root i+1 seen from root i.
         step: [N, 2] metres, position of root i+1 seen from root i.
     """
 
-    clip: MotionClip
     layout: FrameLayout
     local: LocalMotion
     phases: np.ndarray
@@ -58,8 +55,8 @@ class NextFrameRows:
         if block == "local_phase_change":
             return self.phases[after] - self.phases[self.frames]
         if block == "foot_contacts":
-            return toe_contacts(self.clip)[after]
-        rate = self.layout.time_unit * self.clip.fps / self.layout.phase_unit
+            return toe_contacts(self.local.world)[after]
+        rate = self.layout.time_unit * self.local.world.fps / self.layout.phase_unit
         return wrap_angle(self.phases[after] - self.phases[self.frames]) * rate
 
     def _joints(self, block: str, frames: np.ndarray) -> np.ndarray:
@@ -80,29 +77,26 @@ class NextFrameRows:
         return trajectory_block((positions + self.step[:, None], directions), block)
 
 
-def next_frame_rows(
-    clip: MotionClip, layout: FrameLayout, local: LocalMotion, phases: np.ndarray, frames: np.ndarray
-) -> NextFrameRows:
+def next_frame_rows(layout: FrameLayout, local: LocalMotion, phases: np.ndarray, frames: np.ndarray) -> NextFrameRows:
     """The blocks of a clip's rows; arguments as `NextFrameRows` has them."""
     yaw, path = local.root.yaw, local.root.positions
     turn = yaw[frames + 1] - yaw[frames]
     step = to_local(path[frames + 1] - path[frames], local.root.facing[frames])
-    return NextFrameRows(clip, layout, local, phases, frames, turn, step)
+    return NextFrameRows(layout, local, phases, frames, turn, step)
 
 
-def end_velocities(clip: MotionClip, layout: FrameLayout, local: LocalMotion) -> np.ndarray:
+def end_velocities(layout: FrameLayout, local: LocalMotion) -> np.ndarray:
     """[T, 12] velocities of left hand, right hand, left toe and right toe, metres per second seen from the root.
 
     Args:
-        clip: T frames, with roles.
         layout: whose `ends` must be the clip's.
-        local: the clip seen from its roots.
+        local: T frames seen from their roots.
 
     Raises:
         InputError: if the layout's end effectors are not the clip's.
     """
-    ends = end_joints(clip.skeleton)
+    ends = end_joints(local.world.skeleton)
     if layout.ends != ends:
         rule = f"the clip's end effectors are joints {ends}; layout_for makes a skeleton's layout"
-        raise InputError(clip.source, f"layout {layout.name}", f"end effectors {layout.ends}", rule)
-    return local.velocities[:, list(ends)].reshape(clip.num_frames, -1)
+        raise InputError(local.world.clip.source, f"layout {layout.name}", f"end effectors {layout.ends}", rule)
+    return local.velocities[:, list(ends)].reshape(local.world.num_frames, -1)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from pfnn_jax.io.files import read_rows
 from pfnn_jax.motion.features.layout import GAITS
+from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.skeleton import Roles
 
 MAX_SPEED = 0.6
@@ -79,7 +79,7 @@ def foot_contacts(
         [T, 4] bool: left heel, left toe, right heel, right toe.
     """
     leg = measured_leg_length(positions, roles)
-    feet = gaussian_filter1d(positions[:, foot_joints(roles)], SMOOTHING_SECONDS * fps, axis=0, mode="nearest")
+    feet = gaussian_filter(positions[:, foot_joints(roles)], SMOOTHING_SECONDS * fps)
     speed = np.linalg.norm(np.gradient(feet, 1 / fps, axis=0), axis=-1)
     height = feet[..., 1] - np.percentile(feet[..., 1], GROUND_PERCENTILE, axis=0)
     return (speed < max_speed * leg) & (height < max_height * leg)
@@ -152,7 +152,7 @@ def estimate_gait(root_positions: np.ndarray, leg: float, fps: float) -> np.ndar
         [T, 6] in the order of `layout.GAITS`; rows sum to 1; crouch, jump and bump are 0.
     """
     velocity = np.gradient(root_positions, 1 / fps, axis=0)
-    velocity = gaussian_filter1d(velocity, GAIT_SMOOTHING_SECONDS * fps, axis=0, mode="nearest")
+    velocity = gaussian_filter(velocity, GAIT_SMOOTHING_SECONDS * fps)
     speed = np.linalg.norm(velocity, axis=-1) / np.sqrt(GRAVITY * leg)
     moving, jogging = (
         np.clip((speed - (1 - FADE) * limit) / (2 * FADE * limit), 0.0, 1.0) for limit in (STAND_SPEED, JOG_SPEED)

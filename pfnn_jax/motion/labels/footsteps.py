@@ -13,13 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.labels.contacts import foot_joints, measured_leg_length
-from pfnn_jax.motion.skeleton import need_roles
+from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 
 # speeds in leg lengths per second
 SWING = 0.6
@@ -76,26 +75,26 @@ class StepRun:
     stop: int
 
 
-def find_steps(clip: MotionClip) -> list[StepRun]:
+def find_steps(clip: MotionClip | WorldMotion) -> list[StepRun]:
     """Runs of alternating steps.
 
     Args:
-        clip: with roles on its skeleton.
+        clip: of a skeleton with roles.
 
     Raises:
         NoGaitError: where there are no runs.
         InputError: where the skeleton has no roles.
     """
-    roles = need_roles(clip.skeleton, clip.source)
-    positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    motion = world_motion(clip)
+    clip, positions, roles = motion.clip, motion.positions, motion.roles
     if clip.num_frames < 3:
         raise NoGaitError(clip.source, "frames", clip.num_frames, "steps need at least 3")
     leg = measured_leg_length(positions, roles)
     joints = [*foot_joints(roles), roles.hips]
-    smooth = gaussian_filter1d(positions[:, joints], SPEED_SMOOTHING * clip.fps, axis=0, mode="nearest")
+    smooth = gaussian_filter(positions[:, joints], SPEED_SMOOTHING * motion.fps)
     speed = np.linalg.norm(np.gradient(smooth, 1 / clip.fps, axis=0), axis=-1) / leg
     contacts = _contacts(speed[:, :4].reshape(-1, 2, 2), clip.fps)
-    moving = gaussian_filter1d(speed.max(axis=1), SWING_SMOOTHING * clip.fps, mode="nearest") > MOVING
+    moving = gaussian_filter(speed.max(axis=1), SWING_SMOOTHING * motion.fps) > MOVING
     hips = positions[:, roles.hips][:, [0, 2]] / leg
     runs = [run for run in _split(contacts, clip.fps) if _is_gait(run[0], hips)]
     if not runs:
@@ -120,7 +119,7 @@ def half_cycles(times: np.ndarray) -> tuple[float, float]:
 
 def _contacts(speed: np.ndarray, fps: float) -> list[tuple[float, int]]:
     """(frame, foot) of every contact in time order; foot 0 is the left. speed is [T, foot, (heel, toe)]."""
-    mean = gaussian_filter1d(speed.mean(axis=-1), SWING_SMOOTHING * fps, axis=0, mode="nearest")
+    mean = gaussian_filter(speed.mean(axis=-1), SWING_SMOOTHING * fps)
     swings = _swings(mean[:, 0] - mean[:, 1])
     peaks = [start + int(np.argmax(mean[start:stop, foot])) for foot, start, stop in swings]
     found = []

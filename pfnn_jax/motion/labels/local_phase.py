@@ -12,14 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, sosfiltfilt
 
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.filters import low_pass, moving_average
 from pfnn_jax.motion.ground import facing_of, to_local
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
+from pfnn_jax.motion.kinematics import quat_rotate
 from pfnn_jax.motion.labels.sinusoid import HIGHEST, fit_sinusoids
-from pfnn_jax.motion.skeleton import Skeleton, need_roles
+from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 
 END_EFFECTORS = ("left hand", "right hand", "left toe", "right toe")
 """Order of the four bones in every array of local phases."""
@@ -41,7 +40,7 @@ class EndEffectors:
     fps: float
 
 
-def end_effectors(clip: MotionClip) -> EndEffectors:
+def end_effectors(clip: MotionClip | WorldMotion) -> EndEffectors:
     """Tips of a clip's hands and feet: the End Site beyond the joint where it has one, else the joint.
 
     The local frame stands at the hips and turns about the vertical with the line between the hip joints. The rig's own
@@ -51,20 +50,21 @@ def end_effectors(clip: MotionClip) -> EndEffectors:
     Raises:
         InputError: if the skeleton's roles are not known.
     """
-    roles = need_roles(clip.skeleton, clip.source or "clip")
-    positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    motion = world_motion(clip)
+    roles, positions = motion.roles, motion.positions
     joints = (roles.left_hand, roles.right_hand, roles.left_foot[1], roles.right_foot[1])
-    world = np.stack([_tip(clip.skeleton, joint, positions, rotations) for joint in joints], axis=1)
+    world = np.stack([_tip(motion, joint) for joint in joints], axis=1)
     across = positions[:, roles.left_hip] - positions[:, roles.right_hip]
     yaw = np.arctan2(-across[:, 2], across[:, 0])  # across × up
-    return EndEffectors(world, to_local(world - positions[:, None, roles.hips], facing_of(yaw)), clip.fps)
+    return EndEffectors(world, to_local(world - positions[:, None, roles.hips], facing_of(yaw)), motion.fps)
 
 
-def _tip(skeleton: Skeleton, joint: int, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    offsets = [offset for parent, offset in skeleton.end_sites if parent == joint]
+def _tip(motion: WorldMotion, joint: int) -> np.ndarray:
+    offsets = [offset for parent, offset in motion.skeleton.end_sites if parent == joint]
     if not offsets:
-        return positions[:, joint]
-    return positions[:, joint] + quat_rotate(rotations[:, joint], max(offsets, key=lambda o: float(np.linalg.norm(o))))
+        return motion.positions[:, joint]
+    farthest = max(offsets, key=lambda offset: float(np.linalg.norm(offset)))
+    return motion.positions[:, joint] + quat_rotate(motion.rotations[:, joint], farthest)
 
 
 WINDOW_SECONDS = 1.0
@@ -122,7 +122,7 @@ def principal_axis(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (-axis if (axis[2] or axis[0]) < 0 else axis), mean
 
 
-def fit_axes(clips: Sequence[MotionClip | EndEffectors]) -> PrincipalAxes:
+def fit_axes(clips: Sequence[MotionClip | WorldMotion | EndEffectors]) -> PrincipalAxes:
     """Principal axes of the bones over all takes of one style and gait."""
     local = np.concatenate([_ends(clip).local for clip in clips])
     axes = [principal_axis(local[:, bone]) for bone in range(local.shape[1])]
@@ -142,10 +142,10 @@ def contact_source(points: np.ndarray, fps: float, config: LocalPhaseConfig | No
     around = round(config.majority_seconds * fps)
     if around == 0:
         return contact
-    return uniform_filter1d(contact.astype(float), 2 * around + 1, mode="nearest") > 0.5
+    return moving_average(contact.astype(float), 2 * around + 1) > 0.5
 
 
-def toe_contacts(clip: MotionClip | EndEffectors, config: LocalPhaseConfig | None = None) -> np.ndarray:
+def toe_contacts(clip: MotionClip | WorldMotion | EndEffectors, config: LocalPhaseConfig | None = None) -> np.ndarray:
     """[T, 2] bool: right and left toe on the ground."""
     ends = _ends(clip)
     return np.stack([contact_source(ends.world[:, bone], ends.fps, config) for bone in (3, 2)], axis=1)
@@ -192,13 +192,16 @@ def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarra
     )
     phase = phase + 2 * np.pi * frequency * ((np.arange(frames) - nearest) / fps)[:, None]
     around = 2 * round(WINDOW_SECONDS * fps / 2) + 1
-    square = uniform_filter1d(speed**2, around, axis=0, mode="nearest")  # a running sum: zero may come out below it
+    square = moving_average(speed**2, around)  # a running sum: zero may come out below it
     length = amplitude * np.sqrt(np.maximum(square, 0.0))
     return _smooth(length[..., None] * np.stack([np.sin(phase), np.cos(phase)], axis=-1), fps)
 
 
 def clip_local_phases(
-    clip: MotionClip | EndEffectors, *, axes: PrincipalAxes | None = None, config: LocalPhaseConfig | None = None
+    clip: MotionClip | WorldMotion | EndEffectors,
+    *,
+    axes: PrincipalAxes | None = None,
+    config: LocalPhaseConfig | None = None,
 ) -> np.ndarray:
     """Local phases of a clip: [T, 4, 2] as (sin, cos), in the order left hand, right hand, left toe, right toe.
 
@@ -245,7 +248,7 @@ def mirror_local_phases(phases: np.ndarray) -> np.ndarray:
     return phases[..., [1, 0, 3, 2], :]
 
 
-def _ends(clip: MotionClip | EndEffectors) -> EndEffectors:
+def _ends(clip: MotionClip | WorldMotion | EndEffectors) -> EndEffectors:
     return clip if isinstance(clip, EndEffectors) else end_effectors(clip)
 
 
@@ -268,6 +271,5 @@ def normalise_source(source: np.ndarray, fps: float) -> np.ndarray:
 
 
 def _smooth(values: np.ndarray, fps: float) -> np.ndarray:
-    """Butterworth of two poles at `HIGHEST` Hz, forwards and backwards along the first axis."""
-    low_pass = butter(2, HIGHEST, fs=fps, output="sos")
-    return sosfiltfilt(low_pass, values, axis=0, padlen=min(round(fps / HIGHEST), len(values) - 1))
+    """Removes what is faster than the highest frequency of a local phase."""
+    return low_pass(values, HIGHEST, fps)

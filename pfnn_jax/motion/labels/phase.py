@@ -15,6 +15,7 @@ from pfnn_jax.io.files import read_rows, refuse_existing, write_whole
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.labels.footsteps import find_steps, half_cycles
+from pfnn_jax.motion.world_motion import WorldMotion
 
 CYCLE = 2 * np.pi
 ROUNDING = 1e-9  # radians; whole cycles stay exactly 0 through wrapping
@@ -42,7 +43,7 @@ class PhaseLabels:
         return len(self.phase)
 
 
-def label_phase(clip: MotionClip) -> PhaseLabels:
+def label_phase(clip: MotionClip | WorldMotion) -> PhaseLabels:
     """Phase of a clip from its foot contacts.
 
     Steps are found by `footsteps.find_steps`. Between two contacts the phase is linear in time. Before the first and

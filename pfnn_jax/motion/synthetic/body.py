@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
 
+from pfnn_jax.motion.filters import moving_minimum
 from pfnn_jax.motion.kinematics import (
     quat_conjugate,
     quat_from_axis_angle,
@@ -163,7 +163,7 @@ def _rounded_below(limit: np.ndarray, fps: float) -> np.ndarray:
     """A curve without corners that nowhere exceeds `limit` [T]: its running minimum, averaged over as long a window."""
     width = max(3, round(GIVE * fps) | 1)
     window = np.hanning(width + 2)[1:-1]
-    lowest = np.pad(minimum_filter1d(limit, width), width // 2, mode="edge")
+    lowest = np.pad(moving_minimum(limit, width), width // 2, mode="edge")
     return np.convolve(lowest, window / window.sum(), mode="valid")
 
 
