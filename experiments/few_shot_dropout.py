@@ -46,8 +46,8 @@ from pfnn_jax.motion.labels.phase import mirror_phase
 from pfnn_jax.motion.synthetic.walks import STYLES, UNSEEN_STYLE, synthesise
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import dataset_rows, hold_out, to_batch
-from pfnn_jax.training.few_shot import FewShotConfig, Method, train_grid
-from pfnn_jax.training.pretrain import init_state, train
+from pfnn_jax.training.few_shot_learning import FewShotConfig, Method, train_grid
+from pfnn_jax.training.pretraining import init_state, train
 from pfnn_jax.viewer.draw.drawing import save_figure
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 
 from experiments.common.markdown import markdown_table
-from pfnn_jax.control.generate import generate
+from pfnn_jax.control.generation import generate
 from pfnn_jax.control.ik.fix_feet import fix_feet, output_contacts
 from pfnn_jax.control.ik.pose import make_rig
 from pfnn_jax.errors import InputError

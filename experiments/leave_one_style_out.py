@@ -42,8 +42,8 @@ from pfnn_jax.motion.labels.phase import mirror_phase
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import style_data, to_batch
-from pfnn_jax.training.few_shot import FewShotConfig, train_grid
-from pfnn_jax.training.pretrain import init_state, train
+from pfnn_jax.training.few_shot_learning import FewShotConfig, train_grid
+from pfnn_jax.training.pretraining import init_state, train
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind
 from pfnn_jax.models.network import NetworkConfig, init_network
-from pfnn_jax.training.few_shot import FewShotConfig, train_grid
+from pfnn_jax.training.few_shot_learning import FewShotConfig, train_grid
 
 MEBIBYTE = 2**20
 BLENDED = ("weights", "biases", "d")

@@ -1,12 +1,13 @@
-"""Stylised character locomotion from short clips: the public names.
+"""Stylised character locomotion from short clips.
 
-Each is loaded when it is first used, so that reading motion does not wait for an accelerator library.
+The public names live in six namespaces: `motion`, `models`, `training`, `control`, `workflows` and `viewer`. Each is
+imported when it is first used, so that reading motion does not wait for JAX. The `.pyi` file next to a namespace lists
+its names, for Python as well as for editors and type checkers.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from importlib import import_module
-from typing import Any
+__version__ = "0.1.0"
 
 _ROOMS = {
     "errors": ("InputError", "TrainingError"),

@@ -1,18 +1,18 @@
-"""Who may import whom, and that nothing happens at import."""
+"""Which package may import which, and what importing one loads."""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pfnn_jax"
+FILES = sorted(PACKAGE.rglob("*.py"))
 
-# room -> rooms it may import besides itself and `errors`. `cli` stands on top; nobody imports it.
+# Package -> packages it may import besides itself and `errors`. Nobody imports `cli`.
 MAY_IMPORT = {
     "errors": set(),
     "io": set(),
@@ -23,92 +23,39 @@ MAY_IMPORT = {
 for _next in ("training", "inference", "control", "interop", "workflows", "viewer", "evaluation", "benchmarks", "demo"):
     MAY_IMPORT[_next] = set(MAY_IMPORT)  # each may import those before it
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
-ROOMS = {path.stem if path.is_file() else path.name for path in PACKAGE.iterdir() if not path.name.startswith("_")}
-FILES = sorted(PACKAGE.rglob("*.py"))
 
 
-def imported_modules(path: Path) -> set[str]:
-    """Full names of everything a file imports, wherever in the file: `from a import b` gives `a` and `a.b`."""
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imported_modules(path: Path) -> frozenset[str]:
+    """Returns the full names of everything that a file imports, anywhere in it: `from a import b` gives `a`, `a.b`."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             package = path.relative_to(ROOT).with_suffix("").parts[: -node.level] if node.level else ()
             module = ".".join([*package, *([node.module] if node.module else [])])
             names.update([module, *(f"{module}.{alias.name}" for alias in node.names)])
-    return names
+    return frozenset(names)
 
 
-def room_of(path: Path) -> str:
-    part = path.relative_to(PACKAGE).parts[0]
-    return part.removesuffix(".py")
-
-
-def imports(names: set[str], package: str) -> bool:
-    return any(name == package or name.startswith(f"{package}.") for name in names)
-
-
-def name(path: Path) -> str:
-    return str(path.relative_to(ROOT))
-
-
-def test_every_room_has_its_place():
-    assert {room for room in ROOMS if room != "__pycache__"} <= set(MAY_IMPORT)
-
-
-@pytest.mark.parametrize("path", FILES, ids=name)
-def test_import_direction(path: Path):
-    room = room_of(path)
-    if room == "__init__":
-        return  # the list of public names
+def imports(path: Path, *packages: str) -> list[str]:
+    """Returns those of the packages that a file imports."""
     names = imported_modules(path)
-    forbidden = set(MAY_IMPORT) - MAY_IMPORT[room] - {room, "errors"}
-    assert not [other for other in sorted(forbidden) if imports(names, f"pfnn_jax.{other}")]
-    assert not imports(names, "experiments") and not imports(names, "tests")
+    return [package for package in packages if any(f"{name}.".startswith(f"{package}.") for name in names)]
 
 
-@pytest.mark.parametrize("path", FILES, ids=name)
-def test_only_the_checkpoint_file_knows_orbax(path: Path):
-    assert imports(imported_modules(path), "orbax") == (name(path) == "pfnn_jax/io/checkpoint.py")
+def package_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-@pytest.mark.parametrize("path", sorted((PACKAGE / "motion").rglob("*.py")), ids=name)
-def test_motion_is_numpy_alone(path: Path):
-    names = imported_modules(path)
-    assert not [package for package in ("jax", "flax", "optax", "chex") if imports(names, package)]
-
-
-@pytest.mark.parametrize("path", sorted((PACKAGE / "models").rglob("*.py")), ids=name)
-def test_models_touch_no_files(path: Path):
-    names = imported_modules(path)
-    assert not [package for package in ("pathlib", "os", "io", "json", "numpy") if imports(names, package)]
-    calls = [node.func for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
-    assert not [call for call in calls if isinstance(call, ast.Name) and call.id == "open"]
-
-
-def test_motion_imports_without_jax():
-    """Preparing data must not wait for an accelerator library, nor need one."""
-    modules = ", ".join(
-        ".".join(path.relative_to(ROOT).with_suffix("").parts)
-        for path in sorted((PACKAGE / "motion").rglob("*.py"))
-        if path.stem != "__init__"
-    )
-    run_python(f"import {modules}, sys; assert not {{'jax', 'flax', 'matplotlib'}} & set(sys.modules), 'imported'")
-
-
-def test_importing_the_package_starts_nothing():
-    """No array is made and no device is touched by importing everything."""
-    modules = ", ".join(
-        ".".join(path.relative_to(ROOT).with_suffix("").parts)
-        for path in FILES
-        if path.stem not in ("__init__", "__main__")
-    )
-    run_python(
-        f"import {modules}\n"
-        "from jax._src import xla_bridge\n"
-        "assert not xla_bridge.backends_are_initialized(), 'a device was touched at import'"
-    )
+def module_name(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts)
 
 
 def run_python(code: str) -> None:
@@ -117,10 +64,53 @@ def run_python(code: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_every_public_name_is_there_and_loaded_only_when_used():
+def test_packages_import_only_those_below_them():
+    wrong = []
+    for path in FILES:
+        package = package_of(path)
+        if package.startswith("__"):
+            continue
+        above = sorted(set(MAY_IMPORT) - MAY_IMPORT[package] - {package, "errors"})
+        forbidden = imports(path, *(f"pfnn_jax.{other}" for other in above), "experiments", "tests")
+        wrong += [f"{path.relative_to(ROOT)} imports {other}" for other in forbidden]
+    assert not wrong
+
+
+def test_only_the_checkpoint_module_imports_orbax():
+    assert [path.relative_to(PACKAGE).as_posix() for path in FILES if imports(path, "orbax")] == ["io/checkpoint.py"]
+
+
+def test_motion_does_not_import_jax():
+    motion = [path for path in FILES if package_of(path) == "motion"]
+    assert not [path for path in motion if imports(path, "jax", "flax", "optax", "chex")]
+    modules = ", ".join(module_name(path) for path in motion if path.stem != "__init__")
+    run_python(f"import {modules}, sys; assert not {{'jax', 'flax', 'matplotlib'}} & set(sys.modules), 'imported'")
+
+
+def test_models_touch_no_files():
+    wrong = []
+    for path in FILES:
+        if package_of(path) == "models":
+            wrong += [f"{path.name} imports {name}" for name in imports(path, "pathlib", "os", "io", "json", "numpy")]
+            calls = [node.func for node in ast.walk(parsed(path)) if isinstance(node, ast.Call)]
+            wrong += [f"{path.name} opens" for call in calls if isinstance(call, ast.Name) and call.id == "open"]
+    assert not wrong
+
+
+def test_importing_every_module_makes_no_array():
+    """Importing touches no device either: the first array would start the backend."""
+    modules = ", ".join(module_name(path) for path in FILES if path.stem not in ("__init__", "__main__"))
     run_python(
-        "import sys, pfnn_jax\n"
-        "assert 'jax' not in sys.modules\n"
-        "assert 'generate' in dir(pfnn_jax)\n"
-        "assert all(hasattr(pfnn_jax, name) for name in dir(pfnn_jax))"
+        f"import {modules}\n"
+        "from jax._src import xla_bridge\n"
+        "assert not xla_bridge.backends_are_initialized(), 'a device was touched at import'"
+    )
+
+
+def test_a_namespace_loads_only_what_is_used():
+    run_python(
+        "import sys, pfnn_jax as pj\n"
+        "assert not {'numpy', 'jax'} & set(sys.modules)\n"
+        "dir(pj.models), dir(pj.training), dir(pj.viewer), pj.motion.read_bvh\n"
+        "assert 'jax' not in sys.modules and 'matplotlib' not in sys.modules"
     )

@@ -24,7 +24,7 @@ from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.motion.features.encode import Features, join_rows
 from pfnn_jax.training.data import StyleData, hold_out, style_data, to_batch
-from pfnn_jax.training.few_shot import FewShotConfig, Method, choose, refit, train_grid
+from pfnn_jax.training.few_shot_learning import FewShotConfig, Method, choose, refit, train_grid
 from pfnn_jax.training.films import style_films
 from pfnn_jax.training.steps import bones_of
 from pfnn_jax.training.tuning import TuningConfig, tune_generator

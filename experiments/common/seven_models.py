@@ -24,7 +24,7 @@ from pfnn_jax.motion.features.normaliser import Normaliser, fit_normaliser, load
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import StyleData, style_data
-from pfnn_jax.training.pretrain import init_state, styles_of, train
+from pfnn_jax.training.pretraining import init_state, styles_of, train
 
 NOTE = "model.json"
 

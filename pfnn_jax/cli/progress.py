@@ -19,7 +19,7 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
-from pfnn_jax.training.pretrain import Progress as TrainingProgress
+from pfnn_jax.training.pretraining import Progress as TrainingProgress
 
 
 def _bar(*columns: ProgressColumn) -> Progress:

@@ -12,7 +12,7 @@ from tyro.conf import Positional as Argument
 from pfnn_jax.benchmarks.suite import print_benchmark, run_benchmark
 from pfnn_jax.cli.base import Command, check_file
 from pfnn_jax.control.drive_along import drive_along
-from pfnn_jax.control.generate import Mode, generate
+from pfnn_jax.control.generation import Mode, generate
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.clips import evaluate_clips
 from pfnn_jax.inference.mixture import parse_style

@@ -33,7 +33,7 @@ from pfnn_jax.control.character import (
     still_frame,
 )
 from pfnn_jax.control.embodiment import feet_clearance
-from pfnn_jax.control.generate import controller_of, default_speed, told_speed
+from pfnn_jax.control.generation import controller_of, default_speed, told_speed
 from pfnn_jax.control.ground import mix
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
 from pfnn_jax.control.ik.pose import make_rig

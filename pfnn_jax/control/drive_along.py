@@ -11,7 +11,7 @@ import numpy as np
 
 from pfnn_jax.control.character import ControllerParams, ControllerSetup, ControllerState, own_speed
 from pfnn_jax.control.controller import make_controller, step
-from pfnn_jax.control.generate import style_label, walk_frames
+from pfnn_jax.control.generation import style_label, walk_frames
 from pfnn_jax.control.ik.pose import Pose
 from pfnn_jax.control.loop.pursuit import Track, advance_progress, make_track, pursue
 from pfnn_jax.errors import InputError

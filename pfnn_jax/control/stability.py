@@ -20,7 +20,7 @@ from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.paths import circle
-from pfnn_jax.training.few_shot import assemble
+from pfnn_jax.training.few_shot_learning import assemble
 
 TURN_RATE = np.deg2rad(45.0)
 """Radians per second of the circles: a brisk turn, a full circle in 8 seconds."""

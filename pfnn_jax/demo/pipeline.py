@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from pfnn_jax.control.generate import generate
+from pfnn_jax.control.generation import generate
 from pfnn_jax.demo.report import write_demo_report
 from pfnn_jax.evaluation.style_methods import compare_methods
 from pfnn_jax.evaluation.style_test import StyleTest, Takes, join_takes

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.control.generate import Generated
+from pfnn_jax.control.generation import Generated
 from pfnn_jax.evaluation.plots import error_bars, loss_curves
 from pfnn_jax.evaluation.report import Section, Table, write_report
 from pfnn_jax.evaluation.style_methods import DEFAULT_ROW

@@ -19,7 +19,7 @@ from pfnn_jax.training.config import equal_dropout, make_objective
 from pfnn_jax.training.data import Batch, Rows
 from pfnn_jax.training.films import style_films
 from pfnn_jax.training.order import order_of
-from pfnn_jax.training.pretrain import check_finite, dispatch_sizes, make_dispatch
+from pfnn_jax.training.pretraining import check_finite, dispatch_sizes, make_dispatch
 from pfnn_jax.training.steps import descend, pretrain_loss
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.control.generate import controller_of
+from pfnn_jax.control.generation import controller_of
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
@@ -26,7 +26,7 @@ from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.run import Run, check_adapter, list_styles, load_generator, save_style
 from pfnn_jax.training.data import hold_out, style_data, to_batch
-from pfnn_jax.training.few_shot import FewShotConfig, choose, refit, train_grid
+from pfnn_jax.training.few_shot_learning import FewShotConfig, choose, refit, train_grid
 from pfnn_jax.training.steps import Bones
 from pfnn_jax.training.tuning import TuningConfig, tune_generator
 

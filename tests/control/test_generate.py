@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.generate import clip_from_frames, default_speed, generate
+from pfnn_jax.control.generation import clip_from_frames, default_speed, generate
 from pfnn_jax.control.loop.rollout import rollout
 from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import CONTROLLERS, Command

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.generate import controller_of, default_speed, generate
+from pfnn_jax.control.generation import controller_of, default_speed, generate
 from pfnn_jax.control.ground import turn_towards
 from pfnn_jax.control.loop.state import ROOT, initial_state, straight_row
 from pfnn_jax.control.loop.step import Command, published_step

@@ -15,7 +15,7 @@ from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
 from pfnn_jax.models.network import Network, NetworkConfig, config_of, init_network, num_parameters
 from pfnn_jax.training.data import Batch
-from pfnn_jax.training.few_shot import (
+from pfnn_jax.training.few_shot_learning import (
     METHODS,
     Candidate,
     Choice,

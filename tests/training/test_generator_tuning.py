@@ -15,7 +15,7 @@ from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Batch
 from pfnn_jax.training.films import mean_films
-from pfnn_jax.training.pretrain import init_state
+from pfnn_jax.training.pretraining import init_state
 from pfnn_jax.training.steps import predict_batch
 from pfnn_jax.training.tuning import TuningConfig, tune_generator
 from tests.training.toy import HIDDEN, assert_bitwise, body_rows, on_host

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pfnn_jax
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, cut, resample
 from pfnn_jax.motion.synthetic.walks import synthesise
@@ -36,10 +35,6 @@ STRONGEST = """canvas => {  // colour of a scene: 0 for greys, 255 for a pure on
 
 def walk(style: str = "zombie", frames: int = 180) -> MotionClip:
     return synthesise(style, np.full(frames, 0.4), np.full(frames, 0.8))[0]
-
-
-def test_show_is_a_public_name():
-    assert pfnn_jax.show is show
 
 
 def test_a_show_is_a_sandboxed_frame_that_holds_its_page():

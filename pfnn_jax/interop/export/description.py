@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.control.generate import controller_of, starting_row
+from pfnn_jax.control.generation import controller_of, starting_row
 from pfnn_jax.control.loop.state import NUM_POINTS, ROOT
 from pfnn_jax.inference.mixture import StyleChoice
 from pfnn_jax.interop.export.walks import Walk, walks_of

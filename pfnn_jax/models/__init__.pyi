@@ -1,0 +1,16 @@
+from .adapters import AdapterConfig as AdapterConfig
+from .adapters import OneHot as OneHot
+from .adapters import init_style as init_style
+from .adapters import mix_styles as mix_styles
+from .film import FiLMStyle as FiLMStyle
+from .layers import BiasLayer as BiasLayer
+from .layers import BlendedLayer as BlendedLayer
+from .layers import CPLayer as CPLayer
+from .layers import DenseLayer as DenseLayer
+from .layers import DiagonalLayer as DiagonalLayer
+from .network import Network as Network
+from .network import NetworkConfig as NetworkConfig
+from .network import coefficients as coefficients
+from .network import forward as forward
+from .network import init_network as init_network
+from .spline import catmull_rom_basis as catmull_rom_basis

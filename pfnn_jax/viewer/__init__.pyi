@@ -1,0 +1,3 @@
+from .draw.filmstrip import filmstrip as filmstrip
+from .player.notebook import show as show
+from .rendering import render as render

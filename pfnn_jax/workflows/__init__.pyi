@@ -1,0 +1,9 @@
+from .learn import learn_style as learn_style
+from .learn import tune_style as tune_style
+from .runs import Run as Run
+from .runs import export_run as export_run
+from .runs import import_released as import_released
+from .runs import list_styles as list_styles
+from .runs import load_run as load_run
+from .runs import load_style as load_style
+from .runs import save_style as save_style
