@@ -19,7 +19,7 @@ from pfnn_jax.models.film import FiLMStyle, modulate
 from pfnn_jax.models.layers import BlendedLayer, Layer, linear
 from pfnn_jax.models.network import Network, NetworkConfig, coefficients, init_network
 from pfnn_jax.training.data import Batch, Draw
-from pfnn_jax.training.few_shot import MASON2018_FEW_SHOT, FewShotConfig, refit, train_grid
+from pfnn_jax.training.few_shot_learning import MASON2018_FEW_SHOT, FewShotConfig, refit, train_grid
 from pfnn_jax.training.losses import l1_penalty, squared_error
 from pfnn_jax.training.steps import (
     Objective,

@@ -16,7 +16,7 @@ from pfnn_jax.motion.datasets.dataset import load_dataset
 from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
 from pfnn_jax.run import Run, load_run
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.few_shot import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
+from pfnn_jax.training.few_shot_learning import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
 from pfnn_jax.training.tuning import TuningConfig
 from pfnn_jax.workflows.learn import learn_style, tune_style
 from pfnn_jax.workflows.pretrain import pretrain_run

@@ -16,7 +16,7 @@ from pfnn_jax.io.files import refuse_existing
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate, cut_seconds
 from pfnn_jax.viewer.draw.body import Up, upright
-from pfnn_jax.viewer.render import MOMENTS, check_output, render
+from pfnn_jax.viewer.rendering import MOMENTS, check_output, render
 
 
 @dataclass(frozen=True, kw_only=True)

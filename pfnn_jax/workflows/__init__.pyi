@@ -1,5 +1,6 @@
 from .learn import learn_style as learn_style
 from .learn import tune_style as tune_style
+from .pretrain import pretrain_run as pretrain_run
 from .runs import Run as Run
 from .runs import export_run as export_run
 from .runs import import_released as import_released

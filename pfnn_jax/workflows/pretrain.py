@@ -30,7 +30,7 @@ from pfnn_jax.run import (
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import dataset_rows
 from pfnn_jax.training.log import append_metrics, rewind_metrics
-from pfnn_jax.training.pretrain import Progress, init_state, styles_of, train
+from pfnn_jax.training.pretraining import Progress, init_state, styles_of, train
 from pfnn_jax.training.steps import TrainState
 
 

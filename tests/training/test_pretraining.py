@@ -15,7 +15,7 @@ from pfnn_jax.models.presets import LAYOUT_OF, TABLE2
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import StyleData
 from pfnn_jax.training.order import order_of
-from pfnn_jax.training.pretrain import Progress, dispatch_sizes, init_state, styles_of, total_steps, train
+from pfnn_jax.training.pretraining import Progress, dispatch_sizes, init_state, styles_of, total_steps, train
 from pfnn_jax.training.steps import TrainState
 from tests.training.toy import HIDDEN, LAYOUT, STYLES, assert_bitwise, body_rows, on_host, toy_rows
 

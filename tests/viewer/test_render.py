@@ -25,7 +25,7 @@ from pfnn_jax.viewer.draw.filmstrip import filmstrip
 from pfnn_jax.viewer.draw.scene import make_scene
 from pfnn_jax.viewer.draw.video import Video
 from pfnn_jax.viewer.player.player import player_html
-from pfnn_jax.viewer.render import render
+from pfnn_jax.viewer.rendering import render
 from tests.viewer.pages import captions, check_page, make_annotated, payload
 
 EXACT = 1e-9

@@ -21,7 +21,7 @@ from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.run import load_run, load_style
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.few_shot import FewShotConfig
+from pfnn_jax.training.few_shot_learning import FewShotConfig
 from pfnn_jax.training.tuning import TuningConfig
 from pfnn_jax.workflows.learn import learn_style, tune_style
 from pfnn_jax.workflows.pretrain import pretrain_run
