@@ -34,11 +34,12 @@ import numpy as np
 import tyro
 from flax import struct
 
-from pfnn_jax.control.calibration import start
-from pfnn_jax.control.character import ControllerParams, ControllerSetup
+from pfnn_jax.control.calibration import start_standing
 from pfnn_jax.control.controller import Controller, make_controller, step
+from pfnn_jax.control.controller_state import ControllerParams, ControllerSetup
 from pfnn_jax.control.ground import lift, to_local
 from pfnn_jax.control.loop.step import Command
+from pfnn_jax.control.tracking import TrackingConfig
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.run import list_styles, load_run
 
@@ -112,18 +113,18 @@ def walk(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *as
 
     def frame(state, row):
         state = step(setup, params, state, Command(velocity=row[0], direction=row[1], style=style))
-        local = to_local(state.ahead.joints - lift(state.ahead.root)[None], state.ahead.facing) / layout.length_unit
+        local = to_local(state.next.joints - lift(state.next.root)[None], state.next.facing) / layout.length_unit
         return state, Track(
             root=state.root,
             facing=state.facing,
             predicted=state.motion.joint_positions[feet],
             feet=state.joints[feet],
             contacts=state.contacts,
-            pace=state.pace,
+            pace=state.time_scale,
             distance=jnp.mean(((local.reshape(-1) - mean) / std) ** 2),
         )
 
-    begin = start(setup, params, jnp.zeros(2), jnp.zeros(()), style)
+    begin = start_standing(setup, params, jnp.zeros(2), jnp.zeros(()), style)
     return jax.lax.scan(frame, begin, commands(*asked))[1]
 
 
@@ -241,7 +242,7 @@ def wander(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *
     def frame(carry, row):
         before, worst = carry
         state = step(setup, params, before, Command(velocity=row[0], direction=row[1], style=style))
-        local = to_local(state.ahead.joints - lift(state.ahead.root)[None], state.ahead.facing)
+        local = to_local(state.next.joints - lift(state.next.root)[None], state.next.facing)
         now = {
             "pose distance": jnp.mean(((local.reshape(-1) / setup.layout.length_unit - mean) / std) ** 2),
             "speed of a joint, m/s": FPS * jnp.max(jnp.linalg.norm(state.joints - before.joints, axis=-1)),
@@ -250,7 +251,7 @@ def wander(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *
         }
         return (state, jax.tree.map(jnp.maximum, worst, now)), None
 
-    begin = start(setup, params, jnp.zeros(2), jnp.zeros(()), style)
+    begin = start_standing(setup, params, jnp.zeros(2), jnp.zeros(()), style)
     zero: dict[str, Any] = {name: jnp.zeros(()) for name in WORST}
     return jax.lax.scan(frame, (begin, zero), asked)[0][1]
 
@@ -277,7 +278,7 @@ def main(config: Config) -> dict[str, Any]:
     for path in config.runs:
         run = load_run(path)
         names = chosen(list_styles(run.path), config.styles)
-        controller = make_controller(run, names, regulated=not config.published)
+        controller = make_controller(run, names, tracking=None if config.published else TrackingConfig())
         found = walk_all(controller, config.chunk)
         found["random"] = wander_all(controller, config.minutes)
         result[str(path)] = found

@@ -22,8 +22,9 @@ import tyro
 
 from experiments.common.markdown import markdown_table
 from pfnn_jax.control.generation import generate
-from pfnn_jax.control.ik.fix_feet import fix_feet, output_contacts
+from pfnn_jax.control.ik.fix_feet import fix_feet
 from pfnn_jax.control.ik.pose import make_rig
+from pfnn_jax.control.loop.state import contacts_of_output
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.metrics import bone_length_error, contact_sliding, jitter
 from pfnn_jax.io.checkpoint import write_json
@@ -86,7 +87,7 @@ def main(config: Config) -> dict[str, Any]:
 def compare(run: Run, style: str | None, seconds: float) -> dict[str, dict[str, float]]:
     """The measures of one walk `network` (joints as predicted), `before` (rigid bones) and `after`."""
     made = generate(run, style, figure_eight(), seconds=seconds)
-    contacts = output_contacts(run.layout, np.asarray(made.frames.outputs))
+    contacts = contacts_of_output(run.layout, np.asarray(made.frames.outputs))
     if contacts is None:
         contacts = foot_contacts(_joints(made.clip), need_roles(run.skeleton), run.layout.fps).astype(float)
     predicted = np.asarray(made.frames.joint_positions, np.float64)

@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from pfnn_jax.benchmarks.timing import Figure, figure, interleave
-from pfnn_jax.control.character import ControllerState
 from pfnn_jax.control.controller import Controller, make_controller, step
+from pfnn_jax.control.controller_state import ControllerState
 from pfnn_jax.control.loop.step import Command
-from pfnn_jax.control.tracking import STANDARD
+from pfnn_jax.control.tracking import TrackingConfig
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind
 from pfnn_jax.motion.datasets.dataset import prepare
 from pfnn_jax.motion.datasets.labelled import LabelledClip
@@ -32,8 +32,8 @@ SYSTEMS: dict[str, tuple[str, AdapterKind]] = {
 
 STYLES = ("neutral", "proud")
 
-EVERY_FRAME = replace(STANDARD, slowest=1.0, fastest=1.0)
-"""A character at this pace evaluates its network once in every step. At its own pace it does so more or less often,
+EVERY_FRAME = TrackingConfig(min_time_scale=1.0, max_time_scale=1.0)
+"""A character at this time scale evaluates its network once in every step. Otherwise it does so more or less often,
 by how fast a network walks that was hardly trained."""
 
 STRIDE, STEPS = 120, 5

@@ -1,4 +1,4 @@
-"""How a driven character begins: standing, in the midst of a walk that nobody saw."""
+"""Initialisation of a controller: foot heights, speed calibration, and a hidden warm-up walk that ends standing."""
 
 from __future__ import annotations
 
@@ -10,149 +10,175 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.character import (
+from pfnn_jax.control.controller_state import (
     ControllerParams,
     ControllerSetup,
     ControllerState,
-    drawn,
-    frame_ahead,
+    feet_clearance,
+    interpolate_pose,
     mixed_style,
-    own_share,
-    own_speed,
-    still_frame,
+    network_step,
+    predicted_frame,
+    style_speed,
 )
-from pfnn_jax.control.embodiment import feet_clearance
 from pfnn_jax.control.ground import heading, root_yaw
 from pfnn_jax.control.ik.foot_lock import initial_locks
 from pfnn_jax.control.ik.pose import Pose, Rig
+from pfnn_jax.control.loop.rollout import warm_up
 from pfnn_jax.control.loop.state import ROOT, CharacterState, initial_state, place_state, standing_state
 from pfnn_jax.control.loop.step import Command
-from pfnn_jax.control.tracking import LEAST_SPEED, begin
+from pfnn_jax.control.tracking import MIN_WALK_SPEED, init_tracking
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 
-SHARES = (0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0)
-"""Of a style's own speed, tried by `find_walks`."""
+TRIAL_GAINS = (0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0)
+"""Requested speeds that `calibrate_speeds` tries, as multiples of a style's natural speed."""
 
-WALKS = {"pfnn2017": 1.5}
-"""Metres per second that a published demo asks of its network for a walk."""
+DEMO_WALK_SPEEDS = {"pfnn2017": 1.5}
+"""Metres per second that the published demo of a layout requests for a walk."""
 
-UNBOUNDED = 1e3
-"""Metres per second: of a style whose own speed is being found, which is not held back."""
+UNLIMITED_SPEED = 1e3
+"""Metres per second; the natural speed of a style that is still unknown, so that look-ahead is not limited."""
 
-RUN_IN_FRAMES = 90
-"""Frames that a character walks unseen before it stands at its start: from a mean pose into its style."""
+WARM_UP_FRAMES = 90
+"""Frames of the hidden walk from the mean pose to the gait of a style. Calibration measures the next 90 frames."""
+
+AHEAD = np.array([0.0, 1.0], np.float32)
 
 
-def mean_resting_heights(layout: FrameLayout, normaliser: Normaliser, rig: Rig) -> np.ndarray:
-    """[4] metres: how high the joints of the feet are on the ground, where most frames of any gait have them: about a
-    deviation below the mean."""
-    blocks = [
+def foot_heights(layout: FrameLayout, normaliser: Normaliser, rig: Rig) -> np.ndarray:
+    """Returns the heights [4] in metres of left heel, left toe, right heel and right toe on the ground.
+
+    In most frames of any gait a foot joint is near the ground, about one standard deviation below its mean height.
+    """
+    mean, std = (
         np.asarray(values)[layout.output_slice("joint_position")].reshape(-1, 3)[list(rig.feet), 1] * layout.length_unit
         for values in (normaliser.outputs.mean, normaliser.outputs.std)
-    ]
-    return blocks[0] - blocks[1]
+    )
+    return mean - std
 
 
-def find_walks(setup: ControllerSetup, params: ControllerParams, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """The speed at which each style walks, and the share of it to ask of the network, by trying.
+def calibrate_speeds(
+    setup: ControllerSetup, params: ControllerParams, rows: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Finds the natural speed of styles and the gains with which to request it, by trial rollouts.
 
-    Networks answer speeds in their own way: some walk slower than they are asked to, and some that were shown walks and
-    runs fall from walking into running at what is a walk's speed. Each style is tried at several speeds; taken is the
-    one that leads nearest to its own and, as commands differ by as much, whose neighbours do so too; the greatest is
-    tried as a neighbour only. The own speed of a style that tells none is what it makes of the published demo's walk,
-    or of the speed of the data.
+    Networks do not walk at the speed that is requested: some walk slower, and some that were trained on walks and runs
+    drift from a walk into a run at a walk's speed. Each style is tried at several requested speeds. Commands differ
+    from the natural speed, so the choice is the request for which it and both of its neighbours come nearest to the
+    natural speed; the greatest is only tried as a neighbour. The natural speed of a style without a recorded one is
+    that of its response to the published demo's walk, or else to the mean speed of the data.
 
     Args:
         setup: of a controller.
-        params: of the same; their bank has C rows.
-        rows: S of them, the styles to try; `params.speeds` is what they tell.
+        params: of the same controller; their bank has C rows, and `params.speeds` are the recorded speeds.
+        rows: S rows of the bank, the styles to calibrate.
 
     Returns:
-        Speeds [S] metres per second, and shares [S].
+        Natural speeds [S] in metres per second, and gains [S].
     """
-    chosen, count = np.asarray(rows, int), len(rows)
-    told = np.asarray(params.speeds)[chosen]
-    unknown = WALKS.get(setup.layout.name, float(params.speed))
-    shares = np.asarray(SHARES if np.any(told > 0.0) else (1.0,))
-    asked = np.where(told[:, None] > 0.0, told[:, None] * shares, unknown).astype(np.float32)
-    styles, most = np.eye(len(params.speeds), dtype=np.float32)[chosen], np.where(told > 0.0, told, UNBOUNDED)
-    found = np.asarray(settle(setup, params, styles, most.astype(np.float32), asked))
-    found = np.maximum(found, LEAST_SPEED)  # NaN stays: of a network that fell apart
-    own = np.where(told > 0.0, told, np.where(np.isfinite(found[:, 0]), found[:, 0], unknown))
-    off = np.nan_to_num(np.abs(np.log(found / own[:, None])), nan=np.inf)
-    padded = np.pad(off, ((0, 0), (1, 1)), mode="edge")
-    worst = np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), off)
-    best = np.argmin(worst[:, : max(len(shares) - 1, 1)], axis=1)
-    return own, np.where(np.isfinite(off).any(1), asked[np.arange(count), best] / own, 1.0)
+    chosen = np.asarray(rows, int)
+    recorded = np.asarray(params.speeds)[chosen]
+    fallback = DEMO_WALK_SPEEDS.get(setup.layout.name, float(params.default_speed))
+    gains = np.asarray(TRIAL_GAINS if np.any(recorded > 0.0) else (1.0,))
+    requested = np.where(recorded[:, None] > 0.0, recorded[:, None] * gains, fallback).astype(np.float32)
+    styles = np.eye(len(params.speeds), dtype=np.float32)[chosen]
+    limits = np.where(recorded > 0.0, recorded, UNLIMITED_SPEED).astype(np.float32)
+    measured = np.asarray(measure_walk_speed(setup, params, styles, limits, requested))
+    measured = np.maximum(measured, MIN_WALK_SPEED)  # NaN stays NaN: a diverging rollout
+    natural = np.where(recorded > 0.0, recorded, np.where(np.isfinite(measured[:, 0]), measured[:, 0], fallback))
+    return natural, _best_request(requested, measured, natural) / natural
+
+
+def _best_request(requested: np.ndarray, measured: np.ndarray, natural: np.ndarray) -> np.ndarray:
+    """Returns the requested speed [S] of [S, A] that is most robustly answered by a style's natural speed [S].
+
+    The error of a request is that of the worst of it and its two neighbours. A style of which all rollouts diverge is
+    asked for its natural speed.
+    """
+    error = np.nan_to_num(np.abs(np.log(measured / natural[:, None])), nan=np.inf)
+    padded = np.pad(error, ((0, 0), (1, 1)), mode="edge")
+    worst = np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), error)
+    best = np.argmin(worst[:, : max(requested.shape[1] - 1, 1)], axis=1)
+    return np.where(np.isfinite(error).any(1), requested[np.arange(len(requested)), best], natural)
 
 
 @partial(jax.jit, static_argnums=0)
-def settle(
-    setup: ControllerSetup, params: ControllerParams, styles: np.ndarray, own: np.ndarray, asked: np.ndarray
+def measure_walk_speed(
+    setup: ControllerSetup, params: ControllerParams, styles: np.ndarray, limits: np.ndarray, requested: np.ndarray
 ) -> jax.Array:
-    """[S, A] metres per second at which styles [S, C] that walk at `own` [S] go straight on if asked for [S, A]."""
+    """Returns the mean speeds [S, A] in metres per second of straight walks; NaN for a diverging rollout.
+
+    Args:
+        setup, params: of a controller.
+        styles: [S, C] weights.
+        limits: [S] natural speeds that limit the look-ahead.
+        requested: [S, A] speeds to request.
+    """
     layout = setup.layout
 
-    def settled(style: jax.Array, own: jax.Array, speed: jax.Array) -> jax.Array:
-        predictor, ahead = replace(params.predictor, style=mixed_style(params.bank, style)), jnp.asarray([0.0, 1.0])
-        command = Command(velocity=speed * ahead, direction=ahead)
+    def measure(style: jax.Array, limit: jax.Array, speed: jax.Array) -> jax.Array:
+        predictor = replace(params.predictor, style=mixed_style(params.bank, style))
+        origin, yaw = jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32)
+        state = initial_state(layout, params.initial_row, params.initial_phase, origin, yaw)
+        command = Command(velocity=speed * AHEAD, direction=jnp.asarray(AHEAD))
+        states, _ = warm_up(partial(network_step, setup, predictor, limit), state, command, 2 * WARM_UP_FRAMES)
+        steps = jnp.linalg.norm(states.positions[:, ROOT] - states.positions[:, ROOT - 1], axis=-1) * layout.fps
+        return jnp.mean(steps[WARM_UP_FRAMES:])
 
-        def frame(state: CharacterState, _):
-            after, _ = frame_ahead(setup, predictor, own, state, command)
-            return after, jnp.linalg.norm(after.positions[ROOT] - state.positions[ROOT]) * layout.fps
-
-        state = initial_state(layout, params.row, params.phase, jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32))
-        return jnp.mean(jax.lax.scan(frame, state, length=2 * RUN_IN_FRAMES)[1][RUN_IN_FRAMES:])
-
-    return jax.vmap(jax.vmap(settled, in_axes=(None, None, 0)))(*map(jnp.asarray, (styles, own, asked)))
+    return jax.vmap(jax.vmap(measure, in_axes=(None, None, 0)))(*map(jnp.asarray, (styles, limits, requested)))
 
 
 @partial(jax.jit, static_argnums=0)
-def start(
+def start_standing(
     setup: ControllerSetup, params: ControllerParams, position: jax.Array, yaw: jax.Array, style: jax.Array
 ) -> ControllerState:
-    """A character that stands at `position` [2] metres, facing `yaw` [] radians, in a style [C]."""
-    layout, predictor = setup.layout, replace(params.predictor, style=mixed_style(params.bank, style))
-    speed, ahead = own_speed(params, style), jnp.asarray([0.0, 1.0], jnp.float32)
-    zero = jnp.zeros((), jnp.float32)
-    state = initial_state(layout, params.row, params.phase, jnp.zeros(2, jnp.float32), zero)
-    command = Command(velocity=own_share(params, style) * speed * ahead, direction=ahead)
-    if layout.has_input("gait"):  # the network was shown characters that stand
-        state = standing_state(layout, params.row, jnp.zeros(2, jnp.float32), zero)
-        command = Command(velocity=0.0 * ahead, direction=ahead)
+    """Returns a character that stands at a position [2] metres, facing `yaw` [] radians, in a style [C].
 
-    def frame(state: CharacterState, _):
-        after, y = frame_ahead(setup, predictor, speed, state, command)
-        return after, (after, y, state.positions[ROOT], state.directions[ROOT])
-
-    _, (states, ys, roots, facings) = jax.lax.scan(frame, state, length=RUN_IN_FRAMES)
-    heights = states.joint_positions[:, np.array(setup.rig.feet), 1] - params.rest[None]
-    unready = jnp.arange(RUN_IN_FRAMES) < RUN_IN_FRAMES // 2
-    best = jnp.argmin(jnp.max(heights, axis=1) + unready)
-    motion, y, root, facing = jax.tree.map(lambda leaf: leaf[best], (states, ys, roots, facings))
-    turned = heading(yaw)
-    placed = place_state(motion, position, yaw)
-    angle = yaw - root_yaw(motion.directions[ROOT])
-    still = still_frame(setup, params, placed, y, facing, angle)
-    clearance = feet_clearance(placed, setup.rig, params.rest)
-    regulated = begin(speed * ahead, clearance, 1.0 if setup.regulation is None else 0.0)
-    pose = Pose(hips=still.joints[0], rotations=still.rotations)
-    return drawn(
-        setup,
-        ControllerState(
-            motion=replace(placed, target_velocity=speed * turned, target_direction=turned),
-            behind=still,
-            ahead=still,
-            clock=jnp.float32(1.0),
-            style=style,
-            regulated=regulated,
-            root=still.root,
-            facing=still.facing,
-            contacts=still.contacts,
-            feet=initial_locks(setup.rig),
-            pose=pose,
-            joints=still.joints,
-            world_rotations=still.rotations,
-        ),
+    Without command tracking it walks from its first frame on.
+    """
+    speed = style_speed(params, style)
+    motion, y, facing = _lowest_frame(setup, params, style)
+    angle, direction = yaw - root_yaw(motion.directions[ROOT]), heading(yaw)
+    motion = place_state(motion, position, yaw)
+    frame = predicted_frame(setup, params, motion, y, facing, angle)
+    clearance = feet_clearance(setup, params, motion.joint_positions)
+    time_scale = 1.0 if setup.tracking is None else 0.0
+    state = ControllerState(
+        motion=replace(motion, target_velocity=speed.natural * direction, target_direction=direction),
+        previous=frame,
+        next=frame,
+        progress=jnp.float32(1.0),
+        style=style,
+        tracking=init_tracking(speed.natural * AHEAD, clearance, time_scale),
+        root=frame.root,
+        facing=frame.facing,
+        contacts=frame.contacts,
+        feet=initial_locks(setup.rig),
+        pose=Pose(hips=frame.joints[0], rotations=frame.rotations),
+        joints=frame.joints,
+        world_rotations=frame.rotations,
     )
+    return interpolate_pose(setup, state)
+
+
+def _lowest_frame(
+    setup: ControllerSetup, params: ControllerParams, style: jax.Array
+) -> tuple[CharacterState, jax.Array, jax.Array]:
+    """Returns the state, output [Dy] and root facing [2] of the warm-up's frame with the lowest feet, of its second
+    half."""
+    layout, speed = setup.layout, style_speed(params, style)
+    predictor = replace(params.predictor, style=mixed_style(params.bank, style))
+    origin, zero = jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32)
+    if layout.has_input("gait"):  # trained on standing, too
+        state, velocity = standing_state(layout, params.initial_row, origin, zero), 0.0 * speed.natural
+    else:
+        state = initial_state(layout, params.initial_row, params.initial_phase, origin, zero)
+        velocity = speed.gain * speed.natural
+    command = Command(velocity=velocity * AHEAD, direction=jnp.asarray(AHEAD))
+    states, ys = warm_up(partial(network_step, setup, predictor, speed.natural), state, command, WARM_UP_FRAMES)
+    heights = states.joint_positions[:, np.array(setup.rig.feet), 1] - params.foot_heights[None]
+    unready = jnp.arange(WARM_UP_FRAMES) < WARM_UP_FRAMES // 2
+    best = jnp.argmin(jnp.max(heights, axis=1) + unready)
+    state, y = jax.tree.map(lambda leaf: leaf[best], (states, ys))
+    return state, y, state.directions[ROOT - 1]

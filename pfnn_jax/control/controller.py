@@ -1,8 +1,8 @@
-"""A character that a person drives: any style of a run, mixed, from standing to walking to standing.
+"""A character driven by commands: any mixture of a run's styles, standing, walking and turning.
 
-`step` is a pure function of one character and one frame: use it in a loop, in `lax.scan` (`drive`), and under `vmap`
-for crowds. Inside it is the published loop of `frame`; around that stand what an application needs besides: the mixing
-of styles, and a body with rigid bones.
+`step` is a pure function of one character and one frame: use it in a loop, in `lax.scan` (`rollout_commands`), and
+under `vmap` for crowds. It wraps the published loop (`loop.step`) in command tracking (`tracking`), the mixing of
+styles, and a body with rigid bones.
 
     controller = make_controller(run)
     state = controller.start()
@@ -20,54 +20,55 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.calibration import find_walks, mean_resting_heights, start
-from pfnn_jax.control.character import (
+from pfnn_jax.control.calibration import calibrate_speeds, foot_heights, start_standing
+from pfnn_jax.control.controller_state import (
     ControllerParams,
     ControllerSetup,
     ControllerState,
-    drawn,
-    frame_ahead,
+    feet_clearance,
+    interpolate_pose,
     mixed_style,
-    own_share,
-    own_speed,
-    still_frame,
+    network_step,
+    predicted_frame,
+    style_speed,
 )
-from pfnn_jax.control.embodiment import feet_clearance
-from pfnn_jax.control.generation import controller_of, default_speed, told_speed
+from pfnn_jax.control.generation import default_speed, loop_config, recorded_speed
 from pfnn_jax.control.ground import mix
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
 from pfnn_jax.control.ik.pose import make_rig
 from pfnn_jax.control.loop.state import ROOT, straight_row, turn_state
-from pfnn_jax.control.loop.step import Command
+from pfnn_jax.control.loop.step import Command, held_command
 from pfnn_jax.control.tracking import (
-    STANDARD,
-    ask,
-    keep_pace,
-    observe,
-    turning,
+    StyleSpeed,
+    TrackingConfig,
+    heading_correction,
+    is_moving,
+    network_command,
+    update_time_scale,
+    update_tracking,
 )
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import check_weights, load_bank, need_style
-from pfnn_jax.inference.predictor import assemble_predictor
+from pfnn_jax.inference.predictor import Predictor, assemble_predictor
 from pfnn_jax.run import Run, list_styles
 
 STYLE_RATE = 0.06
-"""Share per frame of the way from a character's style to the commanded one: nine tenths of it in 0.6 s."""
+"""Share per frame by which a character's style moves towards the commanded one: 90 % of the way in 0.6 s."""
 
 STYLE_SNAP = 1e-3
-"""Weights nearer than this to the commanded ones are set to them, so that styles that are left cost nothing."""
+"""Weights nearer than this to the commanded ones are set to them, so that no trace of an old style stays."""
 
 AGNOSTIC = "agnostic"
-"""What a network without any style is called."""
+"""Name of the only style of a network without styles."""
 
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """A run made ready to be driven; `make_controller` makes it.
+    """A run that is ready to be driven, as `make_controller` returns it.
 
     Attributes:
         params: its arrays.
-        setup: what it is compiled for.
+        setup: its static part, for which its functions are compiled.
         styles: names of the first rows of the bank.
     """
 
@@ -77,24 +78,30 @@ class Controller:
 
     @property
     def capacity(self) -> int:
-        """C, rows of the bank."""
+        """Returns C, the number of rows of the bank."""
         return len(self.params.speeds)
 
-    def start(self, position: Any = (0.0, 0.0), yaw: Any = 0.0, style: str | int = 0) -> ControllerState:
-        """A character that stands at `position` [2] metres and faces `yaw` radians, in a style by name or number.
+    def start(
+        self, position: Any = (0.0, 0.0), yaw: Any = 0.0, style: str | int | Mapping[str, float] = 0
+    ) -> ControllerState:
+        """Returns a character that stands at `position` [2] metres and faces `yaw` radians.
+
+        Args:
+            position, yaw: on the ground, and about +Y; 0 faces +Z.
+            style: as for `style_weights`.
 
         Raises:
-            InputError: for an unknown style.
+            InputError: for an unknown style, or weights that do not sum to one.
         """
         weights = jnp.asarray(self.style_weights(style))
-        return start(self.setup, self.params, jnp.asarray(position, jnp.float32), jnp.float32(yaw), weights)
+        return start_standing(self.setup, self.params, jnp.asarray(position, jnp.float32), jnp.float32(yaw), weights)
 
     def step(self, state: ControllerState, command: Command) -> ControllerState:
-        """The state one frame later."""
+        """Returns the state one frame later."""
         return step(self.setup, self.params, state, command)
 
     def style_weights(self, choice: str | int | Mapping[str, float] | Mapping[int, float]) -> np.ndarray:
-        """[C] weights of a style by name or number, or of a mixture by names or numbers and weights that sum to one.
+        """Returns the weights [C] of a style by name or row, or of a mixture of styles with weights that sum to one.
 
         Raises:
             InputError: for an unknown style, or weights that do not sum to one.
@@ -103,11 +110,11 @@ class Controller:
         check_weights(tuple(chosen.values()), "controller", "style weights")
         weights = np.zeros(self.capacity, np.float32)
         for name, weight in chosen.items():
-            numbered = not isinstance(name, str)
-            if name not in (range(len(self.styles)) if numbered else self.styles):
-                rule = f"must be one of {', '.join(self.styles)}, or the number of one"
+            by_row = not isinstance(name, str)
+            if name not in (range(len(self.styles)) if by_row else self.styles):
+                rule = f"must be one of {', '.join(self.styles)}, or the row of one"
                 raise InputError("controller", "style", name, rule)
-            weights[name if numbered else self.styles.index(name)] += weight
+            weights[name if by_row else self.styles.index(name)] += weight
         return weights
 
 
@@ -117,104 +124,118 @@ def make_controller(
     capacity: int | None = None,
     *,
     foot_ik: bool = True,
-    regulated: bool = True,
+    tracking: TrackingConfig | None = TrackingConfig(),  # noqa: B008 - frozen
 ) -> Controller:
-    """A controller of a run.
+    """Returns the controller of a run.
 
     Args:
-        run: as `load_run` returns it. Of a run without styles the network moves as it is, as the one style `AGNOSTIC`.
+        run: as `load_run` returns it. A run without styles has the one style `AGNOSTIC`: its network as it is.
         styles: names; by default all of the run's.
-        capacity: C, rows of the bank, at least the number of styles: spare rows take styles that are learned later
+        capacity: C, rows of the bank, at least the number of styles: styles that are learned later fill the spare rows
             without another compilation.
-        foot_ik: hold feet that are in contact on the ground, and lay arms along the predicted positions.
-        regulated: keep commands by pace and turning (`regulation`); off for the published loop alone.
+        foot_ik: lock feet that are in contact to the ground, and lay arms along the predicted positions.
+        tracking: constants of command tracking (`tracking`), or None for the published loop alone.
 
     Raises:
         InputError: for an unknown style, styles of different kinds, or a FiLM run without styles.
     """
     names = tuple(list_styles(run.path) if styles is None else styles)
     need_style(run, names)
-    spare = max(capacity or 0, len(names)) - len(names) if names else 0
-    bank = None
-    if names:
-        bank = jax.tree.map(
-            lambda leaf: jnp.concatenate([jnp.asarray(leaf), jnp.zeros((spare, *leaf.shape[1:]), leaf.dtype)]),
-            load_bank(run, names),
-        )
+    layout = run.layout
+    if tracking is not None:
+        tracking = replace(tracking, fps=float(layout.fps))
     rig = make_rig(run.skeleton, run.path)
-    speeds = [told_speed(run, name) or 0.0 for name in names] + [0.0] * spare
-    if not names:
-        names, speeds = (AGNOSTIC,), [0.0]
-    speed, layout, normaliser = default_speed(run, None), run.layout, run.normaliser
-    row = jnp.asarray(normaliser.inputs.mean, jnp.float32)
+    setup = ControllerSetup(layout, loop_config(run), rig, FootLockConfig() if foot_ik else None, tracking)
+    rows = max(capacity or 0, len(names)) if names else 1
+    speed, normaliser = default_speed(run, None), run.normaliser
     params = ControllerParams(
         predictor=assemble_predictor(run.shared, None, normaliser),
-        bank=bank,
-        speeds=jnp.asarray(speeds, jnp.float32),
-        speed=jnp.float32(speed),
-        shares=jnp.ones(len(speeds), jnp.float32),
-        row=straight_row(layout, row, speed),
-        phase=jnp.asarray(normaliser.initial_phase()),
-        rest=jnp.asarray(mean_resting_heights(layout, normaliser, rig), jnp.float32),
+        bank=_padded(load_bank(run, names), rows) if names else None,
+        speeds=_padded(jnp.asarray([recorded_speed(run, name) or 0.0 for name in names], jnp.float32), rows),
+        default_speed=jnp.float32(speed),
+        speed_gains=jnp.ones(rows, jnp.float32),
+        initial_row=straight_row(layout, jnp.asarray(normaliser.inputs.mean, jnp.float32), speed),
+        initial_phase=jnp.asarray(normaliser.initial_phase()),
+        foot_heights=jnp.asarray(foot_heights(layout, normaliser, rig), jnp.float32),
     )
-    regulation = STANDARD if regulated else None
-    setup = ControllerSetup(layout, controller_of(run), rig, FootLockConfig() if foot_ik else None, regulation)
-    return with_walks(Controller(params, setup, names), names)
+    names = names or (AGNOSTIC,)
+    return with_calibrated_speeds(Controller(params, setup, names), names)
 
 
-def with_walks(controller: Controller, styles: Sequence[str]) -> Controller:
-    """The controller with the walks of some of its styles found out by trying, from the speeds in its `params`."""
+def _padded(tree: Any, rows: int) -> Any:
+    """Returns leaves [S, ...] with zeros up to `rows`: [rows, ...]."""
+
+    def pad(leaf: Any) -> jax.Array:
+        leaf = jnp.asarray(leaf)
+        return jnp.concatenate([leaf, jnp.zeros((rows - len(leaf), *leaf.shape[1:]), leaf.dtype)])
+
+    return jax.tree.map(pad, tree)
+
+
+def with_calibrated_speeds(controller: Controller, styles: Sequence[str]) -> Controller:
+    """Returns the controller with the speeds of some of its styles calibrated, from the speeds in its `params`."""
     rows, params = [controller.styles.index(name) for name in styles], controller.params
-    speeds, shares = np.array(params.speeds), np.array(params.shares)
-    speeds[rows], shares[rows] = find_walks(controller.setup, params, rows)
-    params = replace(params, speeds=jnp.asarray(speeds), shares=jnp.asarray(shares))
-    return replace(controller, params=params)
+    speeds, gains = np.array(params.speeds), np.array(params.speed_gains)
+    speeds[rows], gains[rows] = calibrate_speeds(controller.setup, params, rows)
+    return replace(controller, params=replace(params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains)))
 
 
 @partial(jax.jit, static_argnums=0)
 def step(setup: ControllerSetup, params: ControllerParams, state: ControllerState, command: Command) -> ControllerState:
-    """One character, one frame later."""
-    style = state.style
-    if command.style is not None:
-        moved = mix(style, command.style, STYLE_RATE)
-        style = jnp.where(jnp.abs(moved - command.style) < STYLE_SNAP, command.style, moved)
-    predictor = replace(params.predictor, style=mixed_style(params.bank, style))
-    own, share = own_speed(params, style), own_share(params, style)
-    fps, config = setup.layout.fps, setup.regulation
-    regulated = state.regulated
-    if config is not None:
-        regulated = keep_pace(regulated, command.velocity, config)
+    """Returns the state of one character one frame later.
 
-    def due(inner: ControllerState) -> jax.Array:
-        return inner.clock > 1.0
+    Source: the loop of Mason et al. 2018, section 5.1, and 2022, section 4.4, with command tracking.
+    """
+    style = state.style if command.style is None else _moved_style(state.style, command.style)
+    predictor, speed = replace(params.predictor, style=mixed_style(params.bank, style)), style_speed(params, style)
+    tracking = state.tracking
+    if setup.tracking is not None:
+        tracking = update_time_scale(tracking, command, setup.tracking)
+    progress = state.progress + tracking.time_scale
+    state = replace(state, style=style, tracking=tracking, progress=progress)
+    advance = partial(_advance_network, setup, params, predictor, speed, command)
+    return interpolate_pose(setup, jax.lax.while_loop(lambda inner: inner.progress > 1.0, advance, state))
 
-    def live(inner: ControllerState) -> ControllerState:
-        """One frame of the character's own time."""
-        before, regulated = inner.motion, inner.regulated
-        asked = command
-        if config is not None:
-            asked = ask(command, own, share, before, regulated, setup.config, config)
-        motion, y = frame_ahead(setup, predictor, own, before, asked)
+
+def _moved_style(style: jax.Array, target: jax.Array) -> jax.Array:
+    """Returns the weights [C] after one frame on their way to the target [C]."""
+    moved = mix(style, target, STYLE_RATE)
+    return jnp.where(jnp.abs(moved - target) < STYLE_SNAP, target, moved)
+
+
+def _advance_network(
+    setup: ControllerSetup,
+    params: ControllerParams,
+    predictor: Predictor,
+    speed: StyleSpeed,
+    command: Command,
+    state: ControllerState,
+) -> ControllerState:
+    """Returns the state after one network frame."""
+    before, tracking, config = state.motion, state.tracking, setup.tracking
+    facing = before.directions[ROOT]
+    if config is None:
+        motion, y = network_step(setup, predictor, speed.natural, before, command)
         angle = jnp.zeros((), y.dtype)
-        if config is not None:
-            clearance = feet_clearance(motion, setup.rig, params.rest)
-            regulated = observe(regulated, before, motion, command, clearance, fps, config)
-            angle = turning(regulated, command.velocity, fps, config)
-            motion = turn_state(motion, angle)
-        ahead = still_frame(setup, params, motion, y, before.directions[ROOT], angle)
-        return replace(
-            inner, motion=motion, regulated=regulated, behind=inner.ahead, ahead=ahead, clock=inner.clock - 1.0
-        )
-
-    state = replace(state, style=style, regulated=regulated, clock=state.clock + regulated.pace)
-    return drawn(setup, jax.lax.while_loop(due, live, state))
+    else:
+        held = replace(held_command(before, setup.loop), style=command.style)
+        tracked = network_command(command, facing, speed, tracking, config)
+        requested = jax.tree.map(partial(jnp.where, is_moving(command)), tracked, held)
+        motion, y = network_step(setup, predictor, speed.natural, before, requested)
+        clearance = feet_clearance(setup, params, motion.joint_positions)
+        tracking = update_tracking(tracking, before, motion, command, clearance, config)
+        angle = heading_correction(tracking, command, config)
+        motion = turn_state(motion, angle)
+    frame = predicted_frame(setup, params, motion, y, facing, angle)
+    progress = state.progress - 1.0
+    return replace(state, motion=motion, tracking=tracking, previous=state.next, next=frame, progress=progress)
 
 
 @partial(jax.jit, static_argnums=0)
-def drive(
+def rollout_commands(
     setup: ControllerSetup, params: ControllerParams, state: ControllerState, commands: Command
 ) -> tuple[ControllerState, ControllerState]:
-    """A character under a command for every frame: the last state, and all of them, leaves [T, ...]."""
+    """Runs a character under one command per frame, leaves [T, ...]; returns the last state, and all [T, ...]."""
 
     def frame(state: ControllerState, command: Command):
         state = step(setup, params, state, command)

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.character import ControllerParams, ControllerSetup, ControllerState, own_speed
 from pfnn_jax.control.controller import make_controller, step
+from pfnn_jax.control.controller_state import ControllerParams, ControllerSetup, ControllerState, style_speed
 from pfnn_jax.control.generation import style_label, walk_frames
 from pfnn_jax.control.ik.pose import Pose
-from pfnn_jax.control.loop.pursuit import Track, advance_progress, make_track, pursue
+from pfnn_jax.control.loop.pursuit import TimedPath, advance_progress, make_timed_path, pursue
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import StyleChoice, choice_weights
 from pfnn_jax.motion.clip import MotionClip
@@ -49,12 +49,12 @@ def drive_along(
     weights = choice_weights(run, style)
     controller = make_controller(run, tuple(weights), foot_ik=foot_ik)
     row = jnp.asarray(controller.style_weights(weights or 0))
-    speed = float(own_speed(controller.params, row)) if speed is None else speed
+    speed = float(style_speed(controller.params, row).natural) if speed is None else speed
     seconds = path.length / max(speed, 1e-6) + STARTING if seconds is None else seconds
     num_frames = walk_frames(run, speed, seconds)
     begin = controller.start(path.points[0], path.start_yaw, controller.styles[0])
     begin = replace(begin, style=row)
-    poses = follow(controller.setup, controller.params, begin, make_track(path, speed), num_frames)
+    poses = follow(controller.setup, controller.params, begin, make_timed_path(path, speed), num_frames)
     hips, rotations = (np.asarray(values, np.float64) for values in (poses.hips, poses.rotations))
     if not (np.isfinite(hips).all() and np.isfinite(rotations).all()):
         raise InputError(run.path, "motion", "not finite", "the network cannot walk in this style")
@@ -64,14 +64,14 @@ def drive_along(
 
 @partial(jax.jit, static_argnames=("setup", "num_frames"))
 def follow(
-    setup: ControllerSetup, params: ControllerParams, state: ControllerState, track: Track, num_frames: int
+    setup: ControllerSetup, params: ControllerParams, state: ControllerState, target: TimedPath, num_frames: int
 ) -> Pose:
-    """Poses, leaves [T, ...], of a character that follows a track; told to stand at its end, if it has one."""
+    """Poses, leaves [T, ...], of a character that follows a target; told to stand at its end, if it has one."""
 
     def frame(carry, _):
         state, progress = carry
-        progress = advance_progress(track, state.root, progress)
-        command = pursue(track, state.motion, progress, setup.config)
+        progress = advance_progress(target, state.root, progress)
+        command = pursue(target, state.motion, progress, setup.loop)
         state = step(setup, params, state, command)
         return (state, progress), state.pose
 

@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.ik.fix_feet import fix_feet, output_contacts
-from pfnn_jax.control.loop.pursuit import make_track
+from pfnn_jax.control.ik.fix_feet import fix_feet
+from pfnn_jax.control.loop.pursuit import make_timed_path
 from pfnn_jax.control.loop.rollout import EvaluateFn, Frames, follow_path, rollout
-from pfnn_jax.control.loop.state import CharacterState, initial_state, place_state, straight_row
-from pfnn_jax.control.loop.step import CONTROLLERS, Command, ControllerConfig
+from pfnn_jax.control.loop.state import CharacterState, contacts_of_output, initial_state, place_state, straight_row
+from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import table_phase
 from pfnn_jax.inference.mixture import StyleChoice
@@ -70,7 +70,7 @@ def generate(
     speed: float | None = None,
     seconds: float | None = None,
     mode: Mode = "cubic",
-    config: ControllerConfig | None = None,
+    config: LoopConfig | None = None,
     foot_ik: bool = False,
 ) -> Generated:
     """Motion in a style along a path.
@@ -99,13 +99,15 @@ def generate(
     speed = default_speed(run, style) if speed is None else speed
     seconds = path.length / max(speed, 1e-6) if seconds is None else seconds
     num_frames = walk_frames(run, speed, seconds)
-    evaluate_fn, params, config = EVALUATORS[mode], make_predictor(run, style), config or controller_of(run)
+    evaluate_fn, params, config = EVALUATORS[mode], make_predictor(run, style), config or loop_config(run)
     state = walking_state(evaluate_fn, params, run.layout, run.normaliser, speed, config=config)
     state = place_state(state, jnp.asarray(path.points[0], jnp.float32), jnp.float32(path.start_yaw))
-    frames = follow_path(evaluate_fn, params, run.layout, state, make_track(path, speed), num_frames, config=config)
+    frames = follow_path(
+        evaluate_fn, params, run.layout, state, make_timed_path(path, speed), num_frames, config=config
+    )
     clip = clip_from_frames(run.skeleton, run.layout, frames)
     if foot_ik:
-        contacts = output_contacts(run.layout, np.asarray(frames.outputs))
+        contacts = contacts_of_output(run.layout, np.asarray(frames.outputs))
         joints = np.asarray(frames.joint_positions) if isinstance(style, Mapping) else None
         clip = fix_feet(clip, contacts, joints=joints)
     return Generated(replace(clip, style=style_label(style), content="generated", source=str(run.path)), frames)
@@ -123,9 +125,9 @@ def walk_frames(run: Run, speed: float, seconds: float) -> int:
     return max(round(seconds * run.layout.fps), 2)
 
 
-def controller_of(run: Run) -> ControllerConfig:
+def loop_config(run: Run) -> LoopConfig:
     """The controller's constants of a run: those of its layout, with the run's own gain of commands."""
-    return replace(CONTROLLERS[run.layout.name], command_gain=run.config.command_gain)
+    return replace(LOOP_CONFIGS[run.layout.name], command_gain=run.config.command_gain)
 
 
 def style_label(style: StyleChoice) -> str:
@@ -142,20 +144,20 @@ def default_speed(run: Run, style: StyleChoice) -> float:
     for None on a FiLM run, whose data goes every way, the mean of what its styles tell.
     """
     if style is None and run.config.adapter.kind == "film":
-        told = [told_speed(run, name) for name in run.config.styles if name in list_styles(run.path)]
+        told = [recorded_speed(run, name) for name in run.config.styles if name in list_styles(run.path)]
         speeds = [speed for speed in told if speed is not None]
         if speeds:
             return float(np.mean(speeds))
     if isinstance(style, str):
         style = {style: 1.0}
-    told = [(weight, told_speed(run, name)) for name, weight in (style or {}).items()]
+    told = [(weight, recorded_speed(run, name)) for name, weight in (style or {}).items()]
     if told and all(speed is not None for _, speed in told):
         return sum(weight * speed for weight, speed in told if speed is not None)
     velocity, _ = root_steps(run.layout, run.normaliser.outputs.mean[None])
     return float(np.hypot(*velocity[0]))
 
 
-def told_speed(run: Run, name: str) -> float | None:
+def recorded_speed(run: Run, name: str) -> float | None:
     """Metres per second of a style's clips as its `style.json` tells them, or None."""
     speed = style_note(run.path, name)["info"].get("speed")
     usable = isinstance(speed, int | float) and math.isfinite(speed) and speed > 0.0
@@ -184,7 +186,7 @@ def walking_state(
     normaliser: Normaliser,
     speed: float | jax.Array,
     *,
-    config: ControllerConfig | None = None,
+    config: LoopConfig | None = None,
 ) -> CharacterState:
     """A character in its stride near the origin: a second of straight walking from `starting_row`.
 

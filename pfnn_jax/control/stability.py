@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.loop.pursuit import make_track
+from pfnn_jax.control.loop.pursuit import make_timed_path
 from pfnn_jax.control.loop.rollout import Frames, Stability, follow_path, stability
 from pfnn_jax.control.loop.state import initial_state
-from pfnn_jax.control.loop.step import ControllerConfig
+from pfnn_jax.control.loop.step import LoopConfig
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor, evaluate
 from pfnn_jax.models.network import Network
 from pfnn_jax.motion.features.decode import median_speed
@@ -48,7 +48,7 @@ def walk_circles(
     phase: np.ndarray | float,
     speed: float,
     seconds: float,
-    config: ControllerConfig | None = None,
+    config: LoopConfig | None = None,
 ) -> Frames:
     """Rollouts on two circles at `TURN_RATE`, left and right, from the pose of a real row.
 
@@ -65,7 +65,7 @@ def walk_circles(
         Frames with a leading axis of 2: turning left, then right.
     """
     paths = [circle(turn_rate=sign * float(TURN_RATE), speed=speed) for sign in (1.0, -1.0)]
-    tracks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(make_track(path, speed, 256) for path in paths))
+    tracks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(make_timed_path(path, speed, 256) for path in paths))
     points = jnp.asarray(np.stack([path.points[0] for path in paths]), jnp.float32)
     yaws = jnp.asarray([path.start_yaw for path in paths], jnp.float32)
     start = (jnp.asarray(x), jnp.asarray(phase, jnp.float32), round(seconds * layout.fps), config)
@@ -89,7 +89,7 @@ def make_stability_check(
     x: np.ndarray,
     y: np.ndarray,
     phase: np.ndarray,
-    config: ControllerConfig | None = None,
+    config: LoopConfig | None = None,
 ) -> Callable[[Any], bool]:
     """A judge of trained parameters for `choose`: do both circles stay sound?
 
@@ -114,9 +114,9 @@ def make_stability_check(
 
 @partial(jax.jit, static_argnames=("layout", "num_frames", "config"))
 def _walk(predictor: Predictor, layout: FrameLayout, tracks, points, yaws, x, phase, num_frames: int, config) -> Frames:
-    def one(track, point, yaw):
+    def one(target, point, yaw):
         return follow_path(
-            evaluate, predictor, layout, initial_state(layout, x, phase, point, yaw), track, num_frames, config=config
+            evaluate, predictor, layout, initial_state(layout, x, phase, point, yaw), target, num_frames, config=config
         )
 
     return jax.vmap(one)(tracks, points, yaws)

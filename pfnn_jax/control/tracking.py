@@ -1,17 +1,18 @@
-"""Keeping to a command: the pace at which a character lives, small turns of the whole of it, and a bound on its haste.
+"""Command tracking: time scaling, heading correction and a limit on the look-ahead speed.
 
-Networks answer speeds and directions as their data did, each style in its own way, and some hardly at all. The
-published loop leaves it at that. Here a few things are added around it:
+Networks answer requested speeds and directions as their training data did, each style in its own way, and some hardly
+at all. The published loop leaves it at that. Command tracking wraps it in three corrections:
 
-- Pace. The character lives at `pace` times its own time: frames of the network are drawn faster or slower than they
-  were predicted, and between them. Root, feet and phase slow down and quicken together, so that feet keep step with the
-  ground, and the network notices nothing. One that is told to stand takes its step to its end, and halts as its feet
-  come down: at pace 0 it stands.
-- Turning. With every frame of its own time the whole character, feet and past included, is turned about its root
-  towards the way it shall go, at a bounded rate. The network cannot notice that, as it sees all from the root. One that
-  stands is never turned. What is left of that turn under a foot on the ground is the foot lock's to hold.
-- Haste. A network reads where it will be from what it predicted before. One that was shown walks and runs can so talk
-  itself from walking into running; the way ahead that it is given is therefore nowhere faster than its style allows.
+- Time scaling. The character runs at `time_scale` times network time: its frames are interpolated, and drawn faster or
+  slower than they were predicted. Root, feet and phase change speed together, so feet stay in step with the ground, and
+  the inputs of the network do not change. When commanded to stop, the character completes the current step and freezes
+  (time scale 0) once both feet are down.
+- Heading correction. With every network frame the whole character, including its feet and its past trajectory, is
+  rotated about its root towards the commanded heading at a bounded rate. Network inputs are relative to the root, so
+  they do not change. A standing character is never rotated. The foot lock removes what this slides a planted foot.
+- Look-ahead limit. A network reads a future trajectory that it predicted itself. One trained on walks and runs can
+  drift from a walk into a run (positive feedback through its own trajectory input), so the speed of the future
+  trajectory is limited to what the style allows.
 """
 
 from __future__ import annotations
@@ -24,188 +25,243 @@ from flax import struct
 
 from pfnn_jax.control.ground import angle_between, length, mix, root_yaw, to_local, turn, turn_towards, unit, wrapped
 from pfnn_jax.control.loop.state import ROOT, CharacterState
-from pfnn_jax.control.loop.step import Command, ControllerConfig
+from pfnn_jax.control.loop.step import Command
 
-STILL = 0.05
-"""Metres per second below which a command is to stand."""
+STOP_SPEED = 0.05
+"""Metres per second; a slower command means stop."""
 
-LEAST_SPEED = 0.05
-"""Metres per second that a walk has at least, where something is divided by its speed."""
+MIN_WALK_SPEED = 0.05
+"""Metres per second; lower bound of a walking speed used as a divisor."""
 
-RISE, STOPPING_RISE = 0.02, 0.06
-"""Metres per second by which the least height of the feet is forgotten: of its own time while it walks, of the world's
-while it waits to halt, so that a slow one does not wait longer."""
+CLEARANCE_RISE, STOPPING_CLEARANCE_RISE = 0.02, 0.06
+"""Metres per second at which the recent minimum of the feet's height rises again: per second of network time while
+walking; per second of real time while waiting to stop, so that a slow walk does not take longer to stop."""
+
+FREEZE_TIME_SCALE = 0.03
+"""A stopping character whose time scale falls below this freezes."""
 
 
 @dataclass(frozen=True)
-class Regulation:
-    """How strictly a character is kept to its command. Rates are shares per frame at 60 fps: of the world for the pace,
-    of its own time for what it remembers of its motion.
+class TrackingConfig:
+    """Constants of command tracking. Rates are shares per frame at 60 fps: per displayed frame for the time scale, per
+    network frame for the running means.
 
     Attributes:
-        slowest, fastest: bounds of the pace while walking; commands beyond them are not kept.
-        pace_rate: of the pace towards the wanted one.
-        stopping: the pace at most at which a step is taken to its end before it halts.
-        landing_rate: of the pace towards 0, once its feet are down.
-        touch: metres above the lowest that its feet have been together, within which they count as down.
-        speed_rate: of the running mean of the character's own velocity: about a step.
-        heading_rate: of the running mean of how far it is off its way.
-        turning: radians per second of turning for each radian off the way.
-        most_turning: radians per second, the most that it is turned.
-        most_asked: radians, the most that a network is asked to turn at once.
-        stretch: share by which the speed asked of a network may differ from its style's own.
-        haste: times its style's own speed, the most that the way ahead of it may have.
-        astray: radians off its way, beyond which it does not manage to go there as it faces.
-        patience: seconds of its own time for which it may be astray before it gives up its facing for its way, and
-            seconds in which it does so.
+        min_time_scale, max_time_scale: bounds of the time scale while walking; speeds beyond them are not reached.
+        time_scale_rate: of the time scale towards its target.
+        stopping_time_scale: upper bound of the time scale while the last step before a stop is completed.
+        freeze_rate: of the time scale towards 0, once both feet are down.
+        contact_tolerance: metres above the recent minimum height of both feet within which they count as down.
+        velocity_rate: of the running mean of the character's velocity, which spans about one step.
+        heading_rate: of the running mean of the heading error.
+        correction_gain: radians per second of heading correction per radian of heading error.
+        max_correction_rate: radians per second, upper bound of the heading correction.
+        max_requested_turn: radians, the largest turn that is requested from the network at once.
+        speed_tolerance: largest relative difference between the speed requested from a network and the natural speed
+            of its style.
+        max_lookahead_ratio: upper bound of the predicted trajectory's speed, as a multiple of the natural speed.
+        heading_tolerance: radians, heading error above which strafing is considered to have failed.
+        strafe_timeout: seconds of network time for which strafing may fail before the facing constraint is released,
+            and seconds over which it is released.
+        fps: frames per second.
     """
 
-    slowest: float = 0.15
-    fastest: float = 2.0
-    pace_rate: float = 0.1
-    stopping: float = 0.6
-    landing_rate: float = 0.2
-    touch: float = 0.005
-    speed_rate: float = 0.05
+    min_time_scale: float = 0.15
+    max_time_scale: float = 2.0
+    time_scale_rate: float = 0.1
+    stopping_time_scale: float = 0.6
+    freeze_rate: float = 0.2
+    contact_tolerance: float = 0.005
+    velocity_rate: float = 0.05
     heading_rate: float = 0.08
-    turning: float = 4.0
-    most_turning: float = 1.0
-    most_asked: float = 0.5
-    stretch: float = 0.25
-    haste: float = 1.25
-    astray: float = 0.35
-    patience: float = 1.0
+    correction_gain: float = 4.0
+    max_correction_rate: float = 1.0
+    max_requested_turn: float = 0.5
+    speed_tolerance: float = 0.25
+    max_lookahead_ratio: float = 1.25
+    heading_tolerance: float = 0.35
+    strafe_timeout: float = 1.0
+    fps: float = 60.0
 
-
-STANDARD = Regulation()
+    def __post_init__(self) -> None:
+        for name in ("time_scale_rate", "freeze_rate", "velocity_rate", "heading_rate"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"TrackingConfig.{name} must be in (0, 1], got {getattr(self, name)}.")
+        for name in ("min_time_scale", "stopping_time_scale", "strafe_timeout", "max_lookahead_ratio", "fps"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"TrackingConfig.{name} must be above 0, got {getattr(self, name)}.")
+        if self.max_time_scale < self.min_time_scale:
+            found = f"got {self.max_time_scale}"
+            raise ValueError(f"TrackingConfig.max_time_scale must be at least min_time_scale, {found}.")
 
 
 @struct.dataclass(kw_only=True)
-class Regulated:
-    """What regulation remembers of one character.
+class StyleSpeed:
+    """The walking speed of a style, or of a mixture of styles.
 
     Attributes:
-        pace: [] its own seconds for each second of the world.
-        velocity: [2] metres for each of its own seconds, seen from its root: a running mean.
-        off: [] radians about +Y from its way to the wanted one: a running mean.
-        astray: [] seconds of its own time for which it has been more off its way than on it, for facing elsewhere.
-        lowest: [] metres, the least height to which both of its feet came down of late, the higher of them counted.
-        landing: [] bool, whether it is halting.
+        natural: [] metres per second at which the style walks.
+        gain: [] speed to request from the network, as a multiple of the natural speed, so that it walks at the natural
+            speed (`pfnn_jax.control.calibration.calibrate_speeds`).
     """
 
-    pace: jax.Array
+    natural: jax.Array
+    gain: jax.Array
+
+
+@struct.dataclass(kw_only=True)
+class TrackingState:
+    """The state of command tracking for one character.
+
+    Attributes:
+        time_scale: [] seconds of network time per second of real time; 0 while the character stands.
+        velocity: [2] metres per second of network time relative to the root: a running mean.
+        heading_error: [] radians about +Y from the actual to the commanded heading: a running mean.
+        strafe_failure: [] seconds of network time by which failing to strafe outweighs succeeding.
+        min_clearance: [] metres, recent minimum of the higher foot's height.
+        stopping: [] bool, whether both feet are down and the time scale falls to 0.
+    """
+
+    time_scale: jax.Array
     velocity: jax.Array
-    off: jax.Array
-    astray: jax.Array
-    lowest: jax.Array
-    landing: jax.Array
+    heading_error: jax.Array
+    strafe_failure: jax.Array
+    min_clearance: jax.Array
+    stopping: jax.Array
 
 
-def begin(velocity: jax.Array, clearance: jax.Array, pace: float) -> Regulated:
-    """Of a character that goes at `velocity` [2], as seen from its root, whenever it goes; at pace 0 it stands."""
-    zero = jnp.zeros_like(clearance)
-    landing = jnp.asarray(pace == 0.0)
-    return Regulated(pace=zero + pace, velocity=velocity, off=zero, astray=zero, lowest=clearance, landing=landing)
+def init_tracking(velocity: jax.Array, clearance: jax.Array, time_scale: float) -> TrackingState:
+    """Returns the state of a character that starts at a time scale; at 0 it stands.
 
-
-def ask(
-    command: Command,
-    own: jax.Array,
-    share: jax.Array,
-    before: CharacterState,
-    regulated: Regulated,
-    constants: ControllerConfig,
-    config: Regulation,
-) -> Command:
-    """What to ask of the network for a command, of a style that walks at `own` [] m/s if asked for a share [] of that.
-
-    Networks that are asked for what their style never did may lose its gait. So they are asked for speeds near its
-    own, and what is missing is left to the pace; and for turns by as much as the published demos ask for at once, so
-    that a character turns about in an arc. One that cannot go aside or back as it faces faces where it goes, after a
-    while. One that shall stand is asked to go on, and is stopped by its pace.
+    Args:
+        velocity: [2] metres per second of network time, relative to the root.
+        clearance: [] metres, height of the higher foot.
+        time_scale: initial time scale.
     """
-    speed, facing = length(command.velocity), before.directions[ROOT]
-    near = jnp.clip(speed, (1.0 - config.stretch) * own, (1.0 + config.stretch) * own) * share
-    kept = jnp.clip(2.0 - regulated.astray / config.patience, 0.0, 1.0)
-    left = angle_between(facing, turn_towards(unit(command.velocity), command.direction, kept))
-    at_once = jnp.clip(left, -config.most_asked, config.most_asked)
-    velocity = turn(command.velocity * (near / jnp.maximum(speed, STILL)), at_once - left)
-    moving = speed > STILL
-    return replace(
-        command,
-        velocity=jnp.where(moving, velocity, before.target_velocity / constants.command_gain),
-        direction=jnp.where(moving, turn(facing, at_once), before.target_direction),
+    zero = jnp.zeros_like(clearance)
+    return TrackingState(
+        time_scale=zero + time_scale,
+        velocity=velocity,
+        heading_error=zero,
+        strafe_failure=zero,
+        min_clearance=clearance,
+        stopping=jnp.asarray(time_scale == 0.0),
     )
 
 
-def hold_back(state: CharacterState, own: jax.Array, fps: float, config: Regulation) -> CharacterState:
-    """The state with a way ahead that is nowhere faster than `haste` times its style's `own` [] m/s."""
+def is_moving(command: Command) -> jax.Array:
+    """Returns [] bool, whether a command asks the character to move."""
+    return length(command.velocity) > STOP_SPEED
+
+
+def network_command(
+    command: Command, facing: jax.Array, speed: StyleSpeed, tracking: TrackingState, config: TrackingConfig
+) -> Command:
+    """Returns the command to pass to the network so that a moving character tracks `command`.
+
+    Out-of-distribution commands can break the gait of a network. The requested speed therefore stays near the natural
+    speed of the style, and the rest is left to the time scale; the requested turn stays within what the published demos
+    request at once, so the character turns about in an arc. If the style cannot strafe, the facing constraint is
+    dropped after `strafe_timeout`.
+
+    Args:
+        command: of the user, above `STOP_SPEED`.
+        facing: [2] unit vector that the root faces.
+        speed: of the character's style.
+        tracking: state before this frame.
+        config: constants.
+    """
+    wanted = length(command.velocity)
+    lower, upper = 1.0 - config.speed_tolerance, 1.0 + config.speed_tolerance
+    requested = jnp.clip(wanted, lower * speed.natural, upper * speed.natural) * speed.gain
+    constraint = jnp.clip(2.0 - tracking.strafe_failure / config.strafe_timeout, 0.0, 1.0)
+    turn_left = angle_between(facing, turn_towards(unit(command.velocity), command.direction, constraint))
+    turn_now = jnp.clip(turn_left, -config.max_requested_turn, config.max_requested_turn)
+    velocity = command.velocity * (requested / jnp.maximum(wanted, STOP_SPEED))
+    return replace(command, velocity=turn(velocity, turn_now - turn_left), direction=turn(facing, turn_now))
+
+
+def limit_lookahead(state: CharacterState, natural_speed: jax.Array, config: TrackingConfig) -> CharacterState:
+    """Limits the speed of the future trajectory to `max_lookahead_ratio` times the natural speed [] m/s."""
     steps = jnp.diff(state.positions[ROOT:], axis=0)
-    most = config.haste * own / fps
-    steps = steps * (most / jnp.maximum(length(steps), most))[:, None]
+    longest = config.max_lookahead_ratio * natural_speed / config.fps
+    steps = steps * (longest / jnp.maximum(length(steps), longest))[:, None]
     future = state.positions[ROOT][None] + jnp.cumsum(steps, axis=0)
     return replace(state, positions=state.positions.at[ROOT + 1 :].set(future))
 
 
-def observe(
-    regulated: Regulated,
+def update_tracking(
+    tracking: TrackingState,
     before: CharacterState,
     after: CharacterState,
     command: Command,
     clearance: jax.Array,
-    fps: float,
-    config: Regulation,
-) -> Regulated:
-    """What is remembered after one more frame of the character's own time.
+    config: TrackingConfig,
+) -> TrackingState:
+    """Returns the tracking state after one more network frame.
 
     Args:
-        regulated: so far.
-        before, after: states one frame of the network apart.
-        command: what is wanted; a character that shall stand is never off its way.
-        clearance: [] metres, the height of its feet after the frame, the higher of them counted.
-        fps: frames per second.
-        config: rates.
+        tracking: state before the frame.
+        before, after: states of the character before and after the frame.
+        command: of the user. The heading error of a character that is commanded to stop is 0.
+        clearance: [] metres, height of the higher foot after the frame.
+        config: constants.
     """
-    facing, wanted = before.directions[ROOT], unit(command.velocity)
-    moved = to_local((after.positions[ROOT] - before.positions[ROOT]) * fps, facing)
-    velocity = mix(regulated.velocity, moved, config.speed_rate)
-    moving = length(command.velocity) > STILL
-    off = jnp.where(moving, angle_between(turn(facing, root_yaw(velocity)), wanted), 0.0)
-    off = wrapped(regulated.off + config.heading_rate * wrapped(off - regulated.off))
-    apart = moving & (jnp.abs(angle_between(wanted, command.direction)) > config.astray)
-    # Who has given up its facing, and goes where it faces, is not to try again.
-    back = jnp.where(regulated.astray < config.patience, -1.0, 0.0)
-    astray = jnp.maximum(regulated.astray + jnp.where(jnp.abs(off) > config.astray, 1.0, back) / fps, 0.0)
-    # Feet of one who waits to halt count as down a little higher from frame to frame, so that it halts at last.
-    rise = jnp.where(moving, RISE, STOPPING_RISE / jnp.maximum(regulated.pace, config.slowest))
-    lowest = jnp.minimum(clearance, regulated.lowest + rise / fps)
-    down = (clearance <= lowest + config.touch) & (regulated.pace <= config.stopping + 0.05)
+    moving, facing = is_moving(command), before.directions[ROOT]
+    step = (after.positions[ROOT] - before.positions[ROOT]) * config.fps
+    velocity = mix(tracking.velocity, to_local(step, facing), config.velocity_rate)
+    heading_error = _heading_error(tracking, turn(facing, root_yaw(velocity)), command, config)
+    # While waiting to stop, raise the height that counts as "foot down" each frame so that stopping always terminates.
+    waiting_rise = STOPPING_CLEARANCE_RISE / jnp.maximum(tracking.time_scale, config.min_time_scale)
+    rise = jnp.where(moving, CLEARANCE_RISE, waiting_rise)
+    min_clearance = jnp.minimum(clearance, tracking.min_clearance + rise / config.fps)
+    slow = tracking.time_scale <= config.stopping_time_scale + 0.05
+    down = (clearance <= min_clearance + config.contact_tolerance) & slow
     return replace(
-        regulated,
+        tracking,
         velocity=velocity,
-        off=off,
-        astray=jnp.where(apart, astray, 0.0),
-        lowest=lowest,
-        landing=~moving & (regulated.landing | down),
+        heading_error=heading_error,
+        strafe_failure=_strafe_failure(tracking, heading_error, command, config),
+        min_clearance=min_clearance,
+        stopping=~moving & (tracking.stopping | down),
     )
 
 
-def turning(regulated: Regulated, wanted: jax.Array, fps: float, config: Regulation) -> jax.Array:
-    """Radians [] by which a character is turned in one frame of its own time towards a wanted velocity [2]."""
-    rate = jnp.clip(config.turning * regulated.off, -config.most_turning, config.most_turning)
-    frames = jnp.maximum(regulated.pace, config.slowest)  # of its own time in one of the world
-    return jnp.where(length(wanted) > STILL, rate / (fps * frames), 0.0)
+def _heading_error(tracking: TrackingState, heading: jax.Array, command: Command, config: TrackingConfig) -> jax.Array:
+    """Returns the running mean [] of the angle from a heading [2] to the commanded one."""
+    error = jnp.where(is_moving(command), angle_between(heading, unit(command.velocity)), 0.0)
+    return wrapped(tracking.heading_error + config.heading_rate * wrapped(error - tracking.heading_error))
 
 
-def keep_pace(regulated: Regulated, wanted: jax.Array, config: Regulation) -> Regulated:
-    """What is remembered, with the pace of the next frame of the world for a wanted velocity [2]."""
-    speed, own = length(wanted), jnp.maximum(length(regulated.velocity), LEAST_SPEED)
-    moving, pace = speed > STILL, regulated.pace
-    landing = regulated.landing & ~moving
-    target = jnp.where(
-        moving,
-        jnp.clip(speed / own, config.slowest, config.fastest),
-        jnp.where(landing, 0.0, jnp.minimum(pace, config.stopping)),
-    )
-    pace = mix(pace, target, jnp.where(landing, config.landing_rate, config.pace_rate))
-    return replace(regulated, pace=jnp.where(landing & (pace < 0.03), 0.0, pace), landing=landing)
+def _strafe_failure(
+    tracking: TrackingState, heading_error: jax.Array, command: Command, config: TrackingConfig
+) -> jax.Array:
+    """Returns the seconds [] by which failing to strafe outweighs succeeding; 0 unless the command is to strafe."""
+    sideways = jnp.abs(angle_between(unit(command.velocity), command.direction)) > config.heading_tolerance
+    failing = jnp.abs(heading_error) > config.heading_tolerance
+    # Once released, do not re-engage the facing constraint: the time of failure stops falling.
+    recovery = jnp.where(tracking.strafe_failure < config.strafe_timeout, -1.0, 0.0)
+    failure = jnp.maximum(tracking.strafe_failure + jnp.where(failing, 1.0, recovery) / config.fps, 0.0)
+    return jnp.where(is_moving(command) & sideways, failure, 0.0)
+
+
+def heading_correction(tracking: TrackingState, command: Command, config: TrackingConfig) -> jax.Array:
+    """Returns the angle [] radians by which the character is rotated in one network frame; 0 for a stop command."""
+    bound = config.max_correction_rate
+    rate = jnp.clip(config.correction_gain * tracking.heading_error, -bound, bound)
+    # The rate is per second of real time, in which the network makes `time_scale` times as many frames.
+    time_scale = jnp.maximum(tracking.time_scale, config.min_time_scale)
+    return jnp.where(is_moving(command), rate / (config.fps * time_scale), 0.0)
+
+
+def update_time_scale(tracking: TrackingState, command: Command, config: TrackingConfig) -> TrackingState:
+    """Returns the tracking state with the time scale of the next displayed frame."""
+    moving, time_scale = is_moving(command), tracking.time_scale
+    stopping = tracking.stopping & ~moving
+    reachable = length(command.velocity) / jnp.maximum(length(tracking.velocity), MIN_WALK_SPEED)
+    walking = jnp.clip(reachable, config.min_time_scale, config.max_time_scale)
+    waiting = jnp.where(stopping, 0.0, jnp.minimum(time_scale, config.stopping_time_scale))
+    target = jnp.where(moving, walking, waiting)
+    time_scale = mix(time_scale, target, jnp.where(stopping, config.freeze_rate, config.time_scale_rate))
+    frozen = stopping & (time_scale < FREEZE_TIME_SCALE)
+    return replace(tracking, time_scale=jnp.where(frozen, 0.0, time_scale), stopping=stopping)

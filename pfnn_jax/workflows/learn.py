@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.control.generation import controller_of
+from pfnn_jax.control.generation import loop_config
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
@@ -103,7 +103,7 @@ def learn_rows(
     trying = told(0.03, 0.5, config.eval_epochs[-1], "trying settings")
     candidates = train_grid(run.shared, data, held_out, config, progress_callback=trying, **options)
     is_stable = make_stability_check(
-        run.shared, run.normaliser, run.layout, rows.x, rows.y, rows.phase, controller_of(run)
+        run.shared, run.normaliser, run.layout, rows.x, rows.y, rows.phase, loop_config(run)
     )
     walked = itertools.count()
 

@@ -12,7 +12,7 @@ import pytest
 from pfnn_jax.control.generation import clip_from_frames, default_speed, generate
 from pfnn_jax.control.loop.rollout import rollout
 from pfnn_jax.control.loop.state import initial_state
-from pfnn_jax.control.loop.step import CONTROLLERS, Command
+from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network
@@ -52,7 +52,7 @@ def test_recorded_motion_comes_back(name):
     state = initial_state(layout, rows.x[first], phase[0], jnp.zeros(2), jnp.zeros(()))
     ahead = jnp.tile(jnp.asarray([[0.0, 1.0]]), (count, 1))
     # Under the next-frame rule a root is mixed with what stood there; here it is to be the recorded one.
-    config = replace(CONTROLLERS[name], trajectory_rate=1.0)
+    config = replace(LOOP_CONFIGS[name], trajectory_rate=1.0)
     found = rollout(
         recorded, (y, phase), layout, state, Command(velocity=SPEED * ahead, direction=ahead), config=config
     )

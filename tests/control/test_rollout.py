@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.control.loop.pursuit import make_track, point_at
+from pfnn_jax.control.loop.pursuit import make_timed_path, point_at
 from pfnn_jax.control.loop.rollout import Frames, follow_path, locked_rollout, rollout, stability
 from pfnn_jax.control.loop.state import ROOT, initial_state, place_state, standing_state
-from pfnn_jax.control.loop.step import CONTROLLERS, Command, ControllerConfig, network_input, published_step, steer
+from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, network_input, published_step, steer
 from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network, predict
 from pfnn_jax.motion.paths import circle, figure_eight, mirror_path, resample_path, straight
@@ -65,7 +65,7 @@ def test_oracle_is_reproduced(layout, turn_rate):
 @layouts
 def test_inputs_follow_the_frame_rule(layout):
     """The joints of x_{i+1} are those of y_i in root i; the trajectory of x is that around root i."""
-    config = ControllerConfig(1e-6, 1e-6, 0.5, 0.5, 0.5, 0.5)  # the steering bends nothing
+    config = LoopConfig(1e-6, 1e-6, 0.5, 0.5, 0.5, 0.5)  # the steering bends nothing
     command = Command(velocity=jnp.ones(2), direction=jnp.asarray([0.6, 0.8]))
 
     @jax.jit
@@ -109,9 +109,9 @@ def test_rollout_turns_and_moves_with_its_path():
     path = figure_eight(2.0)
     moved = resample_path(path.points @ turn + shift, closed=True, num_points=len(path.points))
     state, walker, weights = start(layout), OBEDIENT[layout.name], sway(layout)
-    here = follow_path(walker, weights, layout, state, make_track(path, 1.2), 200)
+    here = follow_path(walker, weights, layout, state, make_timed_path(path, 1.2), 200)
     elsewhere = jax.jit(place_state)(state, shift, jnp.float32(yaw))
-    there = follow_path(walker, weights, layout, elsewhere, make_track(moved, 1.2), 200)
+    there = follow_path(walker, weights, layout, elsewhere, make_timed_path(moved, 1.2), 200)
     np.testing.assert_allclose(np.asarray(here.root_positions) @ turn + shift, there.root_positions, atol=10 * DRIFT)
     joints = [np.asarray(frames.joint_positions)[..., [0, 2]] for frames in (here, there)]
     np.testing.assert_allclose(joints[0] @ turn + shift, joints[1], atol=10 * DRIFT)
@@ -130,8 +130,8 @@ def test_mirrored_walker_on_mirrored_path():
 
     x, path = input_row(layout, WALK | {"turn_rate": 1e-3}), circle(2.0)
     states = [placed(layout, row, jnp.zeros(()), jnp.zeros(2), jnp.zeros(())) for row in (x, into * x)]
-    left = follow_path(walker, weights, layout, states[0], make_track(path, 1.2), 200)
-    right = follow_path(mirrored, weights, layout, states[1], make_track(mirror_path(path), 1.2), 200)
+    left = follow_path(walker, weights, layout, states[0], make_timed_path(path, 1.2), 200)
+    right = follow_path(mirrored, weights, layout, states[1], make_timed_path(mirror_path(path), 1.2), 200)
     flip = np.array([-1.0, 1.0, 1.0])
     np.testing.assert_allclose(np.asarray(left.joint_positions) * flip, right.joint_positions, atol=DRIFT)
     np.testing.assert_allclose(np.asarray(left.root_positions) * flip[:2], right.root_positions, atol=DRIFT)
@@ -179,7 +179,7 @@ def evaluate_small(params, x, phase):
 def test_adapters_in_one_vmap_beside_one_network():
     layout = LAYOUT["mason2018"]
     network, adapters = small_network(layout, 2)
-    track, state = make_track(circle(2.0), 1.2), start(layout)
+    track, state = make_timed_path(circle(2.0), 1.2), start(layout)
     x, phase = jnp.tile(input_row(layout, WALK)[None], (12, 1)), jnp.linspace(0.0, 1.0, 12)
 
     def run(adapter):
@@ -216,13 +216,13 @@ def test_locked_rollout_feeds_back_the_pose_alone():
 @layouts
 @pytest.mark.parametrize("radius", [2.0, -2.0])
 def test_circle_is_followed(layout, radius):
-    track = make_track(circle(radius), 1.2)
+    track = make_timed_path(circle(radius), 1.2)
     state = start(layout, WALK | {"turn_rate": 1e-3})
     frames = follow_path(OBEDIENT[layout.name], sway(layout), layout, state, track, 900)
     seen = stability(layout, frames, jnp.zeros(layout.output_size), jnp.ones(layout.output_size))
     assert bool(seen.finite)
     # The walker obeys at once, so looking ahead by l cuts corners: by at most l² / 2R, the arc's height over a tangent.
-    cut = (CONTROLLERS[layout.name].look_ahead * 1.2) ** 2 / (2.0 * abs(radius))
+    cut = (LOOP_CONFIGS[layout.name].look_ahead * 1.2) ** 2 / (2.0 * abs(radius))
     assert float(seen.turn_rate) == pytest.approx(1.2 / radius, rel=0.1)
     assert float(seen.speed) == pytest.approx(1.2, rel=0.1)
     assert seen.trajectory_error is not None and float(seen.trajectory_error) < cut
@@ -230,7 +230,7 @@ def test_circle_is_followed(layout, radius):
 
 
 def test_figure_eight_is_followed_through_its_crossing():
-    layout, track = LAYOUT["mason2018"], make_track(figure_eight(2.0), 1.2)
+    layout, track = LAYOUT["mason2018"], make_timed_path(figure_eight(2.0), 1.2)
     state = start(layout, WALK | {"turn_rate": 1e-3})
     frames = follow_path(OBEDIENT[layout.name], sway(layout), layout, state, track, 1400)
     assert float(frames.path_distance.max()) < 0.3
@@ -241,14 +241,14 @@ def test_figure_eight_is_followed_through_its_crossing():
 @layouts
 def test_end_of_an_open_path_is_kept(layout):
     state = start(layout, WALK | {"turn_rate": 1e-3})
-    frames = follow_path(OBEDIENT[layout.name], sway(layout), layout, state, make_track(straight(3.0), 1.2), 500)
+    frames = follow_path(OBEDIENT[layout.name], sway(layout), layout, state, make_timed_path(straight(3.0), 1.2), 500)
     np.testing.assert_allclose(frames.root_positions[-1], [0.0, 3.0], atol=0.3)
     assert float(jnp.abs(jnp.diff(frames.root_positions[-60:], axis=0)).max()) < 1e-3
     assert float(frames.progress[-1]) <= 3.0
 
 
 def test_points_along_tracks():
-    closed, opened = make_track(circle(1.0), 1.0), make_track(straight(2.0), 1.0)
+    closed, opened = make_timed_path(circle(1.0), 1.0), make_timed_path(straight(2.0), 1.0)
     round_once = point_at(closed, jnp.asarray([0.0, np.pi, 2 * np.pi, 3 * np.pi], jnp.float32))
     np.testing.assert_allclose(round_once, [[0, 0], [2, 0], [0, 0], [2, 0]], atol=2e-3)
     np.testing.assert_allclose(point_at(opened, jnp.asarray([-1.0, 0.5, 9.0])), [[0, 0], [0, 0.5], [0, 2]], atol=1e-6)
@@ -309,4 +309,4 @@ def test_step_is_differentiable():
 @pytest.mark.parametrize("change", [{"velocity_rate": 0.0}, {"pose_rate": 1.5}, {"position_bias": -1.0}])
 def test_controller_config_is_checked(change):
     with pytest.raises(ValueError, match=next(iter(change))):
-        replace(CONTROLLERS["mason2018"], **change)
+        replace(LOOP_CONFIGS["mason2018"], **change)

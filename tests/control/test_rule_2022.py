@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control.ground import lift, to_world
-from pfnn_jax.control.loop.blocks import write_input
 from pfnn_jax.control.loop.rollout import locked_rollout, rollout
-from pfnn_jax.control.loop.state import ROOT, initial_state, place_state
-from pfnn_jax.control.loop.step import CONTROLLERS, Command, network_input, published_step, steer
+from pfnn_jax.control.loop.state import ROOT, initial_state, place_state, write_input
+from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, network_input, published_step, steer
 from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import LAYOUTS, layout_for
 from pfnn_jax.motion.synthetic.walks import synthesise
@@ -109,7 +108,7 @@ def ahead(num_frames):
 @pytest.mark.parametrize("turn_rate", [1e-3, 0.6])
 def test_known_walk_comes_back(layout, turn_rate):
     """With the prediction taken whole; mixed with what stood there, the root lags by design."""
-    walk, config = WALK | {"turn_rate": turn_rate}, replace(CONTROLLERS[layout.name], trajectory_rate=1.0)
+    walk, config = WALK | {"turn_rate": turn_rate}, replace(LOOP_CONFIGS[layout.name], trajectory_rate=1.0)
     frames = rollout(oracle(layout), walk, layout, start(layout, walk), ahead(120), config=config)
     yaw = turn_rate / 60.0 * np.arange(121)
     steps = walk["speed"] / 60.0 * np.stack([np.sin(yaw), np.cos(yaw)], -1)
@@ -150,7 +149,7 @@ def test_velocity_networks_read_their_phase_from_the_pose():
     state = placed(layout, input_row(layout, WALK), jnp.zeros(12), jnp.zeros(2), jnp.zeros(()))
     command = jax.tree.map(lambda a: a[0], ahead(1))
     after, _ = one_step(partial(evaluate, WALK), layout, state, command)
-    x = network_input(layout, steer(layout, after, command, CONTROLLERS[layout.name]))
+    x = network_input(layout, steer(layout, after, command, LOOP_CONFIGS[layout.name]))
     velocities = x[layout.input_slice("joint_velocity")].reshape(-1, 3)
     np.testing.assert_allclose(after.phase, velocities[np.array(layout.ends)].reshape(-1), atol=REORDERED)
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.character import mixed_style
+from pfnn_jax.control.controller_state import mixed_style
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.inference.mixture import load_bank, load_choice, parse_style

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.controller import drive, make_controller
+from pfnn_jax.control.controller import make_controller, rollout_commands
 from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.errors import InputError
@@ -100,7 +100,7 @@ def walk(run: Run, choice: str | dict[str, float], description: dict) -> np.ndar
         x = x[columns] * factors
     x, zero = jnp.asarray(x, jnp.float32), jnp.zeros((), jnp.float32)
     motion = initial_state(layout, x, jnp.asarray(start["phase"], jnp.float32), jnp.zeros(2, jnp.float32), zero)
-    controller = make_controller(run, foot_ik=False, regulated=False)
+    controller = make_controller(run, foot_ik=False, tracking=None)
     style = jnp.asarray(controller.style_weights(choice if isinstance(choice, str) else {**choice}))
     velocities, directions = (
         jnp.asarray(np.stack([np.imag(v), np.real(v)], -1), jnp.float32) for v in commands(start["asked_speed"])
@@ -108,7 +108,7 @@ def walk(run: Run, choice: str | dict[str, float], description: dict) -> np.ndar
     state = replace(controller.start(), motion=motion, style=style)
     with jax.default_matmul_precision("highest"):
         asked = Command(velocity=velocities, direction=directions)
-        return np.asarray(drive(controller.setup, controller.params, state, asked)[1].motion.joint_positions)
+        return np.asarray(rollout_commands(controller.setup, controller.params, state, asked)[1].motion.joint_positions)
 
 
 def reference_walk(folder: Path) -> np.ndarray:

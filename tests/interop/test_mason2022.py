@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.generation import controller_of, default_speed, generate
+from pfnn_jax.control.generation import default_speed, generate, loop_config
 from pfnn_jax.control.ground import turn_towards
 from pfnn_jax.control.loop.state import ROOT, initial_state, straight_row
 from pfnn_jax.control.loop.step import Command, published_step
@@ -123,7 +123,7 @@ def test_a_file_of_wrong_size_is_named(tmp_path):
 
 def reference_rollout(run, style, num_frames):
     """The authors' loop without a turn: the target follows the facing, and the velocity follows the target."""
-    predictor, config = replace_style(run, style), controller_of(run)
+    predictor, config = replace_style(run, style), loop_config(run)
     x = straight_row(run.layout, predictor.input_mean, 1.0)
     assert predictor.phase_mean is not None
     start = initial_state(run.layout, x, predictor.phase_mean, jnp.zeros(2), jnp.zeros(()))

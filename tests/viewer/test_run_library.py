@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from pfnn_jax.control.calibration import settle
+from pfnn_jax.control.calibration import measure_walk_speed
 from pfnn_jax.control.controller import Controller, make_controller, step
 from pfnn_jax.errors import InputError
 from pfnn_jax.run import load_run, load_style, save_style
@@ -49,7 +49,7 @@ def walked(library: RunLibrary, style: str, frames: int = 20) -> np.ndarray:
 
 def compilations() -> list[int]:
     """How often a step, and a trial of walks, have been compiled."""
-    return [getattr(function, "_cache_size")() for function in (step, settle)]  # noqa: B009 - under no public name
+    return [getattr(function, "_cache_size")() for function in (step, measure_walk_speed)]  # noqa: B009 - under no public name
 
 
 def test_runs_are_named_as_shortly_as_they_differ(library, two_runs):
@@ -125,7 +125,7 @@ def test_a_style_joins_and_disturbs_no_other(library, two_runs):
     assert compilations() == compiled
     fresh = make_controller(load_run(two_runs[0]), ["joined"]).params
     index = loaded.styles.index("joined")
-    assert float(loaded.controller.params.shares[index]) == pytest.approx(float(fresh.shares[0]), rel=SHARE)
+    assert float(loaded.controller.params.speed_gains[index]) == pytest.approx(float(fresh.speed_gains[0]), rel=SHARE)
 
 
 def filled(controller: Controller) -> Controller:
@@ -134,7 +134,7 @@ def filled(controller: Controller) -> Controller:
     bank = jax.tree.map(lambda leaf: leaf[:rows], params.bank)
     return replace(
         controller,
-        params=replace(params, bank=bank, speeds=params.speeds[:rows], shares=params.shares[:rows]),
+        params=replace(params, bank=bank, speeds=params.speeds[:rows], shares=params.speed_gains[:rows]),
     )
 
 
@@ -200,8 +200,8 @@ def test_a_run_without_styles_takes_as_many_as_come(played_run, tmp_path, monkey
     assert full.styles == ("agnostic", "proud", "neutral") and full.controller.capacity == 11
     for name, walk in first.speeds.items():
         assert full.speeds[name] == walk
-    np.testing.assert_array_equal(full.controller.params.shares[:2], first.controller.params.shares[:2])
-    np.testing.assert_array_equal(full.controller.params.shares[3:], 1.0)
+    np.testing.assert_array_equal(full.controller.params.speed_gains[:2], first.controller.params.speed_gains[:2])
+    np.testing.assert_array_equal(full.controller.params.speed_gains[3:], 1.0)
     for index, name in enumerate(full.styles[1:], start=1):
         rows = jax.tree.map(lambda leaf, index=index: leaf[index], full.controller.params.bank)
         jax.tree.map(np.testing.assert_array_equal, rows, load_style(saved, name))

@@ -14,7 +14,6 @@ from pfnn_jax.control.ik.limb import reach_arms
 from pfnn_jax.control.ik.pose import Pose, Rig, make_rig
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.skeleton import need_roles
@@ -62,19 +61,6 @@ def fix_feet(
     pose = _fix(rig, config, *(jnp.asarray(values, jnp.float32) for values in given))
     moved = np.asarray(pose.hips, np.float64) - given[0].astype(np.float32)
     return replace(clip, root_positions=clip.root_positions + moved, rotations=np.asarray(pose.rotations, np.float64))
-
-
-def output_contacts(layout: FrameLayout, y: np.ndarray) -> np.ndarray | None:
-    """Contacts [T, 4] in [0, 1] that outputs y [T, Dy] predict, left heel, left toe, right heel, right toe.
-
-    A layout with one contact a foot has it for heel and toe. None where a layout has none.
-    """
-    if layout.has_output("contacts"):
-        return np.clip(y[:, layout.output_slice("contacts")], 0.0, 1.0)
-    if layout.has_output("foot_contacts"):
-        right, left = np.clip(y[:, layout.output_slice("foot_contacts")], 0.0, 1.0).T
-        return np.stack([left, left, right, right], axis=-1)
-    return None
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -34,8 +34,8 @@ class FootLockConfig:
     """When feet are held and let go. Lengths are shares of the leg's, so that one setting fits all skeletons.
 
     Attributes:
-        hold_from: contact from which a foot joint is held.
-        let_go_below: contact below which it is let go.
+        lock_threshold: contact from which a foot joint is held.
+        release_threshold: contact below which it is let go.
         hold: seconds in which a toe that is held takes the lead of its foot.
         release: seconds after which a twentieth of a released offset is left.
         heel_limit, toe_limit: a joint further than this from where the unheld motion has it is let go.
@@ -46,8 +46,8 @@ class FootLockConfig:
         fps: steps per second.
     """
 
-    hold_from: float = 0.6
-    let_go_below: float = 0.4
+    lock_threshold: float = 0.6
+    release_threshold: float = 0.4
     hold: float = 0.05
     release: float = 0.4
     heel_limit: float = 0.08
@@ -59,9 +59,9 @@ class FootLockConfig:
     fps: float = 60.0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.let_go_below <= self.hold_from <= 1.0:
-            found = f"{self.let_go_below} and {self.hold_from}"
-            raise ValueError(f"FootLockConfig needs 0 <= let_go_below <= hold_from <= 1, got {found}.")
+        if not 0.0 <= self.release_threshold <= self.lock_threshold <= 1.0:
+            found = f"{self.release_threshold} and {self.lock_threshold}"
+            raise ValueError(f"FootLockConfig needs 0 <= release_threshold <= lock_threshold <= 1, got {found}.")
         for name in ("hold", "release", "heel_rise", "heel_limit", "toe_limit", "hold_within", "fps"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"FootLockConfig.{name} must be above 0, got {getattr(self, name)}.")
@@ -120,7 +120,7 @@ def lock_feet(
     targets = feet + locks.offsets
     targets = targets.at[:, 1].max(config.floor)
     needed = _needed_drop(rig, positions, targets, config)
-    drop, speed = _die_away(locks.drop[0] - needed, locks.drop[1], config)
+    drop, speed = critically_damped_step(locks.drop[0] - needed, locks.drop[1], config)
     locks = replace(locks, drop=jnp.stack([needed + drop, speed]))
     lowered = jnp.stack([jnp.zeros_like(needed), -locks.drop[0], jnp.zeros_like(needed)])
     pose = replace(pose, hips=pose.hips + lowered)
@@ -134,15 +134,15 @@ def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, c
     limits = np.array([config.heel_limit, config.toe_limit] * 2) * rig.leg_length
     gap = locks.positions - feet
     rise = np.array([[1.0, config.heel_rise, 1.0], [1.0, 1.0, 1.0]] * 2)  # as heels leave the ground before toes do
-    kept = locks.held & (contacts >= config.let_go_below) & (_squared(gap * rise) < limits**2)
+    kept = locks.held & (contacts >= config.release_threshold) & (_squared(gap * rise) < limits**2)
     # What is not held dies away towards the offset of its partner, which moves: towards, and beside, it.
     leads = kept[np.array(PARTNER), None]
     goal, before, speed = (
         jnp.where(leads, values[np.array(PARTNER)], 0.0) for values in (gap, locks.offsets, locks.velocities)
     )
-    away, away_velocity = _die_away(locks.offsets - before, locks.velocities - speed, config)
+    away, away_velocity = critically_damped_step(locks.offsets - before, locks.velocities - speed, config)
     free, near = goal + away, _squared(away) < (config.hold_within * rig.leg_length) ** 2
-    starting = ~locks.held & (contacts >= config.hold_from) & near
+    starting = ~locks.held & (contacts >= config.lock_threshold) & near
     held = kept | starting
     offsets = jnp.where(kept[:, None], gap, free)
     moving = away_velocity + jnp.where(leads, (goal - before) * config.fps, 0.0)
@@ -158,7 +158,9 @@ def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, c
     )
 
 
-def _die_away(offset: jax.Array, velocity: jax.Array, config: FootLockConfig) -> tuple[jax.Array, jax.Array]:
+def critically_damped_step(
+    offset: jax.Array, velocity: jax.Array, config: FootLockConfig
+) -> tuple[jax.Array, jax.Array]:
     """A critically damped spring at rest at 0, one frame later: exact for any step."""
     dt, rate = 1.0 / config.fps, SETTLED / config.release
     push, fade = velocity + rate * offset, math.exp(-rate * dt)

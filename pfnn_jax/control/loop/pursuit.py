@@ -9,7 +9,7 @@ from flax import struct
 
 from pfnn_jax.control.ground import angle_between, mix, turn_towards
 from pfnn_jax.control.loop.state import ROOT, CharacterState
-from pfnn_jax.control.loop.step import Command, ControllerConfig
+from pfnn_jax.control.loop.step import Command, LoopConfig
 from pfnn_jax.motion.paths import Path, resample_path
 
 SEARCH = np.arange(0.0, 1.0, 0.05, dtype=np.float32)
@@ -23,7 +23,7 @@ FULL_STEERING = 0.6
 
 
 @struct.dataclass(kw_only=True)
-class Track:
+class TimedPath:
     """A path to follow, for JAX.
 
     Attributes:
@@ -39,12 +39,12 @@ class Track:
     speed: jax.Array
 
 
-def make_track(path: Path, speed: float, num_points: int | None = None) -> Track:
-    """A path at a speed in metres per second; a batch of tracks for `vmap` needs one `num_points` for all."""
+def make_timed_path(path: Path, speed: float, num_points: int | None = None) -> TimedPath:
+    """A path at a speed in metres per second; a batch of paths for `vmap` needs one `num_points` for all."""
     if num_points is not None:
         path = resample_path(path.points, path.closed, num_points)
     points = np.concatenate([path.points, path.points[:1]]) if path.closed else path.points
-    return Track(
+    return TimedPath(
         points=jnp.asarray(points, jnp.float32),
         length=jnp.float32(path.length),
         closed=jnp.asarray(path.closed),
@@ -52,38 +52,38 @@ def make_track(path: Path, speed: float, num_points: int | None = None) -> Track
     )
 
 
-def point_at(track: Track, distance: jax.Array) -> jax.Array:
-    """Points [..., 2] at distances [...] metres along a track: open tracks stop at their end, closed ones go round."""
-    last = track.points.shape[0] - 1
-    along = jnp.where(track.closed, jnp.mod(distance, track.length), jnp.clip(distance, 0.0, track.length))
-    place = along * (last / track.length)
+def point_at(path: TimedPath, distance: jax.Array) -> jax.Array:
+    """Points [..., 2] at distances [...] metres along a path: open paths stop at their end, closed ones go round."""
+    last = path.points.shape[0] - 1
+    along = jnp.where(path.closed, jnp.mod(distance, path.length), jnp.clip(distance, 0.0, path.length))
+    place = along * (last / path.length)
     first = jnp.clip(place.astype(jnp.int32), 0, last - 1)
-    return mix(track.points[first], track.points[first + 1], (place - first)[..., None])
+    return mix(path.points[first], path.points[first + 1], (place - first)[..., None])
 
 
-def advance_progress(track: Track, root: jax.Array, progress: jax.Array) -> jax.Array:
+def advance_progress(path: TimedPath, root: jax.Array, progress: jax.Array) -> jax.Array:
     """Progress [] metres after a look at the stretch just ahead: the nearest point of it, never backwards."""
     stations = progress + SEARCH
-    candidates = point_at(track, stations)
+    candidates = point_at(path, stations)
     nearest = stations[jnp.argmin(jnp.sum((candidates - root[None]) ** 2, axis=-1))]
     # Between two stations the path is almost straight: the root's projection on it is exact enough.
     half = 0.5 * float(SEARCH[1])
-    before, after = point_at(track, nearest - half), point_at(track, nearest + half)
+    before, after = point_at(path, nearest - half), point_at(path, nearest + half)
     chord = after - before
     share = jnp.dot(root - before, chord) / jnp.maximum(jnp.dot(chord, chord), 1e-12)
     refined = nearest + half * (2.0 * jnp.clip(share, 0.0, 1.0) - 1.0)
-    furthest = jnp.where(track.closed, jnp.inf, track.length)
+    furthest = jnp.where(path.closed, jnp.inf, path.length)
     return jnp.minimum(jnp.maximum(refined, progress), furthest)
 
 
-def pursue(track: Track, state: CharacterState, progress: jax.Array, config: ControllerConfig) -> Command:
-    """The command that leads from a character's root to the track's point ahead of it.
+def pursue(path: TimedPath, state: CharacterState, progress: jax.Array, config: LoopConfig) -> Command:
+    """The command that leads from a character's root to the path's point ahead of it.
 
     With `config.steering` below 1 the character is turned gently while it is about right, and in full when it is
     `FULL_STEERING` off, and its velocity is asked for along the direction that it is about to aim at, as the published
     demo's player does: held to a line more strictly, styles that sway lose their gait.
     """
-    toward = point_at(track, progress + track.speed * config.look_ahead) - state.positions[ROOT]
+    toward = point_at(path, progress + path.speed * config.look_ahead) - state.positions[ROOT]
     squared = jnp.dot(toward, toward)
     going = squared > 1e-8
     direction = jnp.where(going, toward * jax.lax.rsqrt(jnp.where(going, squared, 1.0)), state.target_direction)
@@ -93,6 +93,6 @@ def pursue(track: Track, state: CharacterState, progress: jax.Array, config: Con
         off = jnp.abs(angle_between(facing, direction))
         direction = turn_towards(facing, direction, jnp.clip(off / FULL_STEERING, config.steering, 1.0))
         course = turn_towards(state.target_direction, direction, config.direction_rate)
-    arrived = ~track.closed & (progress > track.length - ARRIVAL)
+    arrived = ~path.closed & (progress > path.length - ARRIVAL)
     direction = jnp.where(arrived, state.target_direction, direction)
-    return Command(velocity=jnp.where(arrived, 0.0, track.speed) * course, direction=direction)
+    return Command(velocity=jnp.where(arrived, 0.0, path.speed) * course, direction=direction)

@@ -4,7 +4,7 @@ Everything here is one `lax.scan`, compiled once per network function, layout an
 `vmap`; so is a batch of styles, with the shared network left unbatched:
 
     def walk(style):
-        return follow_path(evaluate, predictor.replace(style=style), layout, state, track, 600)
+        return follow_path(evaluate, predictor.replace(style=style), layout, state, path, 600)
 
     frames = jax.vmap(walk)(bank)
 """
@@ -20,9 +20,9 @@ import jax.numpy as jnp
 from flax import struct
 
 from pfnn_jax.control.ground import lift, root_yaw, to_world, unit, wrapped
-from pfnn_jax.control.loop.pursuit import Track, advance_progress, point_at, pursue
+from pfnn_jax.control.loop.pursuit import TimedPath, advance_progress, point_at, pursue
 from pfnn_jax.control.loop.state import ROOT, CharacterState
-from pfnn_jax.control.loop.step import CONTROLLERS, Command, ControllerConfig, published_step
+from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, published_step
 from pfnn_jax.motion.features.layout import FrameLayout
 
 EvaluateFn = Callable[[Any, jax.Array, jax.Array], jax.Array]
@@ -77,6 +77,31 @@ class Stability:
     trajectory_error: jax.Array | None = None
 
 
+def warm_up(
+    step: Callable[[CharacterState, Command], tuple[CharacterState, jax.Array]],
+    state: CharacterState,
+    command: Command,
+    num_frames: int,
+) -> tuple[CharacterState, jax.Array]:
+    """Runs a character under one command, so that an initial pose that the data never shows becomes a gait.
+
+    Args:
+        step: one frame, (state, command) -> (state, y [Dy]), as `published_step`.
+        state: initial state.
+        command: of every frame.
+        num_frames: T.
+
+    Returns:
+        The states, leaves [T, ...], and the outputs [T, Dy] of all frames.
+    """
+
+    def frame(state: CharacterState, _):
+        after, y = step(state, command)
+        return after, (after, y)
+
+    return jax.lax.scan(frame, state, length=num_frames)[1]
+
+
 @partial(jax.jit, static_argnames=("evaluate_fn", "layout", "config"))
 def rollout(
     evaluate_fn: EvaluateFn,
@@ -85,7 +110,7 @@ def rollout(
     state: CharacterState,
     commands: Command,
     *,
-    config: ControllerConfig | None = None,
+    config: LoopConfig | None = None,
 ) -> Frames:
     """A character under a command for every frame.
 
@@ -112,27 +137,27 @@ def follow_path(
     params: Any,
     layout: FrameLayout,
     state: CharacterState,
-    track: Track,
+    path: TimedPath,
     num_frames: int,
     *,
-    config: ControllerConfig | None = None,
+    config: LoopConfig | None = None,
 ) -> Frames:
     """A character along a path: at every frame it is sent towards the point that lies `look_ahead` seconds further on.
 
     Args:
         evaluate_fn, params, layout, state, config: as for `rollout`.
-        track: the path and the speed asked for. At the end of an open path the character is told to stand.
+        path: the path and the speed asked for. At the end of an open path the character is told to stand.
         num_frames: T.
     """
-    constants = config or CONTROLLERS[layout.name]
+    constants = config or LOOP_CONFIGS[layout.name]
 
     def frame(carry, _):
         state, progress = carry
         root = state.positions[ROOT]
-        progress = advance_progress(track, root, progress)
-        command = pursue(track, state, progress, constants)
+        progress = advance_progress(path, root, progress)
+        command = pursue(path, state, progress, constants)
         after, y = published_step(partial(evaluate_fn, params), layout, state, command, constants)
-        distance = jnp.linalg.norm(root - point_at(track, progress))
+        distance = jnp.linalg.norm(root - point_at(path, progress))
         return (after, progress), (y, state.phase, _seen(after), progress, distance)
 
     start = (state, jnp.zeros((), state.positions.dtype))

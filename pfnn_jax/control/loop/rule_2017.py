@@ -12,8 +12,17 @@ import jax
 import jax.numpy as jnp
 
 from pfnn_jax.control.ground import lift, mix, to_local, to_world, turn, unit
-from pfnn_jax.control.loop.blocks import read_block, read_samples, trajectory_blocks, write_input
-from pfnn_jax.control.loop.state import ROOT, STRIDE, CharacterState, fill_between, joint_root
+from pfnn_jax.control.loop.state import (
+    ROOT,
+    STRIDE,
+    CharacterState,
+    fill_between,
+    joint_root,
+    read_block,
+    read_samples,
+    trajectory_blocks,
+    write_input,
+)
 from pfnn_jax.motion.features.layout import TRAJECTORY_OFFSETS, FrameLayout
 
 

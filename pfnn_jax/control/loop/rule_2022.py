@@ -1,7 +1,7 @@
 """The frame rule of Mason et al. 2022: x_i holds the pose of frame i, y_i that of frame i+1, both seen from root i.
 
 There is no root velocity: the next root is the first predicted trajectory sample, mixed like the others with what
-stood at its place (the authors' loop; its shares are `ControllerConfig.trajectory_rate`, `phase_rate`, `pose_rate`).
+stood at its place (the authors' loop; its shares are `LoopConfig.trajectory_rate`, `phase_rate`, `pose_rate`).
 """
 
 from __future__ import annotations
@@ -12,8 +12,16 @@ import jax
 import jax.numpy as jnp
 
 from pfnn_jax.control.ground import lift, mix, orthonormal, to_local, to_world, turn_towards, unit
-from pfnn_jax.control.loop.blocks import read_block, read_samples, trajectory_blocks, write_input
-from pfnn_jax.control.loop.state import ROOT, STRIDE, CharacterState, fill_between
+from pfnn_jax.control.loop.state import (
+    ROOT,
+    STRIDE,
+    CharacterState,
+    fill_between,
+    read_block,
+    read_samples,
+    trajectory_blocks,
+    write_input,
+)
 from pfnn_jax.motion.features.layout import FrameLayout
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -165,3 +166,47 @@ def fill_between(samples: jax.Array) -> jax.Array:
     share = np.arange(STRIDE, dtype=np.float32).reshape((1, STRIDE) + (1,) * (samples.ndim - 1)) / STRIDE
     filled = mix(samples[:-1, None], samples[1:, None], share)
     return jnp.concatenate([filled.reshape((-1, *samples.shape[1:])), samples[-1:]])
+
+
+Values = TypeVar("Values", np.ndarray, jax.Array)
+
+TRAJECTORY = tuple(f"trajectory_{kind}_{axis}" for kind in ("position", "direction") for axis in "xz")
+"""Names of the trajectory's blocks, one number per sample each."""
+
+
+def read_block(layout: FrameLayout, y: jax.Array, name: str, width: int) -> jax.Array:
+    """Returns a block of y [Dy] as [N, width], in layout units."""
+    return y[layout.output_slice(name)].reshape(-1, width)
+
+
+def read_samples(layout: FrameLayout, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Returns positions [6, 2] in metres and unnormalised directions [6, 2] of the trajectory samples of y [Dy]."""
+    samples = jnp.stack([y[layout.output_slice(name)] for name in TRAJECTORY], -1)
+    return samples[:, :2] * layout.length_unit, samples[:, 2:]
+
+
+def contacts_of_output(layout: FrameLayout, y: Values) -> Values | None:
+    """Returns the contacts [..., 4] in [0, 1] of outputs y [..., Dy], left heel, left toe, right heel, right toe.
+
+    A layout with one contact per foot gives it to heel and toe. None for a layout without contacts.
+    """
+    if layout.has_output("contacts"):
+        return y[..., layout.output_slice("contacts")].clip(0.0, 1.0)
+    if layout.has_output("foot_contacts"):  # right, left
+        return y[..., layout.output_slice("foot_contacts")].clip(0.0, 1.0)[..., np.array([1, 1, 0, 0])]
+    return None
+
+
+def trajectory_blocks(layout: FrameLayout, state: CharacterState) -> dict[str, jax.Array]:
+    """Returns the trajectory's blocks of x, in layout units relative to this root."""
+    root, facing = state.positions[ROOT], state.directions[ROOT]
+    positions = to_local(state.positions[::STRIDE] - root[None], facing) / layout.length_unit
+    directions = to_local(state.directions[::STRIDE], facing)
+    return dict(zip(TRAJECTORY, (*positions.T, *directions.T), strict=True))
+
+
+def write_input(layout: FrameLayout, blocks: Mapping[str, jax.Array]) -> jax.Array:
+    """Returns x [Dx] of its blocks, each of any shape, whether the layout has them contiguous or interleaved."""
+    columns = np.arange(layout.input_size)
+    order = np.concatenate([columns[layout.input_slice(name)] for name in layout.input_blocks])
+    return jnp.concatenate([blocks[name].reshape(-1) for name in layout.input_blocks])[np.argsort(order)]

@@ -32,7 +32,7 @@ Evaluate = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 @dataclass(frozen=True)
-class ControllerConfig:
+class LoopConfig:
     """How a character answers its commands. Shares are per frame at 60 fps.
 
     Attributes:
@@ -76,21 +76,21 @@ class ControllerConfig:
         )
         for name in shares:
             if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"ControllerConfig.{name} must be in (0, 1], got {getattr(self, name)}.")
+                raise ValueError(f"LoopConfig.{name} must be in (0, 1], got {getattr(self, name)}.")
         for name in ("position_bias", "direction_bias", "stand_speed", "jog_speed", "look_ahead", "command_gain"):
             if not getattr(self, name) > 0.0:
-                raise ValueError(f"ControllerConfig.{name} must be above 0, got {getattr(self, name)}.")
+                raise ValueError(f"LoopConfig.{name} must be above 0, got {getattr(self, name)}.")
 
 
-_MASON = ControllerConfig(0.75, 1.25, velocity_rate=0.25, direction_rate=0.25, gait_rate=0.25, look_ahead=0.8)
+_MASON = LoopConfig(0.75, 1.25, velocity_rate=0.25, direction_rate=0.25, gait_rate=0.25, look_ahead=0.8)
 _MASON_2022 = replace(_MASON, steering=0.25)
 
-CONTROLLERS = {
+LOOP_CONFIGS = {
     "mason2018": _MASON,
     "mason2022": _MASON_2022,
     "mason2022_mann": _MASON_2022,
     "mason2022_pfnn": _MASON_2022,
-    "pfnn2017": ControllerConfig(0.5, 2.0, velocity_rate=0.9, direction_rate=0.9, gait_rate=0.1, look_ahead=0.6),
+    "pfnn2017": LoopConfig(0.5, 2.0, velocity_rate=0.9, direction_rate=0.9, gait_rate=0.1, look_ahead=0.6),
 }
 """The constants of the published demos, by layout. None follows paths: the look-aheads are those that kept
 closest to circles and figures of eight, with the released network and with one trained on procedural walks."""
@@ -117,7 +117,7 @@ def published_step(
     layout: FrameLayout,
     state: CharacterState,
     command: Command,
-    config: ControllerConfig | None = None,
+    config: LoopConfig | None = None,
 ) -> tuple[CharacterState, jax.Array]:
     """One frame of one character.
 
@@ -132,13 +132,13 @@ def published_step(
         The state before frame i+1, and y_i [Dy] in layout units. Root i is the state's point `ROOT - 1`; its joints
         are those that y_i predicts: of frame i, or of frame i+1 where the layout is of the next frame.
     """
-    config = config or CONTROLLERS[layout.name]
+    config = config or LOOP_CONFIGS[layout.name]
     state = steer(layout, state, command, config)
     y = evaluate(network_input(layout, state), state.phase)
     return advance(layout, state, y, config), y
 
 
-def steer(layout: FrameLayout, state: CharacterState, command: Command, config: ControllerConfig) -> CharacterState:
+def steer(layout: FrameLayout, state: CharacterState, command: Command, config: LoopConfig) -> CharacterState:
     """The state with its target, gait and future trajectory drawn towards the command."""
     velocity = mix(state.target_velocity, config.command_gain * command.velocity, config.velocity_rate)
     facing = turn_towards(state.target_direction, command.direction, config.direction_rate)
@@ -159,19 +159,24 @@ def steer(layout: FrameLayout, state: CharacterState, command: Command, config: 
     )
 
 
+def held_command(state: CharacterState, config: LoopConfig) -> Command:
+    """Returns the command that leaves the targets of a state unchanged."""
+    return Command(velocity=state.target_velocity / config.command_gain, direction=state.target_direction)
+
+
 def network_input(layout: FrameLayout, state: CharacterState) -> jax.Array:
     """x [Dx] in layout units of a steered state, by the layout's frame rule."""
     return (rule_2022 if layout.next_frame else rule_2017).network_input(layout, state)
 
 
-def advance(layout: FrameLayout, state: CharacterState, y: jax.Array, config: ControllerConfig) -> CharacterState:
+def advance(layout: FrameLayout, state: CharacterState, y: jax.Array, config: LoopConfig) -> CharacterState:
     """The state before the next frame, from a steered state and its output y [Dy], by the layout's frame rule."""
     if layout.next_frame:
         return rule_2022.advance(layout, state, y, config.pose_rate, config.trajectory_rate, config.phase_rate)
     return rule_2017.advance(layout, state, y, config.pose_rate)
 
 
-def _wanted_gait(velocity: jax.Array, config: ControllerConfig) -> jax.Array:
+def _wanted_gait(velocity: jax.Array, config: LoopConfig) -> jax.Array:
     """[6] gait weights for a velocity [2]: standing below `stand_speed`, else walking or jogging."""
     speed = length(velocity)
     moving = jnp.clip(speed / config.stand_speed, 0.0, 1.0)

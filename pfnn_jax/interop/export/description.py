@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.control.generation import controller_of, starting_row
+from pfnn_jax.control.generation import loop_config, starting_row
 from pfnn_jax.control.loop.state import NUM_POINTS, ROOT
 from pfnn_jax.inference.mixture import StyleChoice
 from pfnn_jax.interop.export.walks import Walk, walks_of
@@ -107,8 +107,8 @@ def describe_normaliser(normaliser: Normaliser) -> dict[str, list[float]]:
 
 
 def describe_loop(run: Run) -> dict[str, Any]:
-    """Constants of the published loop (`ControllerConfig`), and where the present stands in the trajectory."""
-    return {**asdict(controller_of(run)), "num_points": NUM_POINTS, "root": ROOT}
+    """Constants of the published loop (`LoopConfig`), and where the present stands in the trajectory."""
+    return {**asdict(loop_config(run)), "num_points": NUM_POINTS, "root": ROOT}
 
 
 def describe_start(layout: FrameLayout, normaliser: Normaliser, walk: Walk) -> dict[str, Any]:

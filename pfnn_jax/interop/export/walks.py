@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
-from pfnn_jax.control.character import own_share, own_speed
 from pfnn_jax.control.controller import Controller, make_controller
+from pfnn_jax.control.controller_state import style_speed
 from pfnn_jax.control.generation import default_speed
 from pfnn_jax.inference.mixture import StyleChoice, choice_weights
 from pfnn_jax.run import Run
@@ -28,7 +28,7 @@ class Walk:
 
 
 def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
-    """The walks of choices of style, found by trying in the published loop (`pfnn_jax.control.calibration.find_walks`).
+    """The walks of choices of style, by trials in the published loop (`control.calibration.calibrate_speeds`).
 
     Of a skeleton without roles, which no controller can have, they are the speeds that styles tell.
 
@@ -50,12 +50,10 @@ def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
     for each in weights:
         controller = styled if each else plain
         assert controller is not None
-        row = jnp.asarray(controller.style_weights(each or 0))
-        speed = float(own_speed(controller.params, row))
-        asked = speed * float(own_share(controller.params, row))
-        found.append(Walk(speed, asked))
+        speed = style_speed(controller.params, jnp.asarray(controller.style_weights(each or 0)))
+        found.append(Walk(float(speed.natural), float(speed.natural) * float(speed.gain)))
     return found
 
 
 def _controller(run: Run, names: Sequence[str]) -> Controller:
-    return make_controller(run, names, foot_ik=False, regulated=False)
+    return make_controller(run, names, foot_ik=False, tracking=None)

@@ -12,8 +12,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from pfnn_jax.control.character import ControllerParams
-from pfnn_jax.control.controller import Command, Controller, make_controller, with_walks
+from pfnn_jax.control.controller import Command, Controller, make_controller, with_calibrated_speeds
+from pfnn_jax.control.controller_state import ControllerParams
 from pfnn_jax.control.generation import default_speed
 from pfnn_jax.errors import InputError
 from pfnn_jax.run import Run, list_styles, load_run, load_style
@@ -126,7 +126,7 @@ class RunLibrary:
 
 def rehearse_walks(controller: Controller) -> None:
     """Tries one style as one that is learned will be, so that everything is compiled for that."""
-    with_walks(controller, controller.styles[:1])
+    with_calibrated_speeds(controller, controller.styles[:1])
 
 
 def try_out(controller: Controller) -> None:
@@ -178,7 +178,7 @@ def joined(run: Run, controller: Controller, style: str, parameters: object) -> 
     index = styles.index(style)
     bank = jax.tree.map(lambda rows, row: _with_row(rows, index, row), params.bank, parameters)
     params = replace(params, bank=bank, speeds=_with_row(params.speeds, index, default_speed(run, style)))
-    return _bound(with_walks(_bound(replace(controller, params=params, styles=styles)), [style]))
+    return _bound(with_calibrated_speeds(_bound(replace(controller, params=params, styles=styles)), [style]))
 
 
 def _padded(params: ControllerParams, capacity: int) -> ControllerParams:
@@ -191,7 +191,7 @@ def _padded(params: ControllerParams, capacity: int) -> ControllerParams:
         return np.concatenate([rows, np.full((more, *rows.shape[1:]), value, rows.dtype)])
 
     bank = jax.tree.map(lambda leaf: longer(leaf, 0.0), params.bank)
-    arrays: dict[str, Any] = {"speeds": longer(params.speeds, 0.0), "shares": longer(params.shares, 1.0)}
+    arrays: dict[str, Any] = {"speeds": longer(params.speeds, 0.0), "speed_gains": longer(params.speed_gains, 1.0)}
     return replace(params, bank=bank, **arrays)
 
 

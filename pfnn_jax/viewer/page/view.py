@@ -166,7 +166,7 @@ def view_of(
             `View`.
     """
     positions, directions = np.asarray(state.motion.positions), np.asarray(state.motion.directions)
-    ahead, pace = np.concatenate([history.root[None], positions[ROOT + STRIDE :: STRIDE]]), float(state.pace)
+    ahead, pace = np.concatenate([history.root[None], positions[ROOT + STRIDE :: STRIDE]]), float(state.time_scale)
     weights = np.asarray(state.style)
     return View(
         run=run,
