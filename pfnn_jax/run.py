@@ -209,6 +209,17 @@ def load_run(path: str | Path, layout: str | None = None) -> Run:
     )
 
 
+def check_finished(path: str | Path) -> None:
+    """Checks that a run can be loaded, without reading its parameters.
+
+    Raises:
+        InputError: if it is not a run directory, or its pretraining has not finished.
+    """
+    load_config(path)
+    if locate(Path(path) / "shared") is None:
+        raise InputError(path, "shared", "absent", "no shared parameters yet: run or resume pretraining first")
+
+
 def save_shared(path: str | Path, shared: Network) -> None:
     """Saves the style-agnostic parameters; styles saved beside others are refused from then on."""
     note = {"fingerprint": fingerprint(shared), "parameters": num_parameters(shared)}

@@ -1,7 +1,8 @@
-"""The command as a user has it: every command once, and every piece of bad input as one line and exit code 2."""
+"""The command as a user has it: every command once, bad input as one line and exit code 2, Ctrl-C at any moment."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
@@ -9,19 +10,22 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from docstring_parser import parse
 
+import pfnn_jax
 from pfnn_jax.cli import main
-from pfnn_jax.cli.command_line import COMMANDS, Predict
+from pfnn_jax.cli.command_line import COMMANDS, in_options, load_command
+from pfnn_jax.cli.predict import Predict
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
-from pfnn_jax.run import fingerprint, list_styles, load_run, load_style, style_note
-from pfnn_jax.training.few_shot_learning import FILM_FEW_SHOT, FewShotConfig
+from pfnn_jax.run import fingerprint, list_styles, load_run, load_style, style_note, train_step
+from pfnn_jax.training.few_shot_learning import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
 
 SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
 QUICK = "--rank 3 --eval-epochs 1 2 --learning-rates 0.001 --main-dropouts 0 --batch-size 16".split()
@@ -64,14 +68,69 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-def test_every_command_has_help(capsys):
-    for name, command in COMMANDS.items():
-        with pytest.raises(SystemExit) as stopped:
-            run(name, "--help")
-        assert stopped.value.code == 0
-        assert command.__doc__ is not None
-        shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
-        assert command.__doc__.split("\n")[0].split(":")[0][:40] in shown
+def test_help_lists_every_command(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run("--help")
+    assert stopped.value.code == 0
+    shown = capsys.readouterr().out
+    assert [line.split()[0] for line in shown.splitlines() if line.startswith("  ")] == list(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_is_explained(name, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run(name, "--help")
+    assert stopped.value.code == 0
+    shown = capsys.readouterr().out
+    explained = parse(load_command(name).__doc__ or "")
+    assert explained.short_description and explained.short_description.split()[0] in shown
+    fields = {field.name for field in dataclasses.fields(load_command(name))} - {"json", "given"}
+    assert fields == {param.arg_name for param in explained.params}
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run("--version")
+    assert stopped.value.code == 0 and capsys.readouterr().out == f"pfnn-jax {pfnn_jax.__version__}\n"
+
+
+HEAVY = ("jax", "flax", "optax", "orbax", "scipy.signal", "matplotlib", "viser")
+LOADED = f"""
+import sys
+from pfnn_jax.cli import main
+for line in sys.stdin.read().splitlines():
+    try:
+        main(line.split())
+    except SystemExit:
+        pass
+    loaded = [name for name in {HEAVY} if name in sys.modules]
+    assert not loaded, (line, loaded)
+"""
+
+
+def test_what_needs_no_network_loads_no_jax(folder, tmp_path):
+    """Help, refusals, `label-phase` and pages start at once."""
+    run_path, clip, new = folder / "run", folder / "zombie.bvh", tmp_path / "new"
+    lines = [
+        "--help",
+        *(f"{name} --help" for name in COMMANDS),
+        "nonsense",
+        f"pretrain {folder / 'data'} --out {new} --hidden -4",
+        f"pretrain {new} --out {new}",
+        f"generate {run_path} --style sad --out {new}.bvh",
+        f"generate {run_path} --out {new}/a.bvh",
+        f"predict {run_path} rows.npz --style sad --out {new}.npz",
+        f"export {run_path} --format onnx --style sad --out {new}",
+        f"few-shot {run_path} {clip} --name zombie",
+        f"few-shot {new} {clip} --name sad",
+        f"evaluate {new} {folder / 'bvh'}",
+        f"play {folder / 'data'}",
+        f"label-phase {clip} --out {new}.phase",
+        f"render {clip} --out {new}.html",
+    ]
+    done = subprocess.run([sys.executable, "-c", LOADED], input="\n".join(lines), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert new.with_suffix(".phase").is_file() and new.with_suffix(".html").is_file()
 
 
 def test_prepare_pretrain_and_few_shot_leave_a_run(folder):
@@ -93,38 +152,56 @@ def test_few_shot_leaves_the_shared_network_bitwise_unchanged(folder, tmp_path):
     assert fingerprint(load_style(after, "old")) == fingerprint(old)
 
 
-def test_the_papers_recipe_is_one_flag_away(folder, tmp_path, monkeypatch):
-    asked = {}
+FOUND = {"frames": 1, "seconds": 1.0, "choice": {"epochs": 100, "held_out_error": 2.0}, "stable_on_turns": False}
 
-    def remember(run, clip, config, **options):
-        asked["config"] = config
-        return INFO
 
-    monkeypatch.setattr("pfnn_jax.cli.learning.learn_style", remember)
-    run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--recipe", "paper", "--seed", "7")
-    assert asked["config"].eval_epochs == (100,)
-    assert asked["config"].learning_rates == (1e-4,)
-    assert asked["config"].seed == 7
+@pytest.fixture
+def requested(folder, monkeypatch):
+    """Returns the settings that few-shot would train with, on the run or, with `film`, on one with FiLM styles."""
+
+    def settings(*words, film: bool = False) -> FewShotConfig:
+        found = []
+        loaded = load_run(folder / "run")
+        if film:
+            loaded = dataclasses.replace(
+                loaded, config=dataclasses.replace(loaded.config, adapter=AdapterConfig("film"))
+            )
+        monkeypatch.setattr("pfnn_jax.run.load_run", lambda path: loaded)
+        monkeypatch.setattr(
+            "pfnn_jax.workflows.learn.learn_style", lambda run, clip, config, **_: found.append(config) or FOUND
+        )
+        run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", *words)
+        return found[0]
+
+    return settings
+
+
+def test_given_options_replace_those_of_the_recipe(requested):
+    assert requested("--recipe", "mason2018", "--seed", "7") == dataclasses.replace(MASON2018_FEW_SHOT, seed=7)
+    assert requested(film=True) == FILM_FEW_SHOT
+    assert requested("--l1", "0.5", film=True) == dataclasses.replace(FILM_FEW_SHOT, l1=0.5)
+    assert requested("--method=cp", film=True).method == "cp"  # which `learn_style` refuses
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"),
-    [((), FILM_FEW_SHOT), (("--seed", "7"), replace(FILM_FEW_SHOT, seed=7)), (("--rank", "5"), None)],
+    "words",
+    [
+        ("--recipe", "mason2018", "--learning-rates", "0.1"),
+        ("--recipe", "generator", "--l1=0.1"),
+        ("--tuning.epochs", "3"),
+        ("--method", "diagonal", "--rank", "5"),
+    ],
 )
-def test_where_styles_are_films_a_film_is_learned(folder, monkeypatch, words, expected):
-    """Unless something was asked for: then that, and if it cannot be, the run says so."""
-    asked = {}
-    loaded = load_run(folder / "run")
-    films = replace(loaded, config=replace(loaded.config, adapter=AdapterConfig("film")))
-    monkeypatch.setattr("pfnn_jax.cli.learning.load_run", lambda path: films)
-    monkeypatch.setattr(
-        "pfnn_jax.cli.learning.learn_style", lambda run, clip, config, **_: asked.update(c=config) or INFO
-    )
-    run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", *words)
-    assert asked["c"] == (expected or FewShotConfig(rank=5))
+def test_options_that_would_be_ignored_are_refused(folder, refused, words):
+    line = refused("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", *words)
+    assert "command line: " in line
 
 
-INFO = {"frames": 1, "seconds": 1.0, "choice": {"epochs": 100}}
+def test_few_shot_says_what_its_error_means(folder, requested, capsys):
+    requested("--mirror", "False")
+    shown = capsys.readouterr().out
+    assert "not mirrored" in shown and "1.0 = predicting the mean" in shown
+    assert len([line for line in shown.splitlines() if line.startswith("warning: ")]) == 2  # error 2.0, and unstable
 
 
 @pytest.mark.parametrize("mode", ["cubic", "nearest50"])
@@ -141,24 +218,24 @@ def test_generate_writes_motion_in_the_style(folder, tmp_path, mode):
         "1",
         "--mode",
         mode,
+        "--published-loop",
         "--out",
         out,
     )
     assert read_bvh(out).num_frames == 60
 
 
-def test_generate_regulated_begins_standing_at_the_beginning_of_its_path(folder, tmp_path):
-    walk = ("generate", folder / "run", "--path", "straight", "--seconds", "1", "--regulated")
-    run(*walk, "--out", tmp_path / "a.bvh")
+def test_generate_starts_standing_at_the_start_of_its_path(folder, tmp_path):
+    run("generate", folder / "run", "--path", "straight", "--seconds", "1", "--out", tmp_path / "a.bvh")
     clip = read_bvh(tmp_path / "a.bvh")
     assert clip.num_frames == 60
     first, second = clip.root_positions[:2, [0, 2]]
     assert np.linalg.norm(first) < 0.3 and 60.0 * np.linalg.norm(second - first) < 0.5
 
 
-def test_a_regulated_walk_needs_the_network_as_it_is(folder, tmp_path, refused):
-    line = refused("generate", folder / "run", "--regulated", "--mode", "nearest50", "--out", tmp_path / "a.bvh")
-    assert "mode: nearest50; must be cubic to be regulated" in line
+def test_tables_of_a_phase_need_the_published_loop(folder, tmp_path, refused):
+    line = refused("generate", folder / "run", "--mode", "nearest50", "--out", tmp_path / "a.bvh")
+    assert "mode: nearest50; must be cubic without --published-loop" in line
 
 
 def test_generate_follows_points_of_a_file(folder, tmp_path):
@@ -173,7 +250,7 @@ def test_evaluate_gives_errors_by_style_and_group(folder, tmp_path, capsys):
     assert set(errors) == {"neutral", "old"}
     assert errors["old"]["pose"] > 0 and len(errors["old"]["per_take"]) == 2
     shown = capsys.readouterr().out.splitlines()
-    assert "squared" in shown[0] and "less is better" in shown[0] and shown[1].startswith("neutral: all ")
+    assert "lower is better, 1.0 = predicting the mean" in shown[0] and shown[1].startswith("neutral: all ")
 
 
 def test_label_phase_writes_one_value_per_frame(folder, tmp_path):
@@ -349,10 +426,10 @@ def test_rows_of_another_layout_are_one_line(refused, folder, tmp_path):
 
 @pytest.mark.parametrize(
     ("words", "what"),
-    [((), "Missing"), (("nonsense",), "nonsense"), (("export", "run", "--format", "onx", "--out", "a"), "onx")],
+    [(("export",), "required"), (("export", "run", "--format", "onx", "--out", "a"), "onx")],
 )
-def test_what_is_no_command_line_is_explained(capsys, words, what):
-    """In several lines: these are the parser's, and not of bad input."""
+def test_options_that_cannot_be_parsed_are_explained(capsys, words, what):
+    """In several lines, which are the parser's."""
     with pytest.raises(SystemExit) as stopped:
         run(*words)
     shown = capsys.readouterr()
@@ -360,12 +437,25 @@ def test_what_is_no_command_line_is_explained(capsys, words, what):
     assert "Traceback" not in shown.err
 
 
+def test_an_unknown_command_is_one_line(refused):
+    assert "command: none; must be one of demo" in refused()
+    assert "command: few_shot; did you mean few-shot?" in refused("few_shot")
+
+
+def test_messages_speak_of_options():
+    assert (
+        in_options("run: exists; pass resume=True, or overwrite=True") == "run: exists; pass --resume, or --overwrite"
+    )
+    assert in_options("PretrainConfig.batch_size must") == "--batch-size must"
+    assert in_options("AdapterConfig.rank must") == "--adapter.rank must"
+
+
 def test_settings_that_break_a_rule_are_one_line(refused, folder):
     words = ("few-shot", folder / "run", folder / "zombie.bvh", "--name", "z", "--held-out", "2")
-    assert "held_out" in refused(*words)
+    assert "--held-out must" in refused(*words)
     words = ("pretrain", folder / "data", "--out", folder / "other")
-    assert "hidden must be at least 1, got -4" in refused(*words, "--hidden", "-4")
-    assert "num_control_points must be at least 4, got 3" in refused(*words, "--num-control-points", "3")
+    assert "--hidden must be at least 1, got -4" in refused(*words, "--hidden", "-4")
+    assert "--num-control-points must be at least 4, got 3" in refused(*words, "--num-control-points", "3")
 
 
 def test_training_that_turns_non_finite_is_one_line(refused, folder, tmp_path):
@@ -373,7 +463,12 @@ def test_training_that_turns_non_finite_is_one_line(refused, folder, tmp_path):
     assert "step" in line and "style" in line
 
 
-def test_an_interrupt_ends_a_command_with_one_line(monkeypatch, capsys):
+# Ctrl-C
+
+
+def test_an_interrupt_within_python_is_exit_code_130(monkeypatch, capsys):
+    """Where another program calls `main`, it goes on."""
+
     def interrupted(self):
         raise KeyboardInterrupt
 
@@ -384,14 +479,73 @@ def test_an_interrupt_ends_a_command_with_one_line(monkeypatch, capsys):
     assert capsys.readouterr().err == "pfnn-jax: interrupted\n"
 
 
+PROGRAM = [sys.executable, "-c", "from pfnn_jax.cli import main; main()"]
+COMPILING = """
+import sys
+from pfnn_jax.cli import main, pretrain
+def run(self):
+    import jax, jax.numpy as jnp
+    def slow(x):
+        for _ in range(2000):
+            x = jnp.sin(x) @ x
+        return x
+    lowered = jax.jit(slow).lower(jnp.ones((8, 8)))
+    print("compiling", file=sys.stderr, flush=True)
+    lowered.compile()
+    raise SystemExit("compiled")
+pretrain.Pretrain.run = run
+main()
+"""
+
+
+def interrupt(command, at: Callable[[subprocess.Popen], None], times: int = 1) -> tuple[int, str, float]:
+    """Interrupts a command at a moment; returns its exit code, its errors, and the seconds until it ended."""
+    with subprocess.Popen([str(word) for word in command], stdout=subprocess.DEVNULL, stderr=-1, text=True) as process:
+        at(process)
+        for _ in range(times):
+            process.send_signal(signal.SIGINT)
+        begun = time.monotonic()
+        _, errors = process.communicate(timeout=60.0)
+        return process.returncode, errors, time.monotonic() - begun
+
+
+def line_with(text: str) -> Callable[[subprocess.Popen], None]:
+    def wait(process: subprocess.Popen) -> None:
+        assert process.stderr is not None
+        assert any(text in line for line in iter(process.stderr.readline, "")), f"no line with {text!r}"
+
+    return wait
+
+
 @pytest.mark.skipif(os.name != "posix", reason="other systems have no such signals")
-def test_an_interrupt_while_libraries_are_loaded_ends_without_a_word():
-    program = "from pfnn_jax.cli import main; print('begun', flush=True); main(['render', '--help'])"
-    with subprocess.Popen([sys.executable, "-c", program], stdout=-1, stderr=-1, text=True) as process:
-        assert process.stdout is not None
-        process.stdout.readline()
-        time.sleep(0.2)  # it is in `main` by then, and for a second or more among its imports
-        process.send_signal(signal.SIGINT)
-        rest = process.communicate(timeout=60.0)
-    assert process.returncode in (-signal.SIGINT, 130)
-    assert rest in (("", ""), ("", "pfnn-jax: interrupted\n"))
+class TestInterrupts:
+    @pytest.mark.parametrize("seconds", [0.5, 1.5, 4.0])
+    def test_a_command_ends_with_one_line_while_it_imports_and_loads(self, folder, tmp_path, seconds):
+        command = [*PROGRAM, "pretrain", folder / "data", "--out", tmp_path / "run", *SMALL, "--steps", "1000000"]
+        code, errors, took = interrupt(command, lambda _: time.sleep(seconds))
+        assert (code, errors) in [(130, "pfnn-jax: interrupted\n"), (-signal.SIGINT, "")] or seconds == 0.5
+        assert took < 5.0
+
+    @pytest.mark.parametrize("times", [1, 2])
+    def test_a_command_ends_while_xla_compiles(self, times):
+        command = [sys.executable, "-c", COMPILING, "pretrain", "data", "--out", "run"]
+        code, errors, took = interrupt(command, line_with("compiling"), times)  # that takes half a minute
+        assert (code, errors) == (130, "pfnn-jax: interrupted\n")
+        assert took < 5.0
+
+    def test_an_interrupted_training_keeps_its_last_save_and_resumes(self, folder, tmp_path, refused):
+        words = ["pretrain", folder / "data", "--out", tmp_path / "run", *SMALL, "--save-every", "10"]
+        command = [*PROGRAM, *words, "--steps", "100000"]
+        code, errors, _ = interrupt(command, lambda _: wait_for(tmp_path / "run" / "train_state"))
+        assert (code, errors.splitlines()[-1]) == (130, "pfnn-jax: interrupted")
+        line = refused(*words)
+        assert "--resume" in line and line.find("--resume") < line.find("--overwrite")
+        saved = train_step(tmp_path / "run")
+        assert saved is not None and saved >= 10
+
+
+def wait_for(path: Path) -> None:
+    end = time.monotonic() + 60.0
+    while not path.exists():
+        assert time.monotonic() < end, path
+        time.sleep(0.05)

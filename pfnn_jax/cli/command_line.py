@@ -1,72 +1,129 @@
-"""From a command line to a command, and from bad input to one line."""
+"""From a command line to a sub-command, and from bad input to one line."""
 
 from __future__ import annotations
 
+import difflib
+import re
 import sys
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from importlib import import_module
+from typing import NoReturn
 
-import tyro
-
-from pfnn_jax.cli.data import LabelPhase, PlotPhase, Prepare
-from pfnn_jax.cli.download import Download
-from pfnn_jax.cli.exporting import Export
-from pfnn_jax.cli.learning import Demo, FewShot, Pretrain
-from pfnn_jax.cli.rendering import Render
-from pfnn_jax.cli.running import Benchmark, Evaluate, Generate, ImportReleased, Predict
-from pfnn_jax.cli.viewing import Play
+from pfnn_jax import __version__
 from pfnn_jax.errors import InputError, TrainingError
-from pfnn_jax.io.files import json_text, write_whole
 
 COMMANDS = {
-    "demo": Demo,
-    "download": Download,
-    "prepare": Prepare,
-    "pretrain": Pretrain,
-    "few-shot": FewShot,
-    "generate": Generate,
-    "evaluate": Evaluate,
-    "label-phase": LabelPhase,
-    "plot-phase": PlotPhase,
-    "render": Render,
-    "import-released": ImportReleased,
-    "predict": Predict,
-    "play": Play,
-    "export": Export,
-    "benchmark": Benchmark,
+    "demo": "Run the full pipeline on procedural motion and write a report.",
+    "download": "Download a published data set.",
+    "prepare": "Turn folders of BVH files into a dataset for training.",
+    "pretrain": "Train a network and its styles on a dataset.",
+    "few-shot": "Learn a new style from one clip.",
+    "generate": "Generate motion in a style along a path.",
+    "play": "Drive a character in the browser.",
+    "render": "Draw clips as a page, a film or a picture.",
+    "evaluate": "Measure one-step errors of a run on clips.",
+    "export": "Export a run for game engines.",
+    "import-released": "Make a run from the authors' released weights.",
+    "predict": "Evaluate a run's network on rows of a file.",
+    "label-phase": "Label the phase of a clip.",
+    "plot-phase": "Plot the local phases of hands and toes.",
+    "benchmark": "Time training and inference on this machine.",
 }
+"""Name and summary of every sub-command; NAME is the class Name in the module `pfnn_jax.cli.name`."""
 
-
-def parse(args: Sequence[str] | None) -> Any:
-    """The command that a command line names, its settings checked.
-
-    Raises:
-        InputError: if a setting breaks a rule of its configuration.
-        SystemExit: for a command, option or choice that does not exist: tyro has explained it on standard error.
-    """
-    try:
-        return tyro.extras.subcommand_cli_from_dict(
-            COMMANDS, args=args, prog="pfnn-jax", description="Stylised character locomotion from short clips."
-        )
-    except InputError:
-        raise
-    except ValueError as error:  # from the configurations' own checks
-        raise InputError("command line", "settings", str(error).removesuffix("."), "see --help") from error
+PREFIXES = {"AdapterConfig": "adapter.", "TuningConfig": "tuning.", "GeneratorConfig": "generator-"}
+"""Configurations whose fields are options with a prefix."""
 
 
 def run(args: Sequence[str] | None) -> None:
-    """Runs a command line; bad input ends with one line on standard error and exit code 2 (what `parse` cannot read at
-    all, with tyro's own message and the same code)."""
+    """Runs a command line.
+
+    Raises:
+        SystemExit: with code 2 for bad input, which one line on standard error names; with code 0 after help.
+    """
+    words = list(sys.argv[1:] if args is None else args)
     try:
-        command = parse(args)
-        result = command.run()
-        if command.json is not None:
-            _write_json(command.json, result)
-    except (InputError, TrainingError) as error:
-        print(f"pfnn-jax: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+        command = parse(words)
+        with command.ending():
+            try:
+                result = command.run()
+                if command.json is not None:
+                    from pfnn_jax.io.files import json_text, write_whole
+
+                    write_whole(command.json, json_text(result))
+            except (InputError, TrainingError) as error:
+                _refuse(str(error))
+    except InputError as error:
+        _refuse(str(error))
 
 
-def _write_json(path: Path, result: Any) -> None:
-    write_whole(path, json_text(result))
+def parse(words: list[str]):
+    """Returns the sub-command that a command line names, with its options checked. Only its own module is imported.
+
+    Raises:
+        InputError: for an unknown sub-command, or an option that breaks a rule of its configuration.
+        SystemExit: after `--help` and `--version`, and for options that cannot be parsed, which tyro explains.
+    """
+    name = words[0] if words else ""
+    if name in ("--help", "-h"):
+        print(usage())
+        raise SystemExit(0)
+    if name == "--version":
+        print(f"pfnn-jax {__version__}")
+        raise SystemExit(0)
+    if name not in COMMANDS:
+        near = difflib.get_close_matches(name, COMMANDS, 1)
+        rule = f"did you mean {near[0]}?" if near else f"must be one of {', '.join(COMMANDS)}"
+        raise InputError("command line", "command", name or "none", f"{rule}; see pfnn-jax --help" if near else rule)
+    import tyro
+
+    try:
+        command = tyro.cli(
+            load_command(name), args=words[1:], prog=f"pfnn-jax {name}", config=(tyro.conf.FlagCreatePairsOff,)
+        )
+    except InputError:
+        raise
+    except ValueError as error:  # from a configuration's own checks
+        raise InputError("command line", "options", str(error).removesuffix("."), "see --help") from error
+    return replace(command, given=given_options(words[1:]))
+
+
+def load_command(name: str) -> type:
+    """Returns the class of a sub-command."""
+    module = import_module(f"pfnn_jax.cli.{name.replace('-', '_')}")
+    return getattr(module, "".join(word.capitalize() for word in name.split("-")))
+
+
+def given_options(words: Iterable[str]) -> frozenset[str]:
+    """Returns the names of the options among the words, written as attributes: `learning_rates`, `tuning.epochs`."""
+    options = (word[2:].partition("=")[0] for word in words if word.startswith("--"))
+    return frozenset(option.replace("-", "_") for option in options)
+
+
+def usage() -> str:
+    """Returns the help of the command itself."""
+    commands = "\n".join(f"  {name:<16} {summary}" for name, summary in COMMANDS.items())
+    return f"""usage: pfnn-jax [--help] [--version] COMMAND ...
+
+Stylised character locomotion from short clips.
+
+commands:
+{commands}
+
+`pfnn-jax COMMAND --help` lists the options of a command."""
+
+
+def in_options(message: str) -> str:
+    """Returns a message of the Python API in terms of the command line: `overwrite=True` becomes `--overwrite`."""
+
+    def option(match: re.Match[str]) -> str:
+        return f"--{PREFIXES.get(match[1], '')}{match[2].replace('_', '-')}"
+
+    message = re.sub(r"\b(\w+Config)\.(\w+)", option, message)
+    return re.sub(r"\b([a-z_]+)=True\b", lambda match: f"--{match[1].replace('_', '-')}", message)
+
+
+def _refuse(message: str) -> NoReturn:
+    print(f"pfnn-jax: {in_options(message)}", file=sys.stderr)
+    raise SystemExit(2)

@@ -1,87 +1,86 @@
-"""Progress bars on standard error for long work, with loss, frames per second and time left."""
+"""Progress of long work on standard error: a bar on a terminal, a line for every tenth of the work elsewhere."""
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-    TransferSpeedColumn,
-)
-
-from pfnn_jax.training.pretraining import Progress as TrainingProgress
+LINES = 10
+"""Lines that describe a whole piece of work where there is no terminal."""
 
 
-def _bar(*columns: ProgressColumn) -> Progress:
-    """On standard error, and nothing at all where that is not a terminal."""
-    console = Console(stderr=True, log_path=False)
-    return Progress(*columns, console=console, disable=not console.is_terminal)
+class Report(Protocol):
+    """Reports how much of the work is done; `total` is in the same unit as `done`."""
+
+    def __call__(self, done: float, total: float, note: str = "", /) -> None: ...
 
 
 @contextmanager
-def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
-    """A bar over training steps."""
-    columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with _bar(*columns, TextColumn("{task.fields[note]}")) as bar:
-        task = bar.add_task("training", total=None, note="compiling")
+def progress(work: str, *, in_bytes: bool = False) -> Iterator[Report]:
+    """Shows the progress of one piece of work.
 
-        def progress_callback(progress: TrainingProgress) -> None:
-            note = f"loss {progress.loss:.4f}  {progress.frames_per_second:,.0f} frames/s"
-            bar.update(task, total=progress.steps, completed=progress.step, note=note)
-
-        yield progress_callback
-
-
-@contextmanager
-def clip_progress() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar over clips."""
-    columns = (TextColumn("preparing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with _bar(*columns, TextColumn("{task.fields[note]}")) as bar:
-        task = bar.add_task("clips", total=None, note="")
-        yield lambda done, total, name: bar.update(task, total=total, completed=done, note=name)
+    Args:
+        work: what is being done, such as "training".
+        in_bytes: the amounts are bytes, and are shown with their rate.
+    """
+    if sys.stderr.isatty():
+        with _bar(work, in_bytes) as report:
+            yield report
+    else:
+        yield _lines(work)
 
 
 @contextmanager
-def frame_progress() -> Iterator[Callable[[int, int], None]]:
-    """A bar over a film's frames."""
-    with _bar(TextColumn("drawing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task("frames", total=None)
-        yield lambda done, total: bar.update(task, total=total, completed=done)
+def stages(work: str) -> Iterator[Callable[[str], None]]:
+    """Shows the stages of work whose length is not known in advance: a spinner, or one line for each stage."""
+    if not sys.stderr.isatty():
+        yield lambda stage: print(f"{work}: {stage}", file=sys.stderr, flush=True)
+        return
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    with Progress(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=_console()) as bar:
+        task = bar.add_task(work)
+        yield lambda stage: bar.update(task, description=f"{work}: {stage}")
+
+
+def _console():
+    from rich.console import Console
+
+    return Console(stderr=True)
 
 
 @contextmanager
-def byte_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar over bytes for each thing done with them: fetched, verified, unpacked."""
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
-    with _bar(*columns, TimeRemainingColumn()) as bar:
-        tasks: dict[str, TaskID] = {}
+def _bar(work: str, in_bytes: bool) -> Iterator[Report]:
+    from rich import progress as rich
 
-        def on_bytes(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage)
-            bar.update(tasks[stage], total=total, completed=done)
+    amounts = (rich.DownloadColumn(), rich.TransferSpeedColumn()) if in_bytes else (rich.TaskProgressColumn(),)
+    columns = (rich.TextColumn("{task.description}"), rich.BarColumn(), *amounts, rich.TimeRemainingColumn())
+    with rich.Progress(*columns, rich.TextColumn("{task.fields[note]}"), console=_console()) as bar:
+        task = bar.add_task(work, total=None, note="")
 
-        yield on_bytes
+        def report(done: float, total: float, note: str = "", /) -> None:
+            bar.update(task, total=total, completed=done, note=note)
+
+        yield report
 
 
-@contextmanager
-def stage_progress() -> Iterator[Callable[[str], None]]:
-    """A spinner that names the stage."""
-    with _bar(SpinnerColumn(), TextColumn("{task.description}")) as bar:
-        task = bar.add_task("starting", total=None)
+def _lines(work: str) -> Report:
+    """Returns a report that prints a line whenever another tenth is done."""
+    begun, printed = time.monotonic(), 0
 
-        def on_stage(stage: str) -> None:
-            bar.update(task, description=stage)
-            bar.log(stage)
+    def report(done: float, total: float, note: str = "", /) -> None:
+        nonlocal begun, printed
+        tenths = int(LINES * done / total) if total else 0
+        if tenths < printed:  # the next stage
+            begun, printed = time.monotonic(), 0
+        if tenths <= printed:
+            return
+        printed = tenths
+        left = (time.monotonic() - begun) * (total - done) / done
+        remaining = f", {left:.0f} s left" if done < total else ""
+        print(f"{work}: {100 * tenths // LINES} %{remaining}{note and f', {note}'}", file=sys.stderr, flush=True)
 
-        yield on_stage
+    return report

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import table_phase
 from pfnn_jax.inference.mixture import StyleChoice
+from pfnn_jax.inference.modes import Mode
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.decode import clip_from_outputs, root_steps
@@ -28,9 +29,6 @@ from pfnn_jax.motion.ground import facing_of, to_local
 from pfnn_jax.motion.paths import Path
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.run import Run, list_styles, style_note
-
-Mode = Literal["cubic", "nearest50", "constant50"]
-"""The network as it is, or a table of 50 slices of a global phase: the nearest, or truncated as the published demo."""
 
 
 def _nearest50(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Array:

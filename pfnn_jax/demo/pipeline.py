@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from pfnn_jax.control.generation import generate
+from pfnn_jax.demo.config import DemoConfig
 from pfnn_jax.demo.report import write_demo_report
 from pfnn_jax.evaluation.style_methods import compare_methods
 from pfnn_jax.evaluation.style_test import StyleTest, Takes, join_takes
@@ -30,34 +31,6 @@ from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.few_shot_learning import FewShotConfig
 from pfnn_jax.workflows.learn import clip_parts, learn_style
 from pfnn_jax.workflows.pretrain import pretrain_run
-
-
-@dataclass(frozen=True)
-class DemoConfig:
-    """Sizes of the demo; the defaults take some two minutes on two cores.
-
-    Attributes:
-        seconds_per_style: of motion of each of the 8 pretraining styles, before mirroring.
-        clip_seconds: of straight walking from which the ninth style is learned.
-        test_seconds: of each test take.
-        hidden: H.
-        steps, batch_size, learning_rate: of pretraining.
-        epochs: longest few-shot training.
-        walk_seconds: of generated motion along the figure-eight.
-        seed: of the data and of training.
-    """
-
-    seconds_per_style: float = 60.0
-    clip_seconds: float = 3.0
-    test_seconds: float = 8.0
-    hidden: int = 512
-    steps: int = 2500
-    batch_size: int = 128
-    learning_rate: float = 1e-3
-    epochs: int = 100
-    walk_seconds: float = 21.0
-    seed: int = 0
-
 
 TURNS = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
 """Degrees per second of the test takes, none of which the adaptation clip shows."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from numpy.lib.format import MAGIC_PREFIX
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import table_phase
 from pfnn_jax.inference.mixture import StyleChoice, check_weights, load_bank, mix_rows
+from pfnn_jax.inference.modes import LayerNorm, Mode
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
 from pfnn_jax.io.checkpoint import replacing
 from pfnn_jax.io.files import failure, refuse_existing
@@ -140,9 +141,6 @@ def _as_floats(file: Path, name: str, values: np.ndarray) -> np.ndarray:
     return floats
 
 
-RowMode = Literal["cubic", "constant50", "nearest50"]
-LayerNorm = Literal["population", "sample"]
-
 NORMS = {"population": layer_norm, "sample": layer_norm_sample}
 """Layer norm of FiLM styles by name: that of the authors' run time, and that of their training graph."""
 
@@ -168,7 +166,7 @@ def predict_rows(
     x: np.ndarray,
     phase: np.ndarray,
     style: StyleChoice | RowStyles = None,
-    mode: RowMode = "cubic",
+    mode: Mode = "cubic",
     layer_norm: LayerNorm = "population",
 ) -> np.ndarray:
     """The network's outputs for independent frames, in float32 without reduced-precision products.
@@ -210,7 +208,7 @@ def predict_file(
     out_npz: str | Path,
     *,
     style: StyleChoice = None,
-    mode: RowMode = "cubic",
+    mode: Mode = "cubic",
     layer_norm: LayerNorm = "population",
     overwrite: bool = False,
 ) -> np.ndarray:

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pfnn_jax.cli import main, viewing
+from pfnn_jax.cli import main
 from pfnn_jax.errors import InputError
 from pfnn_jax.viewer.page import background, play
 
@@ -67,14 +67,14 @@ def test_a_failure_keeps_its_code_while_something_compiles(left, ended):
     assert (process.returncode, process.stderr) == (ended, "")
 
 
-def test_a_result_that_cannot_be_written_is_no_clean_end(monkeypatch, tmp_path: Path):
+def test_a_result_that_cannot_be_written_is_no_clean_end(monkeypatch, played_run, tmp_path: Path):
     """A page that was ended while it compiled, and then a file in a folder that does not exist."""
     codes = []
     monkeypatch.setattr(background, "leave_work", codes.append)
     monkeypatch.setattr(background, "_left", True)
-    monkeypatch.setattr(viewing, "play", lambda *_, **__: background.leave_work(0))
+    monkeypatch.setattr(play, "play", lambda *_, **__: background.leave_work(0))
     with pytest.raises(SystemExit):
-        main(["play", "run", "--json", str(tmp_path / "nowhere" / "told.json")])
+        main(["play", str(played_run), "--json", str(tmp_path / "nowhere" / "told.json")])
     assert codes == [0, 2]
 
 

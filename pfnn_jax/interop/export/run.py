@@ -16,14 +16,13 @@ from pfnn_jax.inference.predictor import assemble_predictor, make_predictor
 from pfnn_jax.interop.export.batch import batch_function, sample_rows
 from pfnn_jax.interop.export.bins import write_bins
 from pfnn_jax.interop.export.description import FILE, SCHEMA, describe
+from pfnn_jax.interop.export.formats import Format
 from pfnn_jax.interop.export.onnx import write_onnx
 from pfnn_jax.interop.export.stablehlo import write_stablehlo
 from pfnn_jax.interop.export.styles import choose_styles, style_arrays, write_style
 from pfnn_jax.io.checkpoint import replacing
 from pfnn_jax.io.files import refuse_existing
 from pfnn_jax.run import Run, load_run
-
-Format = Literal["onnx", "stablehlo", "bins"]
 
 NUM_ROWS = 256
 """Rows on which a network is checked before it is put in place."""

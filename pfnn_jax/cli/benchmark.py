@@ -1,0 +1,20 @@
+"""`pfnn-jax benchmark`: times on this machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pfnn_jax.cli.command import Command
+
+
+@dataclass(frozen=True, kw_only=True)
+class Benchmark(Command):
+    """Time training, few-shot learning, one frame, crowds and preparation on this machine, next to naive versions."""
+
+    def run(self) -> Any:
+        from pfnn_jax.benchmarks.suite import print_benchmark, run_benchmark
+
+        result = run_benchmark()
+        print_benchmark(result)
+        return result

@@ -1,0 +1,90 @@
+"""What all sub-commands have in common."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.io.files import refuse_existing, require_suffix
+
+FLAT = tyro.conf.arg(name="")
+"""The fields of a configuration become options without a prefix: --hidden, not --config.hidden."""
+
+Run = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(name="run", metavar="RUN")]
+"""A run directory as a positional argument."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Options that every sub-command takes.
+
+    Attributes:
+        json: also write the result to this JSON file.
+        given: names of the options on the command line, as those of attributes: what was asked for, not defaulted.
+    """
+
+    json: Path | None = None
+    given: tyro.conf.Suppress[frozenset[str]] = frozenset()
+
+    def run(self) -> Any:
+        """Runs the command, prints its result, and returns what `--json` writes."""
+        raise NotImplementedError
+
+    def ending(self) -> AbstractContextManager[None]:
+        """Returns a context for the end of the program, which sees its exit code."""
+        return nullcontext()
+
+
+def check_output(path: Path, overwrite: bool, *suffixes: str) -> None:
+    """Checks a file or folder that a command is going to write, before it does long work.
+
+    Args:
+        path: of the output.
+        overwrite: whether it may exist.
+        suffixes: of a file, one of which it must have; none for a folder, whose parents are made.
+
+    Raises:
+        InputError: for another suffix, for a file in a folder that does not exist or is not writable, or for an output
+            that exists and must not be overwritten.
+    """
+    if suffixes:
+        require_suffix(path, suffixes)
+        check_writable(path)
+    refuse_existing(path, overwrite)
+
+
+def check_writable(path: Path) -> None:
+    """Checks that a file can be created where `path` says.
+
+    Raises:
+        InputError: if its folder is absent, is a file, or is not writable.
+    """
+    import os
+
+    folder = path.parent
+    if not folder.is_dir():
+        value = "is a file" if folder.exists() else "does not exist"
+        raise InputError(path, "folder", f"{folder} {value}", "must exist: create it first")
+    if path.is_dir():
+        raise InputError(path, "output", "is a folder", "must be a file")
+    if not os.access(folder, os.W_OK):
+        raise InputError(path, "folder", f"{folder} is read-only", "must be writable")
+
+
+def parse_choice(style: str | None, run: Path) -> str | dict[str, float] | None:
+    """Returns the style, or the weights of a mixture, that an option `--style` names.
+
+    Raises:
+        InputError: for a style that the run does not have, or a mixture that is malformed.
+    """
+    from pfnn_jax.inference.mixture import parse_style
+    from pfnn_jax.run import list_styles
+
+    if style is None:
+        return None
+    return parse_style(style, list_styles(run), run)

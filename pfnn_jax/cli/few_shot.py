@@ -1,0 +1,120 @@
+"""`pfnn-jax few-shot`: a new style from one clip."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from tyro.conf import Positional
+
+from pfnn_jax.cli.command import FLAT, Command, Run
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
+from pfnn_jax.training.few_shot_learning import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
+from pfnn_jax.training.tuning import TuningConfig
+
+GRID = frozenset(field.name for field in fields(FewShotConfig)) - {"seed"}
+
+Recipe = Literal["default", "mason2018", "generator"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FewShot(Command):
+    """Learn a new style from one clip. The shared network stays frozen.
+
+    Attributes:
+        run_path: a pretrained run.
+        clip: BVH file. A `.phase` file of the same name is used if there is one; otherwise phases are labelled.
+        name: name of the new style.
+        start: first frame to use, counted at the file's own frame rate.
+        stop: frame before which to end; by default the end of the file.
+        mirror: also learn from the mirrored clip. By default yes, except for style names known to be asymmetric.
+        roles: JSON file that names the joints' roles.
+        recipe: default tries a grid of settings: adapters, or FiLM parameters if the run has FiLM styles. mason2018 is
+            the paper's recipe (CP, 100 epochs at 1e-4). generator tunes the run's FiLM generator (Mason 2022).
+        overwrite: replace a style of this name.
+        config: the grid of settings. Given options replace those of the default recipe; the others allow none of them
+            except --seed.
+        tuning: settings of --recipe generator.
+    """
+
+    run_path: Run
+    clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP.bvh")]
+    name: str
+    start: int = 0
+    stop: int | None = None
+    mirror: bool | None = None
+    roles: Path | None = None
+    recipe: Recipe = "default"
+    overwrite: bool = False
+    config: Annotated[FewShotConfig, FLAT] = field(default_factory=FewShotConfig)
+    tuning: TuningConfig = field(default_factory=TuningConfig)
+
+    def run(self) -> Any:
+        self._check_recipe()
+        from pfnn_jax.cli.progress import progress
+        from pfnn_jax.run import check_finished
+
+        check_finished(self.run_path)
+        clip = ClipFile(self.clip, self.name, start=self.start, stop=self.stop)
+        mirror = is_symmetric(self.name) if self.mirror is None else self.mirror
+        from pfnn_jax.run import load_run
+        from pfnn_jax.workflows.learn import learn_style, tune_style
+
+        run = load_run(self.run_path)
+        with progress("learning") as report:
+            options: Any = {"mirror": mirror, "roles_file": self.roles, "overwrite": self.overwrite}
+            if "progress_callback" in inspect.signature(tune_style).parameters or self.recipe != "generator":
+                options["progress_callback"] = lambda share, what: report(share, 1.0, what)
+            if self.recipe == "generator":
+                info = tune_style(run, clip, replace(self.tuning, seed=self.config.seed), **options)
+            else:
+                info = learn_style(run, clip, self._grid(run), **options)
+        self._print(info, mirror)
+        return info
+
+    def _check_recipe(self) -> None:
+        """Refuses options that the recipe would ignore."""
+        grid = sorted(self.given & GRID)
+        tuning = sorted(name for name in self.given if name.startswith("tuning."))
+        ignored = tuning if self.recipe != "generator" else grid
+        if self.recipe == "mason2018":
+            ignored = grid + tuning
+        if ignored:
+            options = ", ".join(f"--{name.replace('_', '-')}" for name in ignored)
+            rule = (
+                "only --recipe generator reads them" if ignored == tuning else "leave them out, or leave out --recipe"
+            )
+            raise InputError("command line", "recipe", f"{self.recipe} with {options}", rule)
+
+    def _grid(self, run: Any) -> FewShotConfig:
+        """Returns the settings of the recipe, with the given options in their place."""
+        default = FILM_FEW_SHOT if run.config.adapter.kind == "film" else FewShotConfig()
+        base = MASON2018_FEW_SHOT if self.recipe == "mason2018" else default
+        given = {name: getattr(self.config, name) for name in self.given & {*GRID, "seed"}}
+        method = given.get("method", base.method)
+        if "rank" in given and method != "cp":
+            raise InputError("command line", "rank", given["rank"], f"only CP adapters have a rank, method is {method}")
+        return replace(base, **given)
+
+    def _print(self, info: dict[str, Any], mirror: bool) -> None:
+        mirrored = "and their mirror image" if mirror else "not mirrored"
+        if self.mirror is None and not mirror:
+            mirrored += f" because {self.name} is known as an asymmetric style (--mirror True to mirror)"
+        print(f"{self.name}: {info['frames']} frames, {mirrored}; {info['seconds']:.1f} s")
+        if self.recipe == "generator":
+            print(f"training loss {info['loss']:.4g}")
+            return
+        choice = dict(info["choice"])
+        error, without = choice.pop("held_out_error", None), info.get("error_without_style")
+        print("chosen: " + ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in choice.items()))
+        if error is not None:
+            compared = "" if without is None else f"; without the style {without:.3f}"
+            print(f"held-out error {error:.3f}{compared} (lower is better, 1.0 = predicting the mean)")
+            if error > 1.0:
+                print("warning: an error above 1.0 is worse than predicting the mean: the clip does not fit the run")
+        if info.get("stable_on_turns") is False:
+            print("warning: no setting walks circles without diverging: pretrain the run for longer, or expect falls")

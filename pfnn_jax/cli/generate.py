@@ -1,0 +1,76 @@
+"""`pfnn-jax generate`: motion in a style along a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pfnn_jax.cli.command import Command, Run, check_output, parse_choice
+from pfnn_jax.errors import InputError
+from pfnn_jax.inference.modes import Mode
+
+
+@dataclass(frozen=True, kw_only=True)
+class Generate(Command):
+    """Generate motion in a style along a path, and write it to a BVH file.
+
+    Attributes:
+        run_path: a run.
+        style: one of its styles, or a mixture `A:0.5+B:0.3+C:0.2` whose weights sum to one. By default the motion is
+            style-agnostic, or on a FiLM run in the mean of its styles.
+        path: straight, circle, figure-eight, or a CSV file of points x,z in metres.
+        size: length of a straight path or radius of the others, in metres.
+        speed: in metres per second; by default the style's own.
+        seconds: duration; by default what the path takes.
+        published_loop: use the loop of the papers' demos, in which the network alone decides speed and direction. By
+            default a controller keeps the character to the path and its speed.
+        mode: cubic evaluates the network itself; nearest50 and constant50 a table of 50 slices of a global phase, in
+            the published loop.
+        foot_ik: hold feet in place while they are in contact.
+        out: the BVH file, in centimetres.
+        overwrite: replace an existing file.
+    """
+
+    run_path: Run
+    out: Path
+    style: str | None = None
+    path: str = "figure-eight"
+    size: float | None = None
+    speed: float | None = None
+    seconds: float | None = None
+    published_loop: bool = False
+    mode: Mode = "cubic"
+    foot_ik: bool = False
+    overwrite: bool = False
+
+    def run(self) -> Any:
+        from pfnn_jax.motion.paths import make_path
+        from pfnn_jax.run import check_finished
+
+        check_output(self.out, self.overwrite, ".bvh")
+        if self.mode != "cubic" and not self.published_loop:
+            raise InputError("command line", "mode", self.mode, "must be cubic without --published-loop")
+        path = make_path(self.path, self.size)
+        check_finished(self.run_path)
+        style = parse_choice(self.style, self.run_path)
+        from pfnn_jax.cli.progress import stages
+        from pfnn_jax.control.drive_along import drive_along
+        from pfnn_jax.control.generation import generate
+        from pfnn_jax.motion.bvh import write_bvh
+        from pfnn_jax.run import load_run, load_style
+
+        run = load_run(self.run_path)
+        for name in [style] if isinstance(style, str) else style or ():
+            load_style(run, name)
+        options: Any = {"speed": self.speed, "seconds": self.seconds, "foot_ik": self.foot_ik}
+        with stages("generating") as stage:
+            stage("compiling the network and walking the path")
+            if self.published_loop:
+                clip = generate(run, style, path, mode=self.mode, **options).clip
+            else:
+                clip = drive_along(run, style, path, **options)
+        write_bvh(self.out, clip, overwrite=self.overwrite)
+        seconds = clip.num_frames / clip.fps
+        print(f"{self.out}: {seconds:.1f} s")
+        return {"out": self.out, "seconds": seconds, "frames": clip.num_frames}

@@ -1,0 +1,50 @@
+"""`pfnn-jax play`: a character to drive in the browser."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tyro.conf import Positional
+
+from pfnn_jax.cli.command import Command
+from pfnn_jax.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Play(Command):
+    """Drive a character in the browser, in the styles of one or several runs. Ctrl-C ends it.
+
+    Attributes:
+        run_paths: runs whose styles can be chosen.
+        host: address to listen at. With any other than the default, other machines can reach the page.
+        port: port to listen at; 0 takes a free one.
+        open: open the page in this machine's browser.
+    """
+
+    run_paths: Annotated[Positional[tuple[Path, ...]], tyro.conf.arg(name="run", metavar="RUN [RUN...]")]
+    host: str = "127.0.0.1"
+    port: int = 8080
+    open: bool = False
+
+    def run(self) -> Any:
+        from pfnn_jax.run import check_finished
+
+        if not self.run_paths:
+            raise InputError("command line", "runs", "none", "name at least one run directory")
+        for path in self.run_paths:
+            check_finished(path)
+        from pfnn_jax.cli.interrupts import release
+        from pfnn_jax.viewer.page.play import play
+
+        release()  # `play` ends its server and its recordings on Ctrl-C
+        play(self.run_paths, host=self.host, port=self.port, open_browser=self.open)
+        return {"runs": self.run_paths}
+
+    def ending(self) -> AbstractContextManager[None]:
+        from pfnn_jax.viewer.page.background import ends_with
+
+        return ends_with()

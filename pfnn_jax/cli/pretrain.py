@@ -1,0 +1,53 @@
+"""`pfnn-jax pretrain`: from a dataset to a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tyro.conf import Positional
+
+from pfnn_jax.cli.command import FLAT, Command
+from pfnn_jax.training.config import PretrainConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pretrain(Command):
+    """Train a network on a dataset, with one set of shared parameters and an adapter for each style.
+
+    Attributes:
+        dataset: folder that `prepare` has written.
+        out: folder of the run.
+        resume: continue an interrupted run with the same settings, or train a finished one for more steps.
+        overwrite: replace an existing run.
+        config: how to train.
+    """
+
+    dataset: Annotated[Positional[Path], tyro.conf.arg(metavar="DATASET")]
+    out: Path
+    resume: bool = False
+    overwrite: bool = False
+    config: Annotated[PretrainConfig, FLAT] = field(default_factory=PretrainConfig)
+
+    def run(self) -> Any:
+        from pfnn_jax.cli.progress import progress
+        from pfnn_jax.motion.datasets.dataset import load_dataset
+
+        dataset = load_dataset(self.dataset)
+        from pfnn_jax.workflows.pretrain import pretrain_run
+
+        with progress("training") as report:
+            run = pretrain_run(
+                dataset,
+                self.out,
+                self.config,
+                resume=self.resume,
+                overwrite=self.overwrite,
+                progress_callback=lambda now: report(
+                    now.step, now.steps, f"loss {now.loss:.4f}, {now.frames_per_second:,.0f} frames/s"
+                ),
+            )
+        print(f"{run.path}: styles {', '.join(run.config.styles)}")
+        return {"run": run.path, "styles": run.config.styles}
