@@ -55,7 +55,7 @@ from pathlib import Path
 import pfnn_jax as pj
 
 version: str = pj.__version__
-clips = [pj.motion.LabelledClip(*take) for take in pj.motion.synthetic_clips("old", seconds=15.0)]
+clips = [clip for clip in pj.motion.synthetic_clips("old", seconds=15.0)]
 dataset: pj.motion.Dataset = pj.motion.prepare(clips, Path("data"), pj.motion.PrepareConfig())
 config = pj.training.PretrainConfig(hidden=64, steps=500, learning_rate=1e-3)
 run: pj.workflows.Run = pj.workflows.load_run("run")

@@ -57,8 +57,8 @@ def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("work")
     for style in ("neutral", "old"):
         (folder / "bvh" / style).mkdir(parents=True)
-        for number, (clip, _) in enumerate(synthetic_clips(style, 10.0, clip_seconds=5.0)):
-            write_bvh(folder / "bvh" / style / f"{number}.bvh", clip)
+        for number, labelled in enumerate(synthetic_clips(style, 10.0, clip_seconds=5.0)):
+            write_bvh(folder / "bvh" / style / f"{number}.bvh", labelled.clip)
     frames = 181
     clip, _ = synthesise("zombie", np.zeros(frames), np.full(frames, STYLES["zombie"].speed))
     write_bvh(folder / "zombie.bvh", clip)

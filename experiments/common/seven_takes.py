@@ -223,9 +223,9 @@ def _synthetic(seconds: float) -> tuple[dict[tuple[str, str], list[LabelledClip]
     groups = {}
     for style in PRETRAINING_STYLES:
         clips = synthetic_clips(style, seconds)
-        named = [replace(clip, source=f"{style}_{i:03d}") for i, (clip, _) in enumerate(clips)]
         groups[style, "walk-mixed"] = [
-            LabelledClip(extend_hands(clip), labels) for clip, (_, labels) in zip(named, clips, strict=True)
+            replace(found, clip=replace(extend_hands(found.clip), source=f"{style}_{i:03d}"))
+            for i, found in enumerate(clips)
         ]
     return groups, {}
 

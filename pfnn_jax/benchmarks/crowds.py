@@ -16,9 +16,7 @@ from pfnn_jax.control.controller_state import ControllerState
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.tracking import TrackingConfig
 from pfnn_jax.models.adapters import AdapterConfig, AdapterKind
-from pfnn_jax.motion.datasets.dataset import prepare
-from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import Run
 from pfnn_jax.training.config import PretrainConfig
@@ -69,7 +67,7 @@ def crowd_figures(hidden: int, num_characters: tuple[int, ...], repetitions: int
 
 
 def _run(folder: Path, layout: str, adapter: AdapterConfig, hidden: int) -> Run:
-    takes = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 10.0, clip_seconds=5.0)]
+    takes = [clip for style in STYLES for clip in synthetic_clips(style, 10.0, clip_seconds=5.0)]
     dataset = prepare(takes, folder / "data", PrepareConfig(layout=layout))
     # A generator makes Films, once: its size makes no difference here.
     config = PretrainConfig(adapter=adapter, steps=1, hidden=hidden, generator_filters=8, generator_hidden=8)

@@ -160,7 +160,7 @@ def generator_figures(config: GeneratorConfig, num_clips: int, repetitions: int)
 def local_phase_figures(seconds_of_motion: float, repetitions: int) -> list[Figure]:
     """Windows per second: the sinusoid fit alone, and whole clips from joints to phases (four windows a frame)."""
     section = "local phases"
-    clip, _ = synthetic_clips("neutral", seconds_of_motion, clip_seconds=seconds_of_motion)[0]
+    clip = synthetic_clips("neutral", seconds_of_motion, clip_seconds=seconds_of_motion)[0].clip
     frames = np.arange(clip.num_frames + FIT_WINDOW - 1) / clip.fps
     rng = np.random.default_rng(0)
     waves = [np.sin(2 * np.pi * np.cumsum(rng.uniform(0.8, 1.6, len(frames))) / clip.fps) for _ in range(BONES)]

@@ -136,7 +136,7 @@ def write_synthetic(folder: Path, seconds_per_style: float) -> list[ClipFile]:
     """One procedural walk of each pretraining style as a BVH file, without labels beside it."""
     files = []
     for style in PRETRAINING_STYLES:
-        clip, _ = synthetic_clips(style, seconds_per_style, clip_seconds=seconds_per_style)[0]
+        clip = synthetic_clips(style, seconds_per_style, clip_seconds=seconds_per_style)[0].clip
         write_bvh(folder / f"{style}.bvh", clip)
         files.append(ClipFile(folder / f"{style}.bvh", style))
     return files

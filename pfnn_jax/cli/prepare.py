@@ -43,12 +43,12 @@ class Prepare(Command):
 
     def run(self) -> Any:
         from pfnn_jax.cli.progress import progress
-        from pfnn_jax.motion.datasets.dataset import prepare
-        from pfnn_jax.motion.datasets.sources import clips_of_styles, list_clips
+        from pfnn_jax.motion.datasets.preparation import prepare
+        from pfnn_jax.motion.datasets.sources import list_clips, select_styles
 
         check_output(self.out, self.overwrite)
         clips = list_clips(self.source, self.kind)
-        clips = clips_of_styles(clips, self.styles, self.source) if self.styles else clips
+        clips = select_styles(clips, self.styles, self.source) if self.styles else clips
         with progress("preparing") as report:
             dataset = prepare(
                 clips,
@@ -71,7 +71,7 @@ class Prepare(Command):
 
 
 def _print_dataset(dataset: Dataset) -> None:
-    from pfnn_jax.motion.datasets.splits import WINDOW
+    from pfnn_jax.motion.datasets.splits import WINDOW_ROWS
 
     for note in dataset.notes:
         print(f"note: {note['file']}: {note['note']}")
@@ -79,7 +79,7 @@ def _print_dataset(dataset: Dataset) -> None:
         print(f"left out: {skipped['file']}: {skipped['reason']}")
     for split, takes in dataset.takes_without_window.items():
         if short := sum(takes.values()):
-            print(f"{split}: {short} takes (counting mirrored ones) are shorter than {WINDOW} rows and are padded")
+            print(f"{split}: {short} takes (counting mirrored ones) are shorter than {WINDOW_ROWS} rows and are padded")
     for split, rows in dataset.rows.items():
         least, most = min(rows.values()), max(rows.values())
         print(f"{dataset.path}: {split}: {len(rows)} styles of {least} to {most} rows, {sum(rows.values())} in all")

@@ -18,9 +18,9 @@ from pfnn_jax.evaluation.style_methods import compare_methods
 from pfnn_jax.evaluation.style_test import StyleTest, Takes, join_takes
 from pfnn_jax.io.files import refuse_existing
 from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.datasets.dataset import Dataset, prepare
+from pfnn_jax.motion.datasets.dataset import Dataset
 from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.labels.phase import write_phase
@@ -117,9 +117,7 @@ def demo(
 def procedural_dataset(out: Path, config: DemoConfig, overwrite: bool = False) -> Dataset:
     """The prepared dataset of the 8 pretraining styles, with their exact phases."""
     clips = [
-        LabelledClip(clip, labels)
-        for style in PRETRAINING_STYLES
-        for clip, labels in synthetic_clips(style, config.seconds_per_style, config.seed)
+        clip for style in PRETRAINING_STYLES for clip in synthetic_clips(style, config.seconds_per_style, config.seed)
     ]
     return prepare(clips, out, PrepareConfig(grouped_std=True, seed=config.seed), overwrite=overwrite)
 

@@ -11,8 +11,8 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.style_test import join_takes, one_step_test
 from pfnn_jax.inference.predictor import Predictor, make_predictor
-from pfnn_jax.motion.datasets.clip_file import ClipFile
-from pfnn_jax.motion.datasets.takes import load_take
+from pfnn_jax.motion.datasets.clip_rows import load_for_layout
+from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.run import Run, list_styles
 from pfnn_jax.workflows.learn import clip_parts
@@ -44,7 +44,7 @@ def evaluate_clips(
         parts, names, left_out = [], [], {}
         for clip_file in files:
             try:
-                parts += clip_parts(load_take(clip_file, run.layout, roles_file), run, mirror=False)
+                parts += clip_parts(load_for_layout(clip_file, run.layout, roles_file), run, mirror=False)
                 names.append(clip_file.path.stem)
             except NoGaitError as error:
                 left_out[clip_file.path.name] = str(error)

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from pfnn_jax.motion.datasets.clip_file import ClipFile
-from pfnn_jax.motion.datasets.dataset import prepare
-from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
+from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.datasets.workers import default_workers, map_in_order
 
 UNIT = 1 if sys.platform == "darwin" else 1024

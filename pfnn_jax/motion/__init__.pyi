@@ -1,13 +1,13 @@
 from .bvh import read_bvh as read_bvh
 from .bvh import write_bvh as write_bvh
 from .clip import MotionClip as MotionClip
-from .datasets.clip_file import ClipFile as ClipFile
 from .datasets.dataset import Dataset as Dataset
 from .datasets.dataset import load_dataset as load_dataset
-from .datasets.dataset import prepare as prepare
 from .datasets.download import download_100style as download_100style
 from .datasets.labelled import LabelledClip as LabelledClip
 from .datasets.preparation import PrepareConfig as PrepareConfig
+from .datasets.preparation import prepare as prepare
+from .datasets.sources import ClipFile as ClipFile
 from .datasets.sources import list_clips as list_clips
 from .labels.phase import label_phase as label_phase
 from .paths import circle as circle

@@ -75,6 +75,28 @@ def need_roles(skeleton: Skeleton, source: str | Path = "skeleton") -> Roles:
     return skeleton.roles
 
 
+def check_same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path) -> None:
+    """Refuses a skeleton with other joints. Bones may differ in length, because features hold joint positions.
+
+    Args:
+        skeleton: the expected one.
+        other: the skeleton of the clip from `source`.
+        source: file, for the message.
+
+    Raises:
+        InputError: naming the first joint that differs.
+    """
+    if other.num_joints != skeleton.num_joints:
+        extra = sorted(set(other.names) ^ set(skeleton.names))
+        found = f"{other.num_joints} joints, {extra[:1]} differs"
+        raise InputError(source, "skeleton", found, f"all clips share one skeleton, of {skeleton.num_joints} joints")
+    for joint, (name, wanted) in enumerate(zip(other.names, skeleton.names, strict=True)):
+        if name != wanted or other.parents[joint] != skeleton.parents[joint]:
+            found = f"{name} under joint {other.parents[joint]}"
+            rule = f"all clips share one skeleton, here {wanted} under {skeleton.parents[joint]}"
+            raise InputError(source, f"joint {joint}", found, rule)
+
+
 def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
     """The skeleton as numbers, strings, lists and dicts, exact to the last bit."""
     return {

@@ -300,7 +300,7 @@ def stored_rows(dataset: Dataset, styles: Sequence[str] | None = None, *, split:
     """The rows of a prepared dataset, left on disk; arguments as in `dataset_rows`."""
     names = dataset.styles if styles is None else tuple(styles)
     arrays = tuple(dataset.arrays(style, split) for style in names)
-    clips = [dataset.clips_of(style, split) for style in names]
+    clips = [dataset.windows(style, split) for style in names]
     first_row = np.cumsum([0, *(len(x) for x, _, _ in arrays)])
     moved = [windows + np.array([row, 0]) for windows, row in zip(clips, first_row, strict=False)]
     return StoredData(

@@ -17,13 +17,12 @@ from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.motion.datasets.clip_file import ClipFile
+from pfnn_jax.motion.datasets.clip_rows import labelled_features, load_for_layout, match_hands
 from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.preparation import same_topology
-from pfnn_jax.motion.datasets.sources import check_style_name
-from pfnn_jax.motion.datasets.takes import fit_hands, load_take, take_features
+from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features
+from pfnn_jax.motion.skeleton import check_same_topology
 from pfnn_jax.run import Run, check_adapter, list_styles, load_generator, save_style
 from pfnn_jax.training.data import hold_out, style_data, to_batch
 from pfnn_jax.training.few_shot_learning import FewShotConfig, choose, refit, train_grid
@@ -67,7 +66,7 @@ def learn_style(
     started = time.perf_counter()
     _check_request(run, clip_file.style, config, overwrite)
     progress_callback(0.0, "labelling")
-    parts = clip_parts(load_take(clip_file, run.layout, roles_file), run, mirror)
+    parts = clip_parts(load_for_layout(clip_file, run.layout, roles_file), run, mirror)
     _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
     adapter, found = learn_rows(run, parts, config, progress_callback)
     info = {
@@ -170,7 +169,7 @@ def tune_style(
     _check_new(run, clip_file.style, overwrite)
     parameters, sizes = load_generator(run), run.config.generator
     assert sizes is not None  # `load_generator` refuses such a run
-    parts = clip_parts(load_take(clip_file, run.layout, roles_file), run, mirror)
+    parts = clip_parts(load_for_layout(clip_file, run.layout, roles_file), run, mirror)
     _check_length(parts, config.batch_size, clip_file.path)
     data = style_data({clip_file.style: parts}, run.layout, run.normaliser, run.skeleton.parents)
     tuned = tune_generator(run.shared, sizes, parameters, data, config, style=clip_file.style)
@@ -200,9 +199,9 @@ def clip_parts(labelled: LabelledClip, run: Run, mirror: bool) -> list[Features]
     Raises:
         InputError: if its skeleton is not the run's, or it has no usable frames.
     """
-    labelled = fit_hands(labelled, run.layout)
-    same_topology(run.skeleton, labelled.clip.skeleton, labelled.clip.source)
-    return take_features(labelled, run.layout, mirror)
+    labelled = match_hands(labelled, run.layout)
+    check_same_topology(run.skeleton, labelled.clip.skeleton, labelled.clip.source)
+    return labelled_features(labelled, run.layout, mirror)
 
 
 def _bones(run: Run) -> Bones | None:

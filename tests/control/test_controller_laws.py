@@ -25,9 +25,7 @@ from pfnn_jax.control.controller import Controller, make_controller, step
 from pfnn_jax.control.drive_along import drive_along
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.datasets.dataset import prepare
-from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.paths import straight
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import Run
@@ -47,7 +45,7 @@ LEAP = 12.0  # m/s, faster than any hand or foot of these walks
 def run(tmp_path_factory) -> Run:
     """A small network with three styles and their mirror images."""
     folder = tmp_path_factory.mktemp("driven")
-    takes = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 20.0)]
+    takes = [clip for style in STYLES for clip in synthetic_clips(style, 20.0)]
     dataset = prepare(takes, folder / "data", PrepareConfig())
     settings = PretrainConfig(hidden=64, steps=500, learning_rate=1e-3)
     return pretrain_run(dataset, folder / "run", settings)

@@ -15,7 +15,8 @@ from pfnn_jax.cli import main
 from pfnn_jax.evaluation.phase_plot import AXIS, phase_plot
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.labels.local_phase import clip_local_phases, toe_contacts
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer.draw.drawing import png_bytes

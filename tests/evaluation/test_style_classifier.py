@@ -25,7 +25,8 @@ from pfnn_jax.evaluation.style_classifier import (
     train_classifier,
 )
 from pfnn_jax.motion.clip import mirror_clip, resample
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
@@ -39,7 +40,7 @@ RESAMPLED = 0.02  # metres and metres per second: joints lie on arcs, and a line
 
 @pytest.fixture(scope="module")
 def clip():
-    return synthetic_clips("neutral", 4.0, clip_seconds=4.0)[0][0]
+    return synthetic_clips("neutral", 4.0, clip_seconds=4.0)[0].clip
 
 
 def moved(clip, yaw: float, x: float, z: float):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.clip import MotionClip, resample
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.labels.contacts import foot_contacts, measured_leg_length, slow_feet
 from pfnn_jax.motion.skeleton import need_roles

@@ -13,10 +13,10 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip
 from pfnn_jax.motion.datasets import dataset as dataset_module
-from pfnn_jax.motion.datasets.clip_file import ClipFile
-from pfnn_jax.motion.datasets.dataset import Dataset, PrepareConfig, load_dataset, prepare
+from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset
 from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.sources import list_clips
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
+from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.normaliser import fit_normaliser
 from pfnn_jax.motion.ground import wrap_angle

@@ -11,7 +11,8 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip, resample
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.features.decode import clip_from_outputs
 from pfnn_jax.motion.features.encode import Features, clip_features
 from pfnn_jax.motion.features.layout import NOW, mason2018, pfnn2017

@@ -10,7 +10,8 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import mirror_clip
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.features.layout import layout_for
 from pfnn_jax.motion.hands import extend_hands
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.datasets.clip_file import ClipFile
-from pfnn_jax.motion.datasets.labelled import load_labelled
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip, load_labelled
+from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import pfnn2017
 from pfnn_jax.motion.ground import wrap_angle

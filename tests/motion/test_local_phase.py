@@ -9,7 +9,8 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, mirror_clip
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.labels.local_phase import (

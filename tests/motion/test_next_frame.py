@@ -10,7 +10,8 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, cut, mirror_clip
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.features.decode import clip_from_outputs, root_steps
 from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import NOW, FrameLayout, layout_for, mason2018, mason2022

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, mirror_clip, resample
-from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.phase import (

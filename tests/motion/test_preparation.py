@@ -14,12 +14,12 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.npy import NpyWriter
 from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset, prepare
+from pfnn_jax.motion.datasets.clip_rows import has_hand_ends, labelled_features, load_for_layout
+from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset
 from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import list_clips
-from pfnn_jax.motion.datasets.splits import row_windows, split_blocks, take_generator
-from pfnn_jax.motion.datasets.takes import has_hand_ends, load_take, take_features
+from pfnn_jax.motion.datasets.splits import clip_generator, row_windows, split_blocks
 from pfnn_jax.motion.datasets.workers import map_in_order
 from pfnn_jax.motion.features.layout import mason2022
 from pfnn_jax.motion.features.normaliser import NO_ROWS, moments_of
@@ -115,12 +115,12 @@ def test_windows_lie_within_one_take(split):
     for name in split.rows:
         for style in split.styles:
             clips, frames = split.sources(style, name)
-            for first, rows in split.clips_of(style, name):
+            for first, rows in split.windows(style, name):
                 assert len(set(clips[first : first + rows])) == 1
                 assert frames[first + rows - 1] - frames[first] == rows - 1
-            assert set(clips) == {clips[first] for first, _ in split.clips_of(style, name)}
-    assert (split.clips_of("proud")[:, 1] < 240).sum() == split.takes_without_window["train"]["proud"] == 6
-    assert split.clips_of("proud").dtype == np.int32
+            assert set(clips) == {clips[first] for first, _ in split.windows(style, name)}
+    assert (split.windows("proud")[:, 1] < 240).sum() == split.takes_without_window["train"]["proud"] == 6
+    assert split.windows("proud").dtype == np.int32
 
 
 def test_the_order_of_takes_changes_no_byte(takes, split, tmp_path):
@@ -134,12 +134,12 @@ def test_the_blocks_follow_the_seed_and_the_takes_name(takes, split, tmp_path):
     fewer = prepare(takes[1:], tmp_path / "fewer", TENTHS)
     ours, theirs = (dataset.sources("proud", "test")[1][-40:] for dataset in (split, fewer))
     np.testing.assert_array_equal(ours, theirs)
-    assert take_generator(0, "a", "b").random() != take_generator(0, "a", "c").random()
+    assert clip_generator(0, "a", "b").random() != clip_generator(0, "a", "c").random()
 
 
 def test_a_dataset_holds_what_take_features_gives(split):
     written = take("angry", "walk", 7, 4)
-    features = take_features(written, split.layout, mirror=True)
+    features = labelled_features(written, split.layout, mirror=True)
     clips, frames = split.sources("angry")
     for index, rows in enumerate(features):
         chosen = np.isin(rows.frames, frames[clips == index])
@@ -161,7 +161,7 @@ def test_100style_as_published(mocap, tmp_path):
     assert phase.shape == (len(x), 8) and np.isfinite(phase).all() and len(y) == dataset.frames["Angry"]
     assert dataset.normaliser.phases is not None and len(dataset.normaliser.phases.mean) == 8
     mirrored = [clip["mirrored"] for clip in dataset.clips]
-    assert sum(mirrored) == 4 and len(dataset.clips_of("Angry")) > 20
+    assert sum(mirrored) == 4 and len(dataset.windows("Angry")) > 20
     assert load_dataset(dataset.path).layout == dataset.layout
 
 
@@ -190,14 +190,14 @@ def test_hand_ends_are_joints_only_where_all_takes_have_them(mocap, tmp_path):
 def test_takes_without_steps_are_learned_where_no_phase_is_wanted(mocap):
     """Hops and slides have no phase of a gait cycle, but local phases."""
     idle = next(clip for clip in list_clips(mocap / "100style") if clip.content == "idle")
-    take_ = load_take(dataclasses.replace(idle, content="hop"), mason2022())
+    take_ = load_for_layout(dataclasses.replace(idle, content="hop"), mason2022())
     assert take_.clip.skeleton.num_joints == 25 and not take_.labels.labelled.any()
 
 
 def test_a_clip_gets_hand_ends_only_where_the_layout_has_them(mocap):
     """A file with hand ends is of use to a network without, and the other way round it is refused later, by name."""
     normal = next(c for c in list_clips(mocap / "bandai-namco-1") if c.style == "normal" and has_hand_ends(c))
-    assert [load_take(normal, mason2022(joints)).clip.skeleton.num_joints for joints in (21, 23)] == [21, 23]
+    assert [load_for_layout(normal, mason2022(joints)).clip.skeleton.num_joints for joints in (21, 23)] == [21, 23]
 
 
 def test_a_growing_array_is_the_array(tmp_path):
@@ -238,7 +238,7 @@ def test_processes_answer_in_order_and_pass_errors_on():
 SCRIPT = """
 import sys
 from pathlib import Path
-from pfnn_jax.motion.datasets.dataset import prepare
+from pfnn_jax.motion.datasets.preparation import prepare
 from pfnn_jax.motion.datasets.preparation import PrepareConfig
 from pfnn_jax.motion.datasets.sources import list_clips
 print("once")

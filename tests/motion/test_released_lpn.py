@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.features.encode import Features, clip_features
 from pfnn_jax.motion.features.layout import layout_for, mason2022
 from pfnn_jax.motion.hands import extend_hands

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.clip import resample
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.labels.local_phase import end_effectors, fit_axes, normalise_source, source_functions
 from pfnn_jax.motion.labels.sinusoid import HIGHEST, LOWEST, Sinusoids, fit_sinusoids

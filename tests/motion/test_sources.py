@@ -10,18 +10,19 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import CMU, write_bvh
-from pfnn_jax.motion.datasets.clip_file import ASYMMETRIC, ClipFile, is_symmetric
+from pfnn_jax.motion.datasets.labelled import load_clip, read_cut_clip
 from pfnn_jax.motion.datasets.sources import (
+    ASYMMETRIC,
+    ClipFile,
     check_style_name,
-    clips_of_styles,
     find_kind,
+    is_symmetric,
     list_clips,
-    load_clip,
-    read_take,
+    select_styles,
+    style100_files,
 )
 from pfnn_jax.motion.datasets.style100 import CUTS as CUTS_FILE
-from pfnn_jax.motion.datasets.style100 import STYLES as STYLES_FILE
-from pfnn_jax.motion.datasets.style100 import read_symmetric, style100_files
+from pfnn_jax.motion.datasets.style100 import read_tables
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import need_roles
 from tests.motion.skeletons import body_clip
@@ -138,9 +139,9 @@ def test_styles_are_kept_and_a_misspelt_one_is_named(tmp_path):
     for style in ("old", "normal"):
         fill(tmp_path / style, "a.bvh")
     clips = list_clips(tmp_path)
-    assert [clip.style for clip in clips_of_styles(clips, ["old"], tmp_path)] == ["old"]
+    assert [clip.style for clip in select_styles(clips, ["old"], tmp_path)] == ["old"]
     with pytest.raises(InputError, match=r"style: norml; must be one of normal, old$"):
-        clips_of_styles(clips, ["old", "norml"], tmp_path)
+        select_styles(clips, ["old", "norml"], tmp_path)
 
 
 def test_folders_of_no_convention_are_refused(tmp_path):
@@ -190,13 +191,13 @@ def test_loading_cuts_resamples_and_labels(tmp_path):
 def test_cuts_beyond_a_take_name_the_table_or_are_noted(tmp_path):
     write_bvh(tmp_path / "Angry_FW.bvh", body_clip(frames=20))
     (tmp_path / "Frame_Cuts.csv").write_text("STYLE_NAME,FW_START,FW_STOP\nOld,1,2\nAngry,5,90\n")
-    take = read_take(list_clips(tmp_path)[0])
+    take = read_cut_clip(list_clips(tmp_path)[0])
     assert (take.clip.num_frames, take.start, take.frames_in_file) == (15, 5, 20)
     assert take.note == "line 3, style Angry, FW: stop 90 lies beyond the take's 20 frames, its end is used"
-    assert not read_take(ClipFile(tmp_path / "Angry_FW.bvh", "angry", stop=20)).note
+    assert not read_cut_clip(ClipFile(tmp_path / "Angry_FW.bvh", "angry", stop=20)).note
     (tmp_path / "Frame_Cuts.csv").write_text("STYLE_NAME,FW_START,FW_STOP\nAngry,25,90\n")
     with pytest.raises(InputError) as error:
-        read_take(list_clips(tmp_path)[0])
+        read_cut_clip(list_clips(tmp_path)[0])
     table = tmp_path / "Frame_Cuts.csv"
     place = "line 2, style Angry, FW: start 25"
     assert str(error.value) == f"{table}: {place}; must lie within the 20 frames of Angry_FW.bvh"
@@ -205,7 +206,7 @@ def test_cuts_beyond_a_take_name_the_table_or_are_noted(tmp_path):
 def test_the_published_tables_of_100style(mocap):
     """70 symmetric styles; every take has its frames or is said not to exist."""
     folder = mocap / "100style"
-    symmetric = read_symmetric(folder / STYLES_FILE)
+    symmetric = read_tables(folder).symmetric
     assert len(symmetric) == 100 and sum(symmetric.values()) == 70
     assert {style.lower() for style, value in symmetric.items() if not value} <= ASYMMETRIC
     styles = [line.split(",")[0] for line in (folder / CUTS_FILE).read_text().splitlines()[1:]]

@@ -167,8 +167,8 @@ def test_motion_is_smooth():
 
 def test_mixed_clips_cover_turns_speeds_and_the_time_asked_for():
     clips = synthetic.synthetic_clips("old", 40.0, seed=2)
-    assert sum(clip.num_frames for clip, _ in clips) == pytest.approx(40 * FPS, abs=len(clips))
-    assert all(len(labels.phase) == clip.num_frames for clip, labels in clips)
+    assert sum(labelled.clip.num_frames for labelled in clips) == pytest.approx(40 * FPS, abs=len(clips))
+    assert all(len(labelled.labels.phase) == labelled.clip.num_frames for labelled in clips)
     schedules = [synthetic.mixed_schedule("old", 60.0, seed) for seed in range(3)]
     turn, speed = (np.concatenate(part) for part in zip(*schedules, strict=True))
     assert turn.min() < -np.deg2rad(35) and turn.max() > np.deg2rad(35)

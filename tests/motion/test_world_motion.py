@@ -9,7 +9,8 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, mirror_clip, resample
-from pfnn_jax.motion.datasets.sources import list_clips, load_clip
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import layout_for
 from pfnn_jax.motion.hands import extend_hands

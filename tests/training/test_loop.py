@@ -16,9 +16,7 @@ import pytest
 from pfnn_jax.errors import InputError, TrainingError
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
-from pfnn_jax.motion.datasets.dataset import prepare
-from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import list_styles, load_generator, load_run, load_style, train_step
 from pfnn_jax.training.config import PretrainConfig
@@ -48,7 +46,7 @@ pretrain_run(load_dataset(sys.argv[1]), sys.argv[2], CONFIG, progress_callback=p
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    clips = [LabelledClip(*found) for style in ("neutral", "old") for found in synthetic_clips(style, 3.0)]
+    clips = [clip for style in ("neutral", "old") for clip in synthetic_clips(style, 3.0)]
     return prepare(clips, tmp_path_factory.mktemp("data") / "dataset", PrepareConfig())
 
 

@@ -13,9 +13,7 @@ import pytest
 
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.datasets.dataset import prepare
-from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.workflows.pretrain import pretrain_run
@@ -30,7 +28,7 @@ FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 def played_run(tmp_path_factory) -> Path:
     """A small PFNN with three styles; made once, written to by no test but those of the page."""
     folder = tmp_path_factory.mktemp("played")
-    clips = [LabelledClip(*take) for style in STYLES for take in synthetic_clips(style, 10)]
+    clips = [clip for style in STYLES for clip in synthetic_clips(style, 10)]
     dataset = prepare(clips, folder / "data", PrepareConfig(layout="mason2018"))
     settings = PretrainConfig(AdapterConfig("cp", 4), hidden=32, steps=200, batch_size=64, learning_rate=3e-3)
     return pretrain_run(dataset, folder / "run", settings).path

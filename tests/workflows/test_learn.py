@@ -14,9 +14,7 @@ from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.models.adapters import AdapterConfig
 from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.datasets.dataset import prepare
-from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.preparation import PrepareConfig
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.run import load_run, load_style
@@ -59,7 +57,7 @@ def test_requests_that_cannot_be_met(run, mocap):
 
 def test_a_generator_is_tuned_to_a_clip_and_kept_as_it_was(tmp_path):
     """The style is the Film of the tuned generator; the run's own generator and network do not change."""
-    clips = [LabelledClip(*take) for style in ("neutral", "proud") for take in synthetic_clips(style, 8)]
+    clips = [clip for style in ("neutral", "proud") for clip in synthetic_clips(style, 8)]
     dataset = prepare(clips, tmp_path / "data", PrepareConfig(layout="mason2022"))
     small = PretrainConfig(
         AdapterConfig("film"), hidden=8, generator_filters=2, generator_width=3, generator_hidden=4, steps=2

@@ -1,44 +1,48 @@
-"""Writing a prepared dataset: takes become rows in several processes, and are written in their order by this one."""
+"""Prepares datasets: turns clips into rows, in several processes, and writes them to a folder in a fixed order."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+import os
+import shutil
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.datasets.clip_file import ClipFile
-from pfnn_jax.motion.datasets.splits import SPLITS
-from pfnn_jax.motion.datasets.style_writer import StyleWriter
-from pfnn_jax.motion.datasets.takes import (
-    Group,
-    Prepared,
+from pfnn_jax.io.files import failure, refuse_existing, swap_folder
+from pfnn_jax.io.npy import NpyWriter
+from pfnn_jax.motion.datasets.clip_rows import (
+    ClipGroup,
+    ClipRows,
+    PreparedClip,
     Source,
-    TakeRows,
     content_of,
     has_hand_ends,
     name_of,
     prepare_group,
     style_of,
 )
+from pfnn_jax.motion.datasets.dataset import FORMAT, Dataset, load_dataset, split_folder
+from pfnn_jax.motion.datasets.labelled import LabelledClip
+from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
+from pfnn_jax.motion.datasets.splits import SPLITS, WINDOW_ROWS
 from pfnn_jax.motion.datasets.workers import default_workers, map_in_order
 from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout
 from pfnn_jax.motion.features.normaliser import NO_ROWS, Moments, fit_normaliser, save_normaliser
-from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
+from pfnn_jax.motion.skeleton import Skeleton, check_same_topology, skeleton_to_json
 
-FORMAT = 2
-"""Version of the files on disk."""
-
-FEW_BYTES = 32_000_000
-"""Files that are read sooner than other processes start."""
+SMALL_BYTES = 32_000_000
+"""Total size of clips below which one process is done before others have started."""
 
 Progress = Callable[[int, int, str], None]
-"""Called with (clips done, clips in all, name of the clip)."""
+"""Called with (clips done, number of clips, name of the clip)."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +51,12 @@ class PrepareConfig:
 
     Attributes:
         layout: name in `LAYOUTS`.
-        fps: frames per second; the layout's.
-        mirror: add the mirrored copy of every clip of a symmetric style.
-        grouped_std: average deviations over blocks (`fit_normaliser`).
-        validation: share of every clip's rows, in one block, kept from training for choosing (Mason 2022: 0.1).
-        test: likewise for testing.
-        seed: of the places of those blocks.
+        fps: frames per second; must be the layout's.
+        mirror: whether to add the mirror image of every clip of a symmetric style.
+        grouped_std: whether to average standard deviations over blocks of columns (`fit_normaliser`).
+        validation: share of every clip's rows, in one block, that is kept for validation (Mason 2022: 0.1).
+        test: share of every clip's rows, in one block, that is kept for testing.
+        seed: determines where those blocks lie.
     """
 
     layout: str = "mason2018"
@@ -65,123 +69,149 @@ class PrepareConfig:
 
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
-            raise InputError("PrepareConfig", "layout", self.layout, f"must be one of {', '.join(LAYOUTS)}")
-        wanted = LAYOUTS[self.layout](1).fps
-        if self.fps != wanted:
-            raise InputError("PrepareConfig", "fps", self.fps, f"layout {self.layout} is made for {wanted:g}")
+            raise ValueError(f"PrepareConfig.layout must be one of {', '.join(LAYOUTS)}, got {self.layout}.")
+        fps = LAYOUTS[self.layout](1).fps
+        if self.fps != fps:
+            raise ValueError(f"PrepareConfig.fps must be {fps:g}, as in layout {self.layout}, got {self.fps:g}.")
         for name in ("validation", "test"):
             if not 0 <= getattr(self, name) < 0.5:
-                raise InputError("PrepareConfig", name, getattr(self, name), "a share from 0 to below a half")
+                raise ValueError(f"PrepareConfig.{name} must be in [0, 0.5), got {getattr(self, name)}.")
         if self.seed < 0:
-            raise InputError("PrepareConfig", "seed", self.seed, "must not be negative")
+            raise ValueError(f"PrepareConfig.seed must not be negative, got {self.seed}.")
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Parts that the dataset has."""
+        """Names of the splits that the dataset has."""
         shares = (1.0, self.validation, self.test)
         return tuple(name for name, share in zip(SPLITS, shares, strict=True) if share)
 
 
-def same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path) -> None:
-    """Refuses a skeleton of other joints. Bones may differ in length: the features hold joint positions.
+def prepare(
+    clips: str | Path | Iterable[Source],
+    out: str | Path,
+    config: PrepareConfig | None = None,
+    *,
+    roles_file: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    workers: int | None = None,
+) -> Dataset:
+    """Computes the features of many clips and writes them to a folder.
+
+    If the layout uses the phase of the gait cycle, a `.phase` file next to a BVH file takes precedence over the
+    labeller. Clips without steps are then skipped and named in `dataset.json`, as are clips too short for any layout,
+    and idle clips under the `mason2022` layouts. Symmetric styles get mirrored copies, with left and right exchanged.
+    Every style keeps all of its rows. Validation and test rows are one contiguous block each of every clip, and the
+    same frames of its mirror image; all rows of transitions between gaits are training rows. The folder appears
+    complete or not at all, and does not depend on the order of the clips or the number of processes.
 
     Args:
-        skeleton: the one expected.
-        other: of the clip from `source`.
-        source: file, for the message.
+        clips: a folder that `list_clips` reads, or files as it returns them, or labelled clips in memory, or both.
+        out: folder to create.
+        config: layout, mirroring, statistics, splits; the default `PrepareConfig` if None.
+        roles_file: JSON file that names the joints' roles.
+        overwrite: whether to replace an existing folder.
+        progress: called with (clips done, number of clips, name) after each clip.
+        workers: number of processes; None for one per processor (at most 8) if there is much to read.
 
     Raises:
-        InputError: naming the first joint that differs.
+        InputError: for no clips or something else than clips, no workers, a style without usable clips, skeletons that
+            differ, bad files, an existing folder, or one that cannot be written.
     """
-    if other.num_joints != skeleton.num_joints:
-        extra = sorted(set(other.names) ^ set(skeleton.names))
-        raise InputError(
-            source,
-            "skeleton",
-            f"{other.num_joints} joints, {extra[:1]} differs",
-            f"all clips share one skeleton, of {skeleton.num_joints} joints",
-        )
-    for joint, (name, wanted) in enumerate(zip(other.names, skeleton.names, strict=True)):
-        if name != wanted or other.parents[joint] != skeleton.parents[joint]:
-            raise InputError(
-                source,
-                f"joint {joint}",
-                f"{name} under joint {other.parents[joint]}",
-                f"all clips share one skeleton, here {wanted} under {skeleton.parents[joint]}",
-            )
+    out, config = Path(out), config or PrepareConfig()
+    refuse_existing(out, overwrite)
+    sources = _as_sources(clips, out)
+    if workers is not None and workers < 1:
+        raise InputError(out, "workers", workers, "must be at least 1")
+    roles_file = None if roles_file is None else Path(roles_file)
+    work = out.with_name(f".{out.name}.{os.getpid()}")
+    try:
+        work.mkdir(parents=True)
+        _write_dataset(sources, work, config, roles_file, progress, workers)
+        swap_folder(work, out)
+    except OSError as error:
+        raise InputError(out, "folder", failure(error), "must be writable, with space for the dataset") from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    return load_dataset(out)
 
 
-def write_dataset(
-    clips: Sequence[Source],
+def _as_sources(clips: str | Path | Iterable[Source], out: Path) -> list[Source]:
+    """Returns the clips as a list of at least one."""
+    if isinstance(clips, str | Path):
+        return list(list_clips(clips))
+    rule = "must be a folder, or a list of ClipFile or LabelledClip"
+    if not isinstance(clips, Iterable):
+        raise InputError(out, "clips", type(clips).__name__, rule)
+    sources = list(clips)
+    for index, source in enumerate(sources):
+        if not isinstance(source, ClipFile | LabelledClip):
+            raise InputError(out, f"clips[{index}]", type(source).__name__, rule)
+    if not sources:
+        raise InputError(out, "clips", "none", "must be at least one")
+    return sources
+
+
+def _write_dataset(
+    sources: Sequence[Source],
     folder: Path,
     config: PrepareConfig,
     roles_file: Path | None,
     progress: Progress | None,
-    workers: int | None = None,
+    workers: int | None,
 ) -> None:
-    """Writes a dataset into an existing empty folder; `dataset.json` comes last.
-
-    Args:
-        clips: at least one, in any order.
-        folder: to fill.
-        config: layout, mirroring, statistics, splits.
-        roles_file: JSON naming the joints' roles.
-        progress: called after each clip.
-        workers: processes; None for one per processor where there is much to read. The files are the same.
-
-    Raises:
-        InputError: for a style of which nothing remains, skeletons that differ, or bad files.
-        OSError: if the folder cannot be written.
-    """
-    groups = _groups(clips, config, roles_file)
-    builder, done = _Builder(folder, config), 0
-    with closing(_prepared(groups, _workers(clips, workers))) as prepared:
-        for style, items in groupby(prepared, key=lambda item: item.style):
-            with closing(builder):
-                for item in items:
-                    builder.add(item)
+    """Writes a dataset into an existing empty folder; `dataset.json` comes last."""
+    groups = _groups(sources, config, roles_file)
+    writer, done = _DatasetWriter(folder, config), 0
+    with closing(_prepared(groups, _num_workers(sources, workers))) as prepared:
+        for style, clips in groupby(prepared, key=lambda clip: clip.style):
+            with closing(writer):
+                for clip in clips:
+                    writer.add(clip)
                     done += 1
                     if progress is not None:
-                        progress(done, len(clips), Path(item.name).name)
-            builder.end_style(style)
-    builder.finish()
+                        progress(done, len(sources), Path(clip.name).name)
+            writer.end_style(style)
+    writer.finish()
 
 
-def _groups(clips: Sequence[Source], config: PrepareConfig, roles_file: Path | None) -> list[Group]:
-    """Takes by style, content and name, so that their order does not matter; together where they share axes.
+def _groups(sources: Sequence[Source], config: PrepareConfig, roles_file: Path | None) -> list[ClipGroup]:
+    """Sorts clips by style, content and name, so that their order does not matter, and groups those that share axes.
 
-    Hand ends become joints where all takes have them: in a few Bandai-Namco files alone they do not lie at the wrist.
+    Hand ends become joints only if all clips have them: in a few Bandai-Namco files they lie at the wrists.
     """
 
     def place(source: Source) -> tuple[str, ...]:
         return style_of(source), content_of(source), Path(name_of(source)).name, name_of(source)
 
-    def key(source: Source) -> tuple[str, ...]:
-        return place(source)[:2] if LAYOUTS[config.layout](1).phase_kind == "local" else place(source)
+    layout = LAYOUTS[config.layout](1)
 
-    hands = all(map(has_hand_ends, clips)) if LAYOUTS[config.layout](1).next_frame else False
+    def key(source: Source) -> tuple[str, ...]:
+        return place(source)[:2] if layout.phase_kind == "local" else place(source)
+
+    hands = layout.next_frame and all(map(has_hand_ends, sources))
     shares = config.validation, config.test
     return [
-        Group(tuple(sources), config.layout, config.mirror, *shares, config.seed, roles_file, hands)
-        for _, sources in groupby(sorted(clips, key=place), key=key)
+        ClipGroup(tuple(members), config.layout, config.mirror, *shares, config.seed, roles_file, hands)
+        for _, members in groupby(sorted(sources, key=place), key=key)
     ]
 
 
-def _workers(clips: Sequence[Source], asked: int | None) -> int:
-    if asked is not None:
-        return asked
-    files = (Path(clip.path) for clip in clips if isinstance(clip, ClipFile))
-    return default_workers() if sum(file.stat().st_size for file in files if file.is_file()) > FEW_BYTES else 1
+def _num_workers(sources: Sequence[Source], workers: int | None) -> int:
+    if workers is not None:
+        return workers
+    files = (source.path for source in sources if isinstance(source, ClipFile))
+    return default_workers() if sum(file.stat().st_size for file in files if file.is_file()) > SMALL_BYTES else 1
 
 
-def _prepared(groups: list[Group], workers: int) -> Generator[Prepared, None, None]:
+def _prepared(groups: list[ClipGroup], workers: int) -> Generator[PreparedClip, None, None]:
     with closing(map_in_order(prepare_group, groups, min(workers, len(groups)))) as results:
         for result in results:
             yield from result
 
 
-class _Builder:
-    """Collects what is known of the whole dataset while its styles are written."""
+class _DatasetWriter:
+    """Writes styles one after another and collects what `dataset.json` and the normaliser need."""
 
     def __init__(self, folder: Path, config: PrepareConfig):
         self.folder, self.config = folder, config
@@ -193,27 +223,27 @@ class _Builder:
         self.moments: tuple[Moments, ...] = ()
         self.rows: dict[str, dict[str, int]] = {split: {} for split in config.splits}
         self.short: dict[str, dict[str, int]] = {split: {} for split in config.splits}
-        self.writer: StyleWriter | None = None
+        self.style_writer: _StyleWriter | None = None
 
-    def add(self, item: Prepared) -> None:
-        """Writes the rows of a take of the style at hand."""
-        if item.note:
-            self.notes.append({"file": item.name, "style": item.style, "note": item.note})
-        if item.skipped:
-            self.skipped.append({"file": item.name, "style": item.style, "reason": item.skipped})
-        for take in item.takes:
-            layout = self._check(take, item.name)
-            if self.writer is None:
-                self.writer = StyleWriter(self.folder, item.style, self.config.splits, layout)
-            self.writer.add(take, len(self.clips))
-            self.clips.append(take.entry)
-            so_far = self.moments or (NO_ROWS,) * len(take.moments)
-            self.moments = tuple(all_rows.merge(rows) for all_rows, rows in zip(so_far, take.moments, strict=True))
+    def add(self, clip: PreparedClip) -> None:
+        """Writes the rows of a clip of the current style."""
+        if clip.note:
+            self.notes.append({"file": clip.name, "style": clip.style, "note": clip.note})
+        if clip.skipped:
+            self.skipped.append({"file": clip.name, "style": clip.style, "reason": clip.skipped})
+        for image in clip.images:
+            layout = self._check_skeleton(image, clip.name)
+            if self.style_writer is None:
+                self.style_writer = _StyleWriter(self.folder, clip.style, self.config.splits, layout)
+            self.style_writer.add(image, len(self.clips))
+            self.clips.append(image.entry)
+            so_far = self.moments or (NO_ROWS,) * len(image.moments)
+            self.moments = tuple(merged.merge(added) for merged, added in zip(so_far, image.moments, strict=True))
 
     def close(self) -> None:
-        """Completes the files of the style at hand."""
-        if self.writer is not None:
-            self.writer.close()
+        """Completes the files of the current style."""
+        if self.style_writer is not None:
+            self.style_writer.close()
 
     def end_style(self, style: str) -> None:
         """Counts the rows of a style.
@@ -221,27 +251,27 @@ class _Builder:
         Raises:
             InputError: if it has none.
         """
-        if self.writer is None:
-            left_out = [item for item in self.skipped if item["style"] == style]
-            value = f"{len(left_out)} clips, none of use"
-            raise InputError(left_out[0]["file"], f"style {style}", value, left_out[-1]["reason"])
+        if self.style_writer is None:
+            skipped = [entry for entry in self.skipped if entry["style"] == style]
+            value = f"no usable clips ({len(skipped)} skipped)"
+            raise InputError(skipped[0]["file"], f"style {style}", value, skipped[-1]["reason"])
         for split in self.config.splits:
-            self.rows[split][style] = self.writer.rows[split]
-            self.short[split][style] = self.writer.short[split]
-        self.writer = None
+            self.rows[split][style] = self.style_writer.rows[split]
+            self.short[split][style] = self.style_writer.short[split]
+        self.style_writer = None
 
-    def _check(self, take: TakeRows, name: str) -> FrameLayout:
-        """The dataset's layout, where the take is of its skeleton."""
+    def _check_skeleton(self, image: ClipRows, name: str) -> FrameLayout:
+        """Returns the dataset's layout, after checking that the clip shares its skeleton."""
         if self.skeleton is None or self.layout is None:
-            self.skeleton, self.layout = take.skeleton, take.layout
-        same_topology(self.skeleton, take.skeleton, name)
-        if take.layout != self.layout:
-            rule = f"all clips share one skeleton, with these at {self.layout.ends}"
-            raise InputError(name, "hands and toes", f"joints {take.layout.ends}", rule)
+            self.skeleton, self.layout = image.skeleton, image.layout
+        check_same_topology(self.skeleton, image.skeleton, name)
+        if image.layout != self.layout:
+            rule = f"all clips must share one skeleton, with these at {self.layout.ends}"
+            raise InputError(name, "hands and toes", f"joints {image.layout.ends}", rule)
         return self.layout
 
     def finish(self) -> None:
-        """Fits the normaliser to the rows to train on and writes `dataset.json` last."""
+        """Fits the normaliser to the training rows and writes `dataset.json` last."""
         assert self.skeleton is not None and self.layout is not None
         x, y, *phase = (moments.rows() for moments in self.moments)
         grouped = self.config.grouped_std
@@ -261,3 +291,57 @@ class _Builder:
             "versions": {"pfnn_jax": version("pfnn-jax"), "numpy": version("numpy")},
         }
         (self.folder / "dataset.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+
+class _StyleWriter:
+    """Appends the rows of one style to its arrays, one set of arrays for each split.
+
+    Attributes:
+        rows: split -> number of rows written.
+        short: split -> number of clips, mirrored ones included, without a whole window of rows.
+    """
+
+    def __init__(self, folder: Path, style: str, splits: tuple[str, ...], layout: FrameLayout):
+        self.rows, self.short = dict.fromkeys(splits, 0), dict.fromkeys(splits, 0)
+        self._files: dict[str, dict[str, NpyWriter]] = {}
+        with ExitStack() as opened:
+            for split in splits:
+                place = split_folder(folder, style, split)
+                place.mkdir()
+                self._files[split] = {}
+                for name, (dtype, width) in _array_types(layout).items():
+                    self._files[split][name] = NpyWriter(place / f"{name}.npy", dtype, width)
+                    opened.callback(self._files[split][name].close)
+            self._opened = opened.pop_all()
+
+    def add(self, image: ClipRows, index: int) -> None:
+        """Appends the rows of a clip that has this index among the dataset's clips."""
+        for split, part in image.splits.items():
+            rows = part.rows
+            arrays = {
+                "x": rows.x,
+                "y": rows.y,
+                "phase": rows.phase,
+                "clip": np.full(len(rows.frames), index),
+                "frame": rows.frames,
+                "windows": part.windows + np.array([self.rows[split], 0]),
+            }
+            for name, array in arrays.items():
+                self._files[split][name].append(array)
+            self.rows[split] += len(rows.frames)
+            self.short[split] += int(part.windows[0, 1] < WINDOW_ROWS)
+
+    def close(self) -> None:
+        """Completes all files."""
+        self._opened.close()
+
+
+def _array_types(layout: FrameLayout) -> dict[str, tuple[np.dtype, tuple[int, ...]]]:
+    """Returns the type and row shape of each array of a style."""
+    phase = (layout.phase_size,) if layout.phase_size else ()
+    floats = {"x": (layout.input_size,), "y": (layout.output_size,), "phase": phase}
+    counts = {"clip": (), "frame": (), "windows": (2,)}
+    float32, int32 = np.dtype(np.float32), np.dtype(np.int32)
+    return {name: (float32, shape) for name, shape in floats.items()} | {
+        name: (int32, shape) for name, shape in counts.items()
+    }

@@ -1,35 +1,49 @@
-"""Folders of motion capture as lists of labelled clips: which style, which content, which frames, mirrored or not.
+"""Lists the clips of a motion capture folder: style, content, frames used, and whether they may be mirrored.
 
-Five conventions are known, by their file names:
+Five naming conventions are recognised:
 
 - `bandai`: `dataset-N_CONTENT_STYLE_ID.bvh` (Bandai-Namco Research Motion Dataset 1 and 2).
 - `100style`: `STYLE_GAIT.bvh`, in the folder or in one folder per style, with `Frame_Cuts.csv` and, for symmetry,
   `Dataset_List.csv` (100STYLE, Mason et al. 2022).
 - `xia`: `STYLE_CONTENT_TAKE.bvh` with a two-digit content and a three-digit take (Xia et al. 2015).
-- `pfnn`: `NAME.bvh` beside `NAME.phase` (Holden et al. 2017), all of style `neutral`. Files without a `.phase` are left
-  out, and so are `_mirror` files: mirrored copies are made from the clips themselves.
-- `folders`: one folder of BVH files per style, named as the style. Styles are mirrored except those which
-  `asymmetric.txt` beside the style folders lists, one a line; without that file, the papers' asymmetric styles.
+- `pfnn`: `NAME.bvh` with `NAME.phase` (Holden et al. 2017), all of style `neutral`. Files without a `.phase` file are
+  skipped, and so are `_mirror` files: mirrored copies are made from the clips themselves.
+- `folders`: one folder of BVH files per style, named after the style. Styles are mirrored except those listed in
+  `asymmetric.txt` (one per line, in the folder of the style folders); without that file, except the papers' asymmetric
+  styles.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import CENTIMETRE, CMU, read_bvh
-from pfnn_jax.motion.clip import MotionClip, cut, resample, swap_sides
-from pfnn_jax.motion.datasets.clip_file import ASYMMETRIC, ClipFile, is_symmetric
-from pfnn_jax.motion.datasets.style100 import CUTS, STYLE_GAIT, read_lines, style100_files
+from pfnn_jax.motion.bvh import CENTIMETRE, CMU
+from pfnn_jax.motion.clip import swap_sides
+from pfnn_jax.motion.datasets.style100 import CUTS, GAITS, STYLE_GAIT, read_lines, read_tables
+
+# Mason et al. 2018, few-shot styles not mirrored, then the asymmetric styles of 100STYLE
+ASYMMETRIC = frozenset(
+    name.lower()
+    for name in (
+        *("Bouncy", "Dance3", "DragLeg", "Hobble", "HurtLeg", "LeanRight", "LeftHop", "PainfulLeftknee"),
+        *("WoundedLeg", "Yokogeri"),
+        *("ArmsFolded", "Balance", "BouncyLeft", "BouncyRight", "DragLeftLeg", "DragRightLeg", "LeanLeft"),
+        *("RightHop", "LimpLeft", "LimpRight", "Lunge", "Monk", "Old", "OnPhoneLeft", "OnPhoneRight", "Punch"),
+        *("RaisedLeftArm", "RaisedRightArm", "ShieldedLeft", "ShieldedRight", "SpinAntiClock", "SpinClock"),
+        *("Superman", "Swat", "Sweep", "Teapot", "WalkingStickLeft", "WalkingStickRight"),
+    )
+)
 
 BANDAI = re.compile(r"(dataset-\d+)_([a-z-]+)_([a-z]+)_(\d+)", re.IGNORECASE)
 XIA = re.compile(r"([a-z]+)_(\d\d)_(\d{3})", re.IGNORECASE)
-XIA_CONTENTS = {"01": "walk", "13": "run", "16": "jump", "18": "punch"}  # others keep their number
+XIA_CONTENTS = {"01": "walk", "13": "run", "16": "jump", "18": "punch"}  # other numbers are kept as the content
 
-# turn the other way than their names say, by the net change of the hips' heading (right_normal_004 turns twice)
+# These turn the other way than their names say, by the net change of the hips' heading (right_normal_004 turns twice).
 BANDAI_MISLABELLED = {
     "dataset-2_walk-turn-left_masculine_006",
     "dataset-2_walk-turn-left_masculine_007",
@@ -39,20 +53,67 @@ BANDAI_MISLABELLED = {
 }
 
 
+@dataclass(frozen=True)
+class ClipFile:
+    """A clip on disk, described before it is read.
+
+    Attributes:
+        path: the BVH file; a string becomes a `Path`.
+        style: name of the style, valid as a file name.
+        content: what is performed, such as `walk` or `walk-turn-left`; empty if unknown.
+        symmetric: whether the style may be mirrored.
+        start, stop: frames used, at the file's own rate; stop None means to the end, and so does a stop beyond the
+            end, as in shortened files.
+        unit: metres per unit of the file; None to guess it.
+        cut_by: (file, place) that states start and stop, for messages; None if they come from no file.
+    """
+
+    path: Path
+    style: str
+    content: str = ""
+    symmetric: bool = True
+    start: int = 0
+    stop: int | None = None
+    unit: float | None = None
+    cut_by: tuple[Path, str] | None = None
+
+    if TYPE_CHECKING:  # callers may pass a string, readers always find a Path
+
+        def __init__(
+            self,
+            path: str | Path,
+            style: str,
+            content: str = "",
+            symmetric: bool = True,
+            start: int = 0,
+            stop: int | None = None,
+            unit: float | None = None,
+            cut_by: tuple[Path, str] | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", Path(self.path))
+
+
+def is_symmetric(style: str) -> bool:
+    """Returns whether a style may be mirrored, by the papers' lists of styles that were not."""
+    return style.lower() not in ASYMMETRIC
+
+
 def list_clips(folder: str | Path, kind: str = "auto") -> list[ClipFile]:
-    """The clips of a folder, ordered by file name.
+    """Lists the clips of a folder, ordered by file name.
 
     Args:
         folder: folder in one of the module's conventions, or one BVH file, whose style is taken from its name.
-        kind: bandai, 100style, xia, pfnn or folders; auto finds it from the names.
+        kind: bandai, 100style, xia, pfnn or folders; auto recognises it by the names.
 
     Raises:
-        InputError: if the folder is absent, holds no clip, follows no or another convention, names a style that is no
-            file name, or its tables lack a take or are malformed.
+        InputError: if the folder is absent, holds no clip or follows another convention or none; if a style is not a
+            valid file name; if its tables lack a clip or are malformed.
     """
     folder = Path(folder)
     if kind not in ("auto", *KINDS):
-        raise InputError(folder, "kind", kind, f"known kinds are auto, {', '.join(KINDS)}")
+        raise InputError(folder, "kind", kind, f"must be auto, {', '.join(KINDS)}")
     if folder.is_file():
         return [_single(folder)]
     if not folder.is_dir():
@@ -60,14 +121,14 @@ def list_clips(folder: str | Path, kind: str = "auto") -> list[ClipFile]:
     kind = find_kind(folder) if kind == "auto" else kind
     clips = KINDS[kind](folder)
     if not clips:
-        raise InputError(folder, "folder", "no clips", f"kind {kind} finds no BVH file here")
+        raise InputError(folder, "folder", "no clips", f"must hold BVH files of kind {kind}")
     for clip in clips:
         check_style_name(clip.style, clip.path)
     return clips
 
 
-def clips_of_styles(clips: Iterable[ClipFile], styles: Collection[str], source: str | Path) -> list[ClipFile]:
-    """The clips of some styles.
+def select_styles(clips: Iterable[ClipFile], styles: Collection[str], source: str | Path) -> list[ClipFile]:
+    """Returns the clips of some styles.
 
     Args:
         clips: as `list_clips` returns them.
@@ -86,7 +147,7 @@ def clips_of_styles(clips: Iterable[ClipFile], styles: Collection[str], source: 
 
 
 def find_kind(folder: Path) -> str:
-    """The convention that all BVH names of a folder follow.
+    """Returns the naming convention that all BVH files of a folder follow.
 
     Raises:
         InputError: if there is none.
@@ -101,62 +162,13 @@ def find_kind(folder: Path) -> str:
         return "pfnn"
     if not stems and any(_bvh_files(child) for child in folder.iterdir() if child.is_dir()):
         return "folders"
-    found = f"{len(stems)} BVH files, as {stems[0]}.bvh" if stems else "no BVH files"
+    found = f"{len(stems)} BVH files, such as {stems[0]}.bvh" if stems else "no BVH files"
     rule = "name files dataset-N_CONTENT_STYLE_ID, STYLE_GAIT or STYLE_CC_TTT, or make one folder per style"
     raise InputError(folder, "folder", found, rule)
 
 
-@dataclass(frozen=True, eq=False)
-class Take:
-    """A clip as its file has it, cut but not resampled.
-
-    Attributes:
-        clip: the frames used, at the file's rate.
-        start: frame of the file that is the clip's first.
-        frames_in_file: all of the file's frames.
-        note: what was found odd about it; empty for nothing.
-    """
-
-    clip: MotionClip
-    start: int
-    frames_in_file: int
-    note: str = ""
-
-
-def read_take(clip_file: ClipFile, roles_file: str | Path | None = None) -> Take:
-    """Reads a listed clip and cuts it to its frames.
-
-    A stop beyond the take means its end, and is noted.
-
-    Raises:
-        InputError: as `read_bvh`; or if the cut starts beyond the take, naming the table that says so.
-    """
-    path = Path(clip_file.path)
-    whole = read_bvh(path, unit=clip_file.unit, roles_file=roles_file)
-    stop = whole.num_frames if clip_file.stop is None else clip_file.stop
-    file, place = clip_file.cut_by or (path, "cut")
-    if clip_file.start >= whole.num_frames:
-        rule = f"must lie within the {whole.num_frames} frames of {path.name}"
-        raise InputError(file, place, f"start {clip_file.start}", rule)
-    note = ""
-    if stop > whole.num_frames:
-        note = f"{place}: stop {stop} lies beyond the take's {whole.num_frames} frames, its end is used"
-    part = cut(whole, clip_file.start, min(stop, whole.num_frames))
-    part = replace(part, style=clip_file.style, content=clip_file.content)
-    return Take(part, clip_file.start, whole.num_frames, note)
-
-
-def load_clip(clip_file: ClipFile, *, fps: float = 60.0, roles_file: str | Path | None = None) -> MotionClip:
-    """Reads a listed clip, cut to its frames and resampled.
-
-    Raises:
-        InputError: as `read_take`.
-    """
-    return resample(read_take(clip_file, roles_file).clip, fps)
-
-
 def check_style_name(name: str, source: str | Path = "style") -> str:
-    """The name, if it can name a folder on every system.
+    """Returns a style's name if it can name a folder on every system.
 
     Raises:
         InputError: if it is empty, longer than 100 characters, starts with a dot, ends with a dot or space, or holds a
@@ -174,10 +186,10 @@ def _bvh_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix.lower() == ".bvh" and path.is_file())
 
 
-def _match(pattern: re.Pattern[str], path: Path, rule: str) -> re.Match[str]:
+def _match(pattern: re.Pattern[str], path: Path, form: str) -> re.Match[str]:
     found = pattern.fullmatch(path.stem)
     if found is None:
-        raise InputError(path, "file name", path.name, f"files of this kind are named {rule}.bvh")
+        raise InputError(path, "file name", path.name, f"must be {form}.bvh")
     return found
 
 
@@ -192,8 +204,27 @@ def _xia_file(path: Path) -> ClipFile:
     return ClipFile(path, found[1], XIA_CONTENTS.get(found[2], found[2]), unit=CMU)
 
 
+def style100_files(folder: Path, paths: Iterable[Path]) -> list[ClipFile]:
+    """Describes clips of 100STYLE by their names and the tables of their folder.
+
+    Args:
+        folder: of the tables. Without `Dataset_List.csv`, symmetry follows the paper's list (`is_symmetric`).
+        paths: BVH files.
+
+    Raises:
+        InputError: for another file name, or a table that lacks a clip or is malformed.
+    """
+    tables = read_tables(folder)
+    clips = []
+    for path in paths:
+        style, gait = _match(STYLE_GAIT, path, "STYLE_GAIT").groups()
+        cut, symmetric = tables.cut(style, gait), tables.symmetric.get(style, is_symmetric(style))
+        clips.append(ClipFile(path, style, GAITS[gait], symmetric, cut.start, cut.stop, CENTIMETRE, cut.place))
+    return clips
+
+
 def _single(path: Path) -> ClipFile:
-    """A file alone: labelled by its name where that follows a convention, else its name is its style."""
+    """Describes one file: by its name if that follows a convention, otherwise its name is its style."""
     if BANDAI.fullmatch(path.stem):
         clip = _bandai_file(path)
     elif XIA.fullmatch(path.stem):
@@ -208,6 +239,11 @@ def _single(path: Path) -> ClipFile:
 
 def _list_bandai(folder: Path) -> list[ClipFile]:
     return [_bandai_file(path) for path in _bvh_files(folder)]
+
+
+def _list_100style(folder: Path) -> list[ClipFile]:
+    inner = [path for child in sorted(folder.iterdir()) if child.is_dir() for path in _bvh_files(child)]
+    return style100_files(folder, _bvh_files(folder) + inner)
 
 
 def _list_xia(folder: Path) -> list[ClipFile]:
@@ -225,17 +261,12 @@ def _list_folders(folder: Path) -> list[ClipFile]:
     styles = sorted(child for child in folder.iterdir() if child.is_dir() and _bvh_files(child))
     unknown = asymmetric - {child.name.lower() for child in styles}
     if unknown and listed.is_file():
-        raise InputError(listed, "line", sorted(unknown)[0], "must be the name of a style folder beside this file")
+        raise InputError(listed, "line", sorted(unknown)[0], "must be the name of a style folder")
     return [
         ClipFile(path, style.name, path.stem, style.name.lower() not in asymmetric)
         for style in styles
         for path in _bvh_files(style)
     ]
-
-
-def _list_100style(folder: Path) -> list[ClipFile]:
-    inner = [path for child in sorted(folder.iterdir()) if child.is_dir() for path in _bvh_files(child)]
-    return style100_files(folder, _bvh_files(folder) + inner)
 
 
 KINDS: dict[str, Callable[[Path], list[ClipFile]]] = {

@@ -1,4 +1,4 @@
-"""Which rows of a take are trained on, validated on and tested on, and where windows of consecutive rows lie."""
+"""Divides the rows of a clip among training, validation and test, and into windows of consecutive rows."""
 
 from __future__ import annotations
 
@@ -7,54 +7,54 @@ import zlib
 import numpy as np
 
 SPLITS = ("train", "validation", "test")
-"""Names of the parts of a dataset; a row's part is an index here."""
+"""Names of the parts of a dataset; `split_blocks` returns indices into this tuple."""
 
-WINDOW, STRIDE = 240, 120
-"""Rows of a window and from one window to the next: 4 s and 2 s (Mason 2022, section 4.3)."""
+WINDOW_ROWS, WINDOW_STRIDE = 240, 120
+"""Rows of a window, and rows from one window to the next: 4 s and 2 s (Mason 2022, section 4.3)."""
 
 
-def take_generator(seed: int, style: str, name: str) -> np.random.Generator:
-    """Random numbers of one take: the same wherever it stands in a list of takes.
+def clip_generator(seed: int, style: str, name: str) -> np.random.Generator:
+    """Returns the random generator of one clip, which does not depend on the clip's position in a list.
 
     Args:
         seed: of the dataset.
-        style: of the take.
+        style: of the clip.
         name: of its file.
     """
     return np.random.default_rng([seed, zlib.crc32(f"{style}/{name}".encode())])
 
 
 def split_blocks(count: int, validation: float, test: float, rng: np.random.Generator) -> np.ndarray:
-    """[count] part of each row: one contiguous block of each part that is not trained on, at random places.
+    """Returns [count], the split of each row: validation and test are one contiguous block each, at random positions.
 
-    All places of two blocks that do not overlap are equally likely, whichever comes first (Mason 2022: one block of a
-    tenth for each part of every take).
+    All pairs of positions at which the blocks do not overlap are equally likely, in either order (Mason 2022: one block
+    of a tenth for each part of every clip).
 
     Args:
-        count: rows of a take.
+        count: number of rows of a clip.
         validation, test: shares of the rows, together below 1.
-        rng: the take's.
+        rng: the clip's.
     """
     sizes = [round(count * validation), round(count * test)]
     order = rng.permutation(2)
     gaps = np.sort(rng.integers(0, count - sum(sizes) + 1, 2))
-    parts = np.zeros(count, np.int8)
+    splits = np.zeros(count, np.int8)
     start = 0
     for block, gap in zip(order, gaps, strict=True):
         first = start + int(gap)
-        parts[first : first + sizes[block]] = block + 1
+        splits[first : first + sizes[block]] = block + 1
         start += sizes[block]
-    return parts
+    return splits
 
 
-def row_windows(frames: np.ndarray, length: int = WINDOW, stride: int = STRIDE) -> np.ndarray:
-    """[C, 2] int32 (first row, number of rows) of windows of consecutive frames.
+def row_windows(frames: np.ndarray, length: int = WINDOW_ROWS, stride: int = WINDOW_STRIDE) -> np.ndarray:
+    """Returns [C, 2] int32, (first row, number of rows) of windows of consecutive frames.
 
-    Windows lie within runs of consecutive frames, `stride` apart. Rows without a run of `length` give one shorter
+    Windows lie within runs of consecutive frames, `stride` rows apart. Rows without a run of `length` give one shorter
     window: their longest run.
 
     Args:
-        frames: [N] increasing frame of each row of a take.
+        frames: [N] increasing frame of each row of a clip.
         length: rows of a window.
         stride: rows from one window to the next.
     """

@@ -1,6 +1,6 @@
 """The tables and file names of 100STYLE (Mason et al. 2022).
 
-Files are `STYLE_GAIT.bvh`, in one folder or in one folder per style. `Frame_Cuts.csv` has a row for each style with the
+Files are `STYLE_GAIT.bvh`, in one folder or in one folder per style. `Frame_Cuts.csv` has one row per style, with the
 first and last frame of each gait between the calibration poses; `Dataset_List.csv` says which styles are symmetric.
 """
 
@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import csv
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import CENTIMETRE
-from pfnn_jax.motion.datasets.clip_file import ClipFile, is_symmetric
 
 CUTS, STYLES = "Frame_Cuts.csv", "Dataset_List.csv"
 GAITS = {
@@ -29,42 +28,84 @@ GAITS = {
 }
 IDLE = GAITS["ID"]
 TRANSITION = "transition"
-"""Contents that begin so are transitions between gaits."""
+"""Prefix of the contents that are transitions between gaits."""
 
 STYLE_GAIT = re.compile(rf"(\w+?)_({'|'.join(GAITS)})")
 
 
-def style100_files(folder: Path, paths: list[Path]) -> list[ClipFile]:
-    """The takes at these paths, cut as the folder's tables say.
+@dataclass(frozen=True)
+class FrameCut:
+    """The frames of a clip that hold its gait.
 
-    Args:
-        folder: of the tables. Without `Dataset_List.csv` the paper's list of symmetric styles holds.
-        paths: BVH files.
+    Attributes:
+        start, stop: frames at the file's own rate; `stop` is exclusive.
+        place: where the table states them, for messages.
+    """
+
+    start: int
+    stop: int
+    place: tuple[Path, str]
+
+
+@dataclass(frozen=True)
+class Style100Tables:
+    """The two tables that describe the clips of 100STYLE.
+
+    Attributes:
+        folder: the folder that holds the tables.
+        cuts: style -> (line, row) of `Frame_Cuts.csv`.
+        symmetric: style -> whether it may be mirrored; empty without `Dataset_List.csv`.
+    """
+
+    folder: Path
+    cuts: dict[str, tuple[int, dict[str, str]]]
+    symmetric: dict[str, bool]
+
+    def cut(self, style: str, gait: str) -> FrameCut:
+        """Returns the frames of a style's gait.
+
+        Raises:
+            InputError: if the table has no row for the style, or no whole frame numbers with start before stop.
+        """
+        file = self.folder / CUTS
+        if style not in self.cuts:
+            raise InputError(file, f"style {style}", "no row", "must give the first and last frame of every clip")
+        line, row = self.cuts[style]
+        found = row.get(f"{gait}_START"), row.get(f"{gait}_STOP")
+        try:
+            start, stop = (int(value or "") for value in found)
+        except ValueError:
+            start, stop = 0, 0
+        if not 0 <= start < stop:
+            shown = f"{gait}_START {found[0]}, {gait}_STOP {found[1]}"
+            rule = "must be whole frame numbers, the start before the stop"
+            raise InputError(file, f"line {line}, style {style}", shown, rule)
+        return FrameCut(start, stop, (file, f"line {line}, style {style}, {gait}"))
+
+
+def read_tables(folder: Path) -> Style100Tables:
+    """Reads the tables of a 100STYLE folder.
 
     Raises:
-        InputError: naming the table, line, value and rule; or a file of another name.
+        InputError: if `Frame_Cuts.csv` is absent, or a table is malformed: naming the line, value and rule.
     """
-    cuts = _read_table(folder / CUTS, "STYLE_NAME")
-    symmetric = read_symmetric(folder / STYLES)
-    clips = []
-    for path in paths:
-        found = STYLE_GAIT.fullmatch(path.stem)
-        if found is None:
-            raise InputError(path, "file name", path.name, "files of this kind are named STYLE_GAIT.bvh")
-        style, gait = found.groups()
-        start, stop, line = _frame_cut(folder / CUTS, cuts, style, gait)
-        place = (folder / CUTS, f"line {line}, style {style}, {gait}")
-        mirrored = symmetric.get(style, is_symmetric(style))
-        clips.append(ClipFile(path, style, GAITS[gait], mirrored, start, stop, CENTIMETRE, place))
-    return clips
+    return Style100Tables(folder, _read_table(folder / CUTS, "STYLE_NAME"), _read_symmetric(folder / STYLES))
 
 
-def read_symmetric(file: Path) -> dict[str, bool]:
-    """Whether each style of `Dataset_List.csv` may be mirrored; nothing without the file.
+def read_lines(file: Path) -> list[str]:
+    """Reads the lines of a text file.
 
     Raises:
-        InputError: naming the line and value.
+        InputError: if it cannot be read or is not text.
     """
+    try:
+        return file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        found = getattr(error, "strerror", None) or "not text"
+        raise InputError(file, "file", found, "must be readable text") from None
+
+
+def _read_symmetric(file: Path) -> dict[str, bool]:
     if not file.is_file():
         return {}
     symmetric = {}
@@ -76,44 +117,16 @@ def read_symmetric(file: Path) -> dict[str, bool]:
     return symmetric
 
 
-def _frame_cut(file: Path, cuts: dict, style: str, gait: str) -> tuple[int, int, int]:
-    if style not in cuts:
-        raise InputError(file, f"style {style}", "no row", "every take needs its first and last frame")
-    line, row = cuts[style]
-    found = row.get(f"{gait}_START"), row.get(f"{gait}_STOP")
-    try:
-        start, stop = (int(value or "") for value in found)
-    except ValueError:
-        start, stop = 0, 0
-    if not 0 <= start < stop:
-        shown = f"{gait}_START {found[0]}, {gait}_STOP {found[1]}"
-        rule = "must be whole frame numbers, the start before the stop"
-        raise InputError(file, f"line {line}, style {style}", shown, rule)
-    return start, stop, line
-
-
-def read_lines(file: Path) -> list[str]:
-    """Lines of a text file.
-
-    Raises:
-        InputError: if it cannot be read, or is no text.
-    """
-    try:
-        return file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        found = getattr(error, "strerror", None) or "not text"
-        raise InputError(file, "file", found, "must be readable text") from None
-
-
-def _read_table(file: Path, key: str) -> dict[str, tuple[int, dict]]:
-    """Rows of a CSV file by the value of one column, with their line numbers."""
+def _read_table(file: Path, key: str) -> dict[str, tuple[int, dict[str, str]]]:
+    """Returns the rows of a CSV file by the value of one column, with their line numbers."""
     if not file.is_file():
-        raise InputError(file, "file", "absent", "100STYLE takes start with calibration and must be cut by this table")
+        rule = "must be present: clips of 100STYLE begin with calibration poses, which this table cuts off"
+        raise InputError(file, "file", "absent", rule)
     reader = csv.DictReader(read_lines(file))
     try:
         rows = [(reader.line_num, row) for row in reader]
     except csv.Error as error:
         raise InputError(file, f"line {reader.line_num}", error, "must be a table of comma-separated values") from None
     if key not in (reader.fieldnames or ()):
-        raise InputError(file, "line 1", f"no column {key}", f"the first line names the columns, {key} among them")
+        raise InputError(file, "line 1", f"no column {key}", f"must name the columns, {key} among them")
     return {row[key]: (line, row) for line, row in rows}

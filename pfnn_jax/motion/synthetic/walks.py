@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.labels.phase import PhaseLabels
 from pfnn_jax.motion.synthetic.body import Wobble, pose_body
 from pfnn_jax.motion.synthetic.feet import Walk, place_foot, plan_walk, stance_contacts
@@ -158,16 +159,15 @@ def _smooth(schedule: np.ndarray, fps: float) -> np.ndarray:
 
 def synthetic_clips(
     style: SyntheticStyle | str, seconds: float, seed: int = 0, *, fps: float = 60.0, clip_seconds: float = 15.0
-) -> list[tuple[MotionClip, PhaseLabels]]:
-    """Pretraining material: clips of mixed walking with `seconds` in all, none longer than `clip_seconds`.
+) -> list[LabelledClip]:
+    """Synthesises pretraining clips of mixed walking, `seconds` in total and none longer than `clip_seconds`.
 
-    Returns:
-        A list of (clip, phase labels); the same seed gives the same clips.
+    The same seed gives the same clips.
     """
     num_clips = max(1, int(np.ceil(seconds / clip_seconds)))
     clips = []
     for number in range(num_clips):
         own = 7919 * seed + number  # distinct for every clip of up to 7919 per seed
         turn_rate, speed = mixed_schedule(style, seconds / num_clips, own, fps)
-        clips.append(synthesise(style, turn_rate, speed, fps=fps, seed=own, content="walk-mixed"))
+        clips.append(LabelledClip(*synthesise(style, turn_rate, speed, fps=fps, seed=own, content="walk-mixed")))
     return clips
