@@ -64,7 +64,7 @@ class Render(Command):
         clips = [self._annotated(path, name) for path, name in zip(self.clips, names, strict=True)]
         with progress("drawing") as report:
             settings: Any = {"fps": self.fps, "moments": self.moments, "overwrite": self.overwrite}
-            size = render(clips, self.out, **settings, progress=report)
+            size = render(clips, self.out, **settings, progress_callback=report)
         for clip in clips:
             if clip.note:
                 print(f"{clip.name}: {clip.note}")
@@ -75,10 +75,10 @@ class Render(Command):
 
     def _annotated(self, path: Path, name: str) -> AnnotatedClip:
         from pfnn_jax.motion.bvh import read_bvh
-        from pfnn_jax.viewer.draw.annotated_clip import annotate, cut_seconds
+        from pfnn_jax.viewer.draw.annotated_clip import annotate
         from pfnn_jax.viewer.draw.body import upright
 
         clip = upright(read_bvh(path, roles_file=self.roles), self.up)
         phase = path.with_suffix(".phase")
         annotated = annotate(clip, name, phase if phase.is_file() else None)
-        return cut_seconds(annotated, self.start, self.seconds)
+        return annotated.cut_seconds(self.start, self.seconds)

@@ -1,40 +1,46 @@
-"""Films and pictures show the clips they are given, in step, and appear whole or not at all."""
+"""Videos and pictures show their clips in step, with different poses, and are written atomically."""
 
 from __future__ import annotations
 
 import builtins
-import io
+import dataclasses
+import itertools
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Annotation
 from PIL import Image
 
 from pfnn_jax.cli import main
-from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.clip import resample
+from pfnn_jax.motion.clip import MotionClip, cut, resample
 from pfnn_jax.motion.labels.phase import label_phase, write_phase
 from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.viewer import render as rendering
+from pfnn_jax.viewer import rendering
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate
-from pfnn_jax.viewer.draw.camera import Camera
 from pfnn_jax.viewer.draw.drawing import body_shapes, outlines
-from pfnn_jax.viewer.draw.filmstrip import filmstrip
-from pfnn_jax.viewer.draw.scene import make_scene
+from pfnn_jax.viewer.draw.filmstrip import NUMBER_SIZE, apart, even_moments, filmstrip
+from pfnn_jax.viewer.draw.scene import Camera, make_scene
 from pfnn_jax.viewer.draw.video import Video
 from pfnn_jax.viewer.player.player import player_html
 from pfnn_jax.viewer.rendering import render
+from tests.raising import assert_refused
 from tests.viewer.pages import captions, check_page, make_annotated, payload
 
 EXACT = 1e-9
+DIFFERENT = 0.5  # of the distance of evenly spread poses
 FPS = 10.0  # of the films made here: few frames
 
 
 @pytest.fixture(autouse=True)
-def plain_start(monkeypatch):
-    """Of ffmpeg: a process group of its own takes a fork, of which JAX warns once it has computed."""
+def start_ffmpeg_without_fork(monkeypatch):
+    """A process group of its own needs a fork, and JAX warns about forks once it has computed."""
     monkeypatch.setenv("IMAGEIO_FFMPEG_NO_PREVENT_SIGINT", "1")
 
 
@@ -55,7 +61,7 @@ def test_outlines_touch_both_circles_and_enclose_them():
     assert (np.linalg.norm(inside - a, axis=-1) <= 1.0 + EXACT).all()
 
 
-def test_nearer_limbs_are_drawn_over_farther_ones_and_shades_stay_inside():
+def test_nearer_limbs_cover_farther_ones_and_highlights_stay_inside():
     starts, ends = np.zeros((2, 2)), np.array([[1.0, 0.0], [0.0, 1.0]])
     tones = np.arange(2 * 3 * 3, dtype=float).reshape(2, 3, 3)
     tones = np.repeat(tones, 3, axis=1)
@@ -65,7 +71,7 @@ def test_nearer_limbs_are_drawn_over_farther_ones_and_shades_stay_inside():
     assert light.min(axis=0).min() >= rim.min(axis=0).min() - EXACT and (light.max(axis=0) <= rim.max(axis=0)).all()
 
 
-def test_the_camera_looks_at_its_target_from_ahead_whatever_the_heading():
+def test_the_camera_is_ahead_of_the_body_for_every_facing():
     target = np.array([3.0, 0.9, -2.0])
     for heading in (0.0, 1.0, -2.5):
         camera = Camera(target, heading, 1.0, 400, 300)
@@ -78,7 +84,7 @@ def test_the_camera_looks_at_its_target_from_ahead_whatever_the_heading():
         assert np.isnan(camera.project(ahead + 9 * (ahead - target))[1])
 
 
-def test_films_are_in_step_and_as_long_as_their_longest_clip(short):
+def test_videos_are_in_step_and_as_long_as_the_longest_clip(short):
     slow = AnnotatedClip("slow", resample(make_annotated(frames=90).clip, 20.0))
     video = Video([short, slow], FPS, 60)
     assert video.num_frames == 15 and video.width % 2 == 0 and video.height % 2 == 0
@@ -89,9 +95,9 @@ def test_films_are_in_step_and_as_long_as_their_longest_clip(short):
     np.testing.assert_array_equal(video.frame_at(0.3), frames[3])  # a frame depends on its second alone
 
 
-def test_a_clip_that_has_ended_turns_pale_when_it_does_in_players(short):
+def test_ended_clips_turn_pale_at_the_same_time_as_in_players(short):
     long = make_annotated(frames=60, extras=False)
-    over = payload(player_html([short, long], fps=15.0))["clips"][0]["over"]
+    over = payload(player_html([short, long], fps=15.0))["clips"][0]["end"]
     assert over == pytest.approx(39.5 / 60, abs=1e-4)
     video = Video([AnnotatedClip("", short.clip), long], FPS, 60)
     before, after = (video.frame_at(over + late)[:, : video.width // 2].astype(int) for late in (-0.002, 0.002))
@@ -99,13 +105,13 @@ def test_a_clip_that_has_ended_turns_pale_when_it_does_in_players(short):
     assert grey[0] > 1.5 * grey[1]  # blue and orange fade
 
 
-def test_long_films_move_their_time_line(short):
+def test_long_videos_scroll_their_time_line(short):
     clip, _ = synthesise("neutral", np.zeros(720), np.full(720, 1.0))
     video = Video([annotate(clip, "long")], FPS, 60)
     strip = slice(video.height - 50, video.height - 12)
     early, late = video.frame_at(1.0)[strip].astype(int), video.frame_at(11.0)[strip].astype(int)
     assert np.abs(early - late).max() > 100
-    with pytest.raises(ValueError, match="at least one annotated"):
+    with pytest.raises(ValueError, match="at least one clip"):
         Video([], FPS, 60)
 
 
@@ -115,7 +121,7 @@ def test_every_format(short, tmp_path: Path, monkeypatch):
     told: list[tuple[int, int]] = []
     for suffix in (".html", ".png", ".gif", ".mp4"):
         path = tmp_path / f"walk{suffix}"
-        written = render([short, short], path, fps=FPS, progress=lambda done, of: told.append((done, of)))
+        written = render([short, short], path, fps=FPS, progress_callback=lambda done, of: told.append((done, of)))
         assert written == path.stat().st_size > 0
     assert told == [(k + 1, 7) for k in range(7)] * 2
     assert sorted(p.suffix for p in tmp_path.iterdir()) == [".gif", ".html", ".mp4", ".png"]  # and nothing else
@@ -125,13 +131,13 @@ def test_every_format(short, tmp_path: Path, monkeypatch):
     with Image.open(tmp_path / "walk.gif") as gif:
         assert (getattr(gif, "n_frames", 1), gif.info["duration"], gif.info["loop"]) == (7, 100, 0)
         colours = {colour for _, colour in gif.convert("RGB").getcolors(1 << 16) or []}
-        assert {(255, 255, 255), (243, 245, 248)} <= colours  # what lies behind keeps its colours
+        assert {(255, 255, 255), (243, 245, 248)} <= colours  # the backgrounds keep their exact colours
     assert (tmp_path / "walk.mp4").read_bytes()[4:8] == b"ftyp"
     with Image.open(tmp_path / "walk.png") as png:
         assert png.width > png.height
 
 
-def test_films_can_be_read_by_others(short, tmp_path: Path, monkeypatch):
+def test_mp4_files_are_read_by_another_library(short, tmp_path: Path, monkeypatch):
     import imageio_ffmpeg
 
     monkeypatch.setattr(rendering, "MP4_DPI", 40)
@@ -145,35 +151,32 @@ def test_films_can_be_read_by_others(short, tmp_path: Path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "settings", "message"),
+    ("name", "settings", "place", "value"),
     [
-        ("a.avi", {}, r"a.avi: suffix: .avi; must be one of .html, .gif, .mp4, .png"),
-        ("a", {}, "suffix: none; must be one of"),
-        ("no/a.png", {}, "output: no such folder"),
-        ("a.gif", {"fps": 0.0}, "fps: 0.0; must be positive and at most 240"),
-        ("a.png", {"moments": 0}, "moments: 0; must be 1 to 40"),
+        ("a.avi", {}, "suffix", ".avi"),
+        ("a", {}, "suffix", "none"),
+        ("no/a.png", {}, "output", "no such folder"),
+        ("a.gif", {"fps": 0.0}, "fps", "0.0"),
+        ("a.png", {"moments": 0}, "moments", "0"),
     ],
 )
-def test_bad_settings_write_nothing(short, tmp_path: Path, name, settings, message):
-    with pytest.raises(InputError, match=message):
-        render([short], tmp_path / name, **settings)
+def test_bad_settings_write_nothing(short, tmp_path: Path, name, settings, place, value):
+    assert_refused(lambda: render([short], tmp_path / name, **settings), file=name, place=place, value=value)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_existing_files_stay_unless_asked(short, tmp_path: Path):
+def test_existing_files_are_replaced_only_on_request(short, tmp_path: Path):
     path = tmp_path / "a.html"
     path.write_text("mine")
-    with pytest.raises(InputError, match="a.html: output: exists; .*--overwrite"):
-        render([short], path)
+    assert_refused(lambda: render([short], path), file="a.html", place="output")
     assert path.read_text() == "mine"
     render([short], path, overwrite=True)
     assert "motion-player" in path.read_text(encoding="utf-8")
 
 
-def test_gifs_have_a_limit_and_films_name_their_extra(short, tmp_path: Path, monkeypatch):
+def test_gifs_have_a_limit_and_a_missing_mp4_writer_is_named(short, tmp_path: Path, monkeypatch):
     monkeypatch.setattr(rendering, "MOST_GIF", 5)
-    with pytest.raises(InputError, match="video: 1 s at 20 frames per second; a GIF holds 5 frames"):
-        render([short], tmp_path / "a.gif")
+    assert_refused(lambda: render([short], tmp_path / "a.gif"), place="video", rule_mentions="5 frames")
     real = builtins.__import__
 
     def without(name, *args, **kwargs):
@@ -182,8 +185,7 @@ def test_gifs_have_a_limit_and_films_name_their_extra(short, tmp_path: Path, mon
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(InputError, match=r"suffix: .mp4; MP4 needs imageio-ffmpeg: pip install pfnn-jax\[viewer\]"):
-        render([short], tmp_path / "a.mp4")
+    assert_refused(lambda: render([short], tmp_path / "a.mp4"), place="suffix", rule_mentions="imageio-ffmpeg")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -197,17 +199,17 @@ def test_filmstrips_have_a_row_for_each_clip(short):
 
 
 @pytest.mark.parametrize("moments", [1, 3])
-def test_every_figure_stands_above_its_moment(short, moments):
+def test_every_body_is_above_its_moment(short, moments):
     figure = filmstrip(short, moments=moments)
     bodies, line = figure.axes[0], figure.axes[-1]
-    moment = line.transData.transform([(x, 0.0) for x in np.linspace(0, short.seconds, moments)])[:, 0]
+    moment = line.transData.transform([(x, 0.0) for x in even_moments([short], moments)])[:, 0]
     numbers = [text for text in bodies.texts if isinstance(text, Annotation) and text.get_text().isdigit()]
     labels = [bodies.transData.transform(number.xy)[0] for number in numbers]
     np.testing.assert_allclose(moment, labels, atol=1e-6)
-    assert line.get_xlim()[0] == 0.0  # names of rows stand beside their first second
+    assert line.get_xlim()[0] == 0.0  # names of rows end at second 0
 
 
-def test_time_lines_end_with_their_clips(short):
+def test_time_lines_are_as_long_as_their_clips(short):
     long = make_annotated(frames=120)
     figure = filmstrip(short, long, moments=3)
     lines = [axes for axes in figure.axes if any(text.get_text() == "phase" for text in axes.texts)]
@@ -217,7 +219,7 @@ def test_time_lines_end_with_their_clips(short):
         assert [text.get_text() for text in axes.texts] == ["left foot", "right foot", "phase", "2π", "0"]
 
 
-def test_the_command_labels_draws_and_tells(tmp_path: Path, capsys):
+def test_the_command_labels_and_draws_the_chosen_seconds(tmp_path: Path, capsys):
     clip, _ = synthesise("neutral", np.zeros(180), np.full(180, 1.2))
     write_bvh(tmp_path / "a.bvh", clip)
     labels = label_phase(clip)
@@ -239,13 +241,13 @@ def test_the_command_labels_draws_and_tells(tmp_path: Path, capsys):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["--start", "9"], "a.bvh: start and seconds: from 9; what is shown lies in the clip's 0.7 seconds"),
-        (["--start", "nan"], "a.bvh: start and seconds: from nan; what is shown lies in the clip's 0.7 seconds"),
-        (["--seconds", "inf"], "a.bvh: start and seconds: inf from 0; what is shown lies in the clip's 0.7 seconds"),
-        (["--names", "x", "y"], "names: 2 for 1 clips; one a clip"),
+        (["--start", "9"], "a.bvh: start and seconds: from 9; must lie within the clip's 0.7 seconds"),
+        (["--start", "nan"], "start and seconds: from nan"),
+        (["--seconds", "inf"], "start and seconds: inf from 0"),
+        (["--names", "x", "y"], "names: 2 for 1 clips"),
     ],
 )
-def test_the_command_says_what_is_wrong(tmp_path: Path, capsys, args, message):
+def test_the_command_names_bad_arguments(tmp_path: Path, capsys, args, message):
     clip, _ = synthesise("neutral", np.zeros(40), np.full(40, 1.2))
     write_bvh(tmp_path / "a.bvh", clip)
     with pytest.raises(SystemExit):
@@ -254,7 +256,7 @@ def test_the_command_says_what_is_wrong(tmp_path: Path, capsys, args, message):
     assert [path.name for path in tmp_path.iterdir()] == ["a.bvh"]
 
 
-def test_a_film_of_a_bouncing_dot_shows_it():
+def test_a_single_joint_is_visible_in_a_video():
     from tests.viewer.test_player import one_joint
 
     annotated = AnnotatedClip("dot", one_joint())
@@ -264,8 +266,79 @@ def test_a_film_of_a_bouncing_dot_shows_it():
     assert (np.abs(grey - [138, 148, 163]).max(axis=-1) < 60).sum() > 20
 
 
-def test_pictures_are_whole_files(short):
-    from pfnn_jax.viewer.draw.drawing import png_bytes
+# Moments of a filmstrip
 
-    with Image.open(io.BytesIO(png_bytes(filmstrip(short, moments=3), dpi=40))) as picture:
-        picture.load()
+
+def poses_shown(clip: MotionClip, moments: int) -> np.ndarray:
+    """[N, J, 4] local rotations of the bodies in a filmstrip, without the root's."""
+    seconds = even_moments([AnnotatedClip("", clip)], moments)
+    return clip.rotations[np.round(seconds * clip.fps).astype(int), 1:]
+
+
+@pytest.mark.parametrize("moments", [2, 3, 6, 8, 12])
+@pytest.mark.parametrize("cycles", [1, 2, 3.5])
+def test_poses_of_a_periodic_walk_differ(moments, cycles):
+    """The evenly spaced moments of the whole clip are a whole number of `cycles` apart, or half of one."""
+    walk, labels = synthesise("zombie", np.zeros(4000), np.full(4000, 0.8))
+    turns = np.unwrap(labels.phase) / (2 * np.pi)
+    frames = int(np.searchsorted(turns - turns[0], cycles * (moments - 1)))
+    walk = cut(walk, 0, frames + 1)
+    shown = poses_shown(walk, moments)
+    every = walk.rotations[:: max(1, frames // 200), 1:]
+
+    def distances(poses: np.ndarray) -> np.ndarray:
+        return np.linalg.norm((poses[:, None] - poses[None]).reshape(len(poses), len(poses), -1), axis=-1)
+
+    apart_shown = distances(shown)[np.triu_indices(moments, 1)].min()
+    assert apart_shown > DIFFERENT * distances(every).max() / moments
+
+
+def test_moments_span_most_of_the_longest_clip_and_all_of_one_without_phase(short):
+    long = make_annotated(frames=700)
+    seconds = even_moments([short, long], 8)
+    np.testing.assert_allclose(np.diff(seconds), seconds[1], atol=EXACT)
+    assert seconds[0] == 0.0 and 0.75 * long.seconds <= seconds[-1] <= long.seconds
+    bare = dataclasses.replace(long.clip, skeleton=dataclasses.replace(long.clip.skeleton, roles=None))
+    assert even_moments([AnnotatedClip("", bare)], 8)[-1] == long.seconds
+
+
+@given(st.lists(st.tuples(st.floats(0, 60), st.floats(0, 60)), min_size=1, max_size=30))
+def test_numbers_along_a_path_do_not_overlap(centres):
+    places = np.array(centres)
+    kept = apart(places)
+    assert kept[0] == 0
+    for one, other in itertools.combinations(kept, 2):
+        across, up = np.abs(places[one] - places[other])
+        letters = (len(str(one + 1)) + len(str(other + 1))) / 2
+        assert up > NUMBER_SIZE or across > 0.66 * letters * NUMBER_SIZE
+
+
+def test_numbers_drawn_on_a_map_do_not_overlap():
+    walk, _ = synthesise("neutral", np.full(900, 0.8), np.full(900, 1.2))  # twice around a circle
+    figure = filmstrip(walk, moments=14)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    numbers = [text for text in figure.axes[-1].texts if text.get_text().isdigit()]
+    boxes = [text.get_window_extent(renderer) for text in numbers]
+    assert 2 <= len(boxes) <= 14
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+
+
+# What is imported
+
+LIGHT = """
+import sys
+from pfnn_jax.motion.synthetic.walks import synthesise
+import numpy as np
+import pfnn_jax.viewer.draw.filmstrip, pfnn_jax.viewer.draw.video, pfnn_jax.viewer.player.notebook
+from pfnn_jax.viewer.rendering import render
+clip, _ = synthesise("neutral", np.zeros(40), np.full(40, 1.2))
+render(clip, sys.argv[1])
+print(*{name.partition(".")[0] for name in sys.modules} & {"jax", "flax", "optax", "matplotlib", "PIL", "viser"})
+"""
+
+
+def test_an_html_player_is_made_without_jax_and_matplotlib(tmp_path: Path):
+    command = [sys.executable, "-c", LIGHT, str(tmp_path / "a.html")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+    assert "motion-player" in (tmp_path / "a.html").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A skeleton as a body of capsules, so that pictures show a person and not a bundle of lines."""
+"""The body that is drawn: tapered capsules along the bones of a skeleton, as thick as a person's limbs."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from pfnn_jax.motion.skeleton import Skeleton
 
 Up = Literal["auto", "y", "z"]
 
-LEG = 0.83  # metres of thigh and shin at which the radii below hold
-SHORTEST = 0.015  # metres; shorter bones only carry a rotation
-_RADII = {  # metres at both ends, by part and by how many bones away from the part's first joint
+LEG = 0.83  # metres, length of thigh and shin for which the radii below hold
+SHORTEST = 0.015  # metres; shorter bones only carry a rotation and are not drawn
+_RADII = {  # metres at both ends, by part and by the number of bones from the part's first joint
     "leg": ((0.078, 0.056), (0.056, 0.038), (0.042, 0.034), (0.034, 0.026)),
     "arm": ((0.048, 0.04), (0.04, 0.03), (0.034, 0.022), (0.016, 0.012)),
     "head": ((0.08, 0.092),),
 }
 _HEAD_SPAN = (0.3, 0.56)
-_CROWN = 0.1  # metres; a shorter bone above the head joint says nothing about where the head is
-STANDING = 0.9  # share of its length by which a body that stands in a Z-up world reaches along Z
+_CROWN = 0.1  # metres; a shorter bone above the head joint does not locate the head
+STANDING = 0.9  # least cosine between Z and the line from feet to head of a body that stands in a Z-up world
 Z_TO_Y = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])  # a quarter turn about X
-_REACH = 1.1  # metres from the hips to the farthest fingertip or toe of a person, along the bones
+_REACH = 1.1  # metres along the bones from a person's hips to the farthest fingertip or toe
 _DOT = 0.06  # metres; a joint without bones
 _TRUNK = 0.105
 _GIRDLE = 0.06
@@ -39,7 +39,8 @@ class Capsule:
         start, end: indices of the points.
         start_radius, end_radius: metres.
         side: `left`, `right` or `middle`.
-        span: where on the line the capsule's centres lie; a head is rounder than the bone that carries it.
+        span: positions of the two centres on the line, from 0 at its start to 1 at its end; a head is rounder than the
+            bone that carries it.
     """
 
     start: int
@@ -51,7 +52,7 @@ class Capsule:
 
 
 def body_points(clip: MotionClip) -> np.ndarray:
-    """World positions [T, J + E, 3] in metres of the joints, then of the End Sites."""
+    """Returns the world positions [T, J + E, 3] in metres of the joints, then of the End Sites."""
     positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     ends = [positions]
     for joint, offset in clip.skeleton.end_sites:
@@ -60,12 +61,12 @@ def body_points(clip: MotionClip) -> np.ndarray:
 
 
 def upright(clip: MotionClip, up: Up = "auto") -> MotionClip:
-    """The clip with Y up, as everything here expects it; BVH files of some programs have Z up.
+    """Returns the clip with Y up, which all drawing assumes; some programs write BVH files with Z up.
 
     Args:
         clip: the motion.
-        up: the clip's own axis that points up. `auto` takes Z where the body, from its feet to its head, stands along
-            Z in nearly all frames, and Y otherwise, or where the skeleton's parts are unknown.
+        up: the axis that points up in the clip. `auto` chooses Z if the line from feet to head is along Z in nearly
+            all frames, and Y otherwise or if the skeleton's roles are unknown.
     """
     if up == "y" or (up == "auto" and not _stands_along_z(clip)):
         return clip
@@ -84,8 +85,8 @@ def _stands_along_z(clip: MotionClip) -> bool:
     return float(np.percentile(share, 10)) > STANDING
 
 
-def headings(clip: MotionClip, points: np.ndarray) -> np.ndarray:
-    """[T] radians: where hips and shoulders face; zero where the skeleton's parts are unknown.
+def facing_angles(clip: MotionClip, points: np.ndarray) -> np.ndarray:
+    """Returns the facing direction [T] of hips and shoulders in radians; zero if the skeleton's roles are unknown.
 
     Args:
         clip: T frames.
@@ -100,9 +101,9 @@ def headings(clip: MotionClip, points: np.ndarray) -> np.ndarray:
 
 
 def body_capsules(skeleton: Skeleton) -> list[Capsule]:
-    """The limb segments of a skeleton, thick where people are, scaled to its legs.
+    """Returns the limb segments of a skeleton with a person's radii, scaled by the length of the legs.
 
-    Without roles every bone is equally thin, scaled to the longest limb; a skeleton without bones is a dot.
+    Without roles all bones have the same small radius, scaled by the longest limb; a skeleton without bones is a dot.
     """
     parents = [*(int(parent) for parent in skeleton.parents), *(joint for joint, _ in skeleton.end_sites)]
     offsets = [*skeleton.offsets, *(offset for _, offset in skeleton.end_sites)]
@@ -119,7 +120,7 @@ def body_capsules(skeleton: Skeleton) -> list[Capsule]:
 
 
 def _head(skeleton: Skeleton, parents: list[int], offsets: list[np.ndarray], scale: float) -> list[Capsule]:
-    """A head on the bone above the head joint, or, where that is missing or too short, in line with the neck."""
+    """Returns a head on the bone above the head joint, or in line with the neck without a bone long enough."""
     if skeleton.roles is None:
         return []
     head = skeleton.roles.head
@@ -134,7 +135,7 @@ def _head(skeleton: Skeleton, parents: list[int], offsets: list[np.ndarray], sca
 
 
 def capsule_ends(points: np.ndarray, capsule: Capsule) -> tuple[np.ndarray, np.ndarray]:
-    """Centres [..., 3] of a capsule's two ends, from points [..., P, 3]."""
+    """Returns the centres [..., 3] of a capsule's two ends, from points [..., P, 3]."""
     a, b = points[..., capsule.start, :], points[..., capsule.end, :]
     return a + capsule.span[0] * (b - a), a + capsule.span[1] * (b - a)
 
@@ -150,7 +151,7 @@ def _scale(skeleton: Skeleton) -> float:
 
 
 def _reach(skeleton: Skeleton) -> float:
-    """Metres along the bones from the root to the farthest end."""
+    """Returns the metres along the bones from the root to the farthest end."""
     lengths = np.zeros(skeleton.num_joints)
     for joint in range(1, skeleton.num_joints):
         lengths[joint] = lengths[skeleton.parents[joint]] + np.linalg.norm(skeleton.offsets[joint])
@@ -159,7 +160,7 @@ def _reach(skeleton: Skeleton) -> float:
 
 
 def _limbs(skeleton: Skeleton, parents: list[int]) -> dict[int, tuple[str, int, str]]:
-    """For each point below a limb's first joint: (part, bones since that joint, side)."""
+    """Returns (part, number of bones from the limb's first joint, side) of every point below that joint."""
     roles = skeleton.roles
     if roles is None:
         return {}

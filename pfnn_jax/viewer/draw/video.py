@@ -1,20 +1,14 @@
-"""Clips as frames of a video: the scene of the HTML player, drawn frame by frame without a browser."""
+"""Clips as the frames of a video: the scene of the HTML player, drawn by matplotlib instead of a browser."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_rgb, to_rgba
-from matplotlib.patches import FancyBboxPatch, PathPatch
-from matplotlib.path import Path
 
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
-from pfnn_jax.viewer.draw.camera import Camera
 from pfnn_jax.viewer.draw.drawing import (
     all_ends,
     blank_figure,
@@ -25,30 +19,39 @@ from pfnn_jax.viewer.draw.drawing import (
     strip_height,
     tones,
 )
-from pfnn_jax.viewer.draw.palette import GROUND, INK, MUTED, PANEL, SHADE, SHADOW
-from pfnn_jax.viewer.draw.scene import make_scene
+from pfnn_jax.viewer.draw.palette import GROUND, INK, MUTED, PANEL, SHADE, SHADOW, rgb
+from pfnn_jax.viewer.draw.scene import Camera, make_scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 PER_ROW = 4
-PANES = {1: (6.4, 4.2), 2: (4.4, 4.2), 3: (3.6, 3.8), 4: (3.0, 3.5)}  # inches, by how many stand beside each other
+PANES = {1: (6.4, 4.2), 2: (4.4, 4.2), 3: (3.6, 3.8), 4: (3.0, 3.5)}  # size in inches, by the number of columns
 EDGE, APART, CAPTION, NAMES, SECONDS, ABOVE_STRIP = 0.12, 0.16, 0.28, 0.75, 0.2, 0.08  # inches
-WINDOW = 10.0  # seconds of a time line; of longer clips it shows the part around now
-REACH = 7  # how many of the ground's lines lie to every side
-TRAIL, TRAIL_STEP = 20.0, 0.1  # seconds of the path drawn before and after now, and between its points
-PALE = 0.62  # share of the background in a clip that has ended
+WINDOW = 10.0  # seconds of a time line; for longer clips it shows the part around the present moment
+REACH = 7  # number of the ground's lines in every direction
+TRAIL, TRAIL_STEP = 20.0, 0.1  # seconds of the path drawn before and after the present, and between its points
+PALE = 0.62  # fraction of the background colour in a clip that has ended
+# WINDOW, REACH, TRAIL and the height of the rows are the same in player_scene.js and player_strip.js
 
 
 class Video:
-    """The frames of clips side by side and in step.
+    """The frames of clips shown next to each other, in step.
 
     Args:
-        clips: clips to show; shorter ones hold their last frame and turn pale.
+        clips: what to show; shorter ones hold their last frame and turn pale.
         fps: frames per second.
         dpi: pixels per inch; a video of one clip is about 6.6 inches wide.
+
+    Raises:
+        ValueError: without clips.
     """
 
     def __init__(self, clips: Sequence[AnnotatedClip], fps: float, dpi: int):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
         if not clips:
-            raise ValueError("A video needs at least one annotated.")
+            raise ValueError("A video needs at least one clip.")
         columns = min(len(clips), PER_ROW)
         rows = math.ceil(len(clips) / columns)
         wide, high = PANES[columns]
@@ -76,17 +79,17 @@ class Video:
 
     @property
     def num_frames(self) -> int:
-        """Frames from the first second to the last of the longest clip."""
+        """Number of frames, from the start to the end of the longest clip."""
         return int(math.floor(self.seconds * self.fps + 1e-6)) + 1
 
     def frames(self) -> Iterator[np.ndarray]:
-        """[height, width, 3] bytes of every frame."""
+        """Yields every frame as bytes [height, width, 3]."""
         return (self.frame_at(number / self.fps) for number in range(self.num_frames))
 
     def frame_at(self, second: float) -> np.ndarray:
-        """[height, width, 3] bytes of the frame at a second."""
+        """Returns the frame at a second as bytes [height, width, 3]."""
         if self._background is None:
-            self._canvas.draw()  # what stays
+            self._canvas.draw()  # what is the same in every frame
             self._background = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
         self._canvas.restore_region(self._background)
         for pane in self._panes:
@@ -95,9 +98,13 @@ class Video:
 
 
 class _Pane:
-    """A scene that is drawn anew for every frame, in pixels."""
+    """One clip's scene, redrawn in pixels for every frame."""
 
     def __init__(self, axes: Axes, annotated: AnnotatedClip, dpi: int):
+        from matplotlib.collections import LineCollection, PolyCollection
+        from matplotlib.patches import FancyBboxPatch, PathPatch
+        from matplotlib.path import Path
+
         self.scene, self.annotated, self.pixel = make_scene(annotated.clip), annotated, dpi / 100
         box = axes.get_window_extent()
         self.size = (box.width, box.height)
@@ -113,9 +120,9 @@ class _Pane:
         rounding = f"round,pad=0,rounding_size={8 * self.pixel}"
         panel = axes.add_patch(FancyBboxPatch((0, 0), *self.size, boxstyle=rounding, facecolor=PANEL, linewidth=0))
         self.grid = LineCollection([], linewidths=0.8)
-        self.past = LineCollection([], linewidths=1.6, colors=[to_rgba(INK, 0.55)])
-        self.future = LineCollection([], linewidths=1.6, colors=[to_rgba(INK, 0.18)])
-        self.shadow = PathPatch(Path(np.zeros((0, 2))), facecolor=to_rgba(SHADOW, SHADE), linewidth=0)
+        self.past = LineCollection([], linewidths=1.6, colors=[_rgba(INK, 0.55)])
+        self.future = LineCollection([], linewidths=1.6, colors=[_rgba(INK, 0.18)])
+        self.shadow = PathPatch(Path(np.zeros((0, 2))), facecolor=_rgba(SHADOW, SHADE), linewidth=0)
         self.body = PolyCollection([], edgecolors="none")
         self.artists = [self.grid, self.past, self.future, self.shadow, self.body]
         for artist in self.artists:
@@ -127,18 +134,18 @@ class _Pane:
         self.artists.append(self.clock)
         self.radii, self.tones = radii_of(self.scene.capsules), tones(self.scene.capsules)
 
-    def draw(self, time: float, renderer) -> None:
+    def draw(self, time: float, renderer: Any) -> None:
         scene = self.scene
         frame = min(time * scene.fps, len(scene.points) - 1)
         before = int(frame)
         after, share = min(before + 1, len(scene.points) - 1), frame - before
         points, focus = ((1 - share) * values[before] + share * values[after] for values in (scene.points, scene.focus))
-        camera = Camera(focus, scene.heading, scene.tall, *self.size)
-        over = time > self.annotated.over
+        camera = Camera(focus, scene.facing, scene.tall, *self.size)
+        ended = time > self.annotated.end
         self._draw_ground(camera)
         self._draw_trail(camera, before)
-        self._draw_body(camera, points, over)
-        self.clock.set_text(f"ended at {self.annotated.seconds:.1f} s" if over else f"{time:.1f} s")
+        self._draw_body(camera, points, ended)
+        self.clock.set_text(f"ended at {self.annotated.seconds:.1f} s" if ended else f"{time:.1f} s")
         for artist in self.artists:
             artist.draw(renderer)
 
@@ -154,7 +161,7 @@ class _Pane:
         lines = (np.stack([starts[near], ends[near]], axis=1) + centre) * step
         xy, size, _ = camera.project(np.stack([lines[..., 0], np.zeros(lines.shape[:-1]), lines[..., 1]], axis=-1))
         seen = np.isfinite(size).all(axis=1)
-        colours = [to_rgba(GROUND, alpha) for alpha in (1 - away[near] / REACH)[seen].tolist()]
+        colours = [_rgba(GROUND, alpha) for alpha in (1 - away[near] / REACH)[seen].tolist()]
         self.grid.set_segments(list(xy[seen]))
         self.grid.set_color(colours)
 
@@ -169,7 +176,9 @@ class _Pane:
             xy, size, _ = camera.project(scene.focus[frames] * [1.0, 0.0, 1.0])
             lines.set_segments([xy[np.isfinite(size)]])
 
-    def _draw_body(self, camera: Camera, points: np.ndarray, over: bool) -> None:
+    def _draw_body(self, camera: Camera, points: np.ndarray, ended: bool) -> None:
+        from matplotlib.path import Path
+
         starts, ends = all_ends(points, self.scene.capsules)
         flat = np.array([1.0, 0.0, 1.0])
         (a, size_a, _), (b, size_b, _) = camera.project(starts * flat), camera.project(ends * flat)
@@ -179,7 +188,7 @@ class _Pane:
         closed = np.concatenate([round_, round_[:, :1]], axis=1)
         self.shadow.set_path(Path.make_compound_path(*(Path(outline) for outline in closed)))
         (a, size_a, near_a), (b, size_b, near_b) = camera.project(starts), camera.project(ends)
-        shades = self.tones + PALE * (np.array(to_rgb(PANEL)) - self.tones) if over else self.tones
+        shades = self.tones + PALE * (np.array(_rgba(PANEL)[:3]) - self.tones) if ended else self.tones
         radii = self.radii * np.stack([size_a, size_b], axis=-1)
         shapes, colours = body_shapes(a, b, radii, near_a + near_b, shades)
         self.body.set_verts(list(shapes))
@@ -187,7 +196,7 @@ class _Pane:
 
 
 class _Strip:
-    """A time line with a line for now; that of a long video moves along."""
+    """One clip's time line with a cursor at the present moment; in a long video it scrolls."""
 
     def __init__(self, axes: Axes, annotated: AnnotatedClip, seconds: float):
         self.axes, self.seconds = axes, seconds
@@ -197,7 +206,7 @@ class _Strip:
         axes.set_xlim(0, min(seconds, WINDOW) or 1.0)
         (axes if self.moves else self.cursor).set_animated(True)
 
-    def draw(self, time: float, renderer) -> None:
+    def draw(self, time: float, renderer: Any) -> None:
         self.cursor.set_xdata([time, time])
         if not self.moves:
             self.cursor.draw(renderer)
@@ -205,3 +214,9 @@ class _Strip:
         first = max(0.0, min(time - WINDOW / 2, self.seconds - WINDOW))
         self.axes.set_xlim(first, first + WINDOW)
         self.axes.draw(renderer)
+
+
+def _rgba(colour: str, opacity: float = 1.0) -> tuple[float, float, float, float]:
+    """Returns a colour like `#3b7ae6` in 0..1, as matplotlib takes it."""
+    red, green, blue = rgb(colour)
+    return red / 255.0, green / 255.0, blue / 255.0, opacity

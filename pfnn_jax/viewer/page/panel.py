@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.viewer.draw.palette import BUTTON, HEEL, LEFT, RIGHT, TOE, rgb
 from pfnn_jax.viewer.page import widgets
 from pfnn_jax.viewer.page.character import Character
-from pfnn_jax.viewer.page.colours import HEEL, LEFT, PLAIN, RIGHT, TOE, rgb
 from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look
@@ -162,7 +162,7 @@ class Panel:
         with self._gui.add_folder("Drive"):
             self._gui.add_html(widgets.pad())
             self._channel = self._gui.add_text(DRIVE, "")
-            self._gui.add_button("Reset", color=rgb(PLAIN)).on_click(self._later(self._reset))
+            self._gui.add_button("Reset", color=rgb(BUTTON)).on_click(self._later(self._reset))
 
     def _gait(self) -> None:
         with self._gui.add_folder("Speed and sidestep", expand_by_default=False):
@@ -182,7 +182,7 @@ class Panel:
 
     def _files(self) -> None:
         with self._gui.add_folder("Clips"):
-            self._record = self._gui.add_button("Record", color=rgb(PLAIN), hint="Keep what it does, as a BVH file.")
+            self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Keep what it does, as a BVH file.")
             self._record.on_click(self._later(self._record_or_stop))
             self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
             self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
@@ -193,7 +193,7 @@ class Panel:
         with self._gui.add_folder("Camera", expand_by_default=False):
             self._follow = self._gui.add_checkbox("Follow", True)
             self._turn = self._gui.add_checkbox("Turn along", True, hint="Else W leads where you look.")
-            self._gui.add_button("Behind the character", color=rgb(PLAIN)).on_click(self._later(self._look_again))
+            self._gui.add_button("Behind the character", color=rgb(BUTTON)).on_click(self._later(self._look_again))
 
     def _commands(self) -> None:
         """HeldKeys for pages whose script is not at work; they know of presses only."""

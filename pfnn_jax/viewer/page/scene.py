@@ -14,7 +14,16 @@ import numpy as np
 
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.viewer.page.colours import BODY, CELL, FUTURE, GROUND, HORIZON, PAST, SECTION, SKY
+from pfnn_jax.viewer.draw.palette import (
+    FUTURE,
+    HORIZON,
+    PAST,
+    SCENE_CELL,
+    SCENE_GROUND,
+    SCENE_SECTION,
+    SCENE_SIDES,
+    SKY,
+)
 from pfnn_jax.viewer.page.meshes import TAPER, BodyMeshes, Mesh, frustum, sphere
 from pfnn_jax.viewer.page.view import View
 
@@ -63,10 +72,10 @@ class PageScene:
             infinite_grid=True,
             cell_size=CELL_SIZE,
             section_size=SECTION_SIZE,
-            cell_color=CELL,
-            section_color=SECTION,
+            cell_color=SCENE_CELL,
+            section_color=SCENE_SECTION,
             section_thickness=1.4,
-            plane_color=GROUND,
+            plane_color=SCENE_GROUND,
             plane_opacity=1.0,
             shadow_opacity=0.3,
             fade_distance=28.0,
@@ -78,7 +87,7 @@ class PageScene:
         for part in self._parts:
             part.remove()
         self._skeleton, self._body = skeleton, BodyMeshes(skeleton)
-        colours = np.array([BODY[capsule.side] for capsule in self._body.capsules], np.uint8)
+        colours = np.array([SCENE_SIDES[capsule.side] for capsule in self._body.capsules], np.uint8)
         self._limbs = [
             (chosen, self._batch(name, frustum(ratio), colours[chosen], self._body.limb_scales[chosen]))
             for name, ratio, chosen in (
@@ -154,7 +163,7 @@ class PageScene:
         if skeleton.roles is None:
             return parts
         self._feet = np.array([*skeleton.roles.left_foot, *skeleton.roles.right_foot])
-        sides = np.array([BODY["left"]] * 2 + [BODY["right"]] * 2, np.uint8)
+        sides = np.array([SCENE_SIDES["left"]] * 2 + [SCENE_SIDES["right"]] * 2, np.uint8)
         self._marks = self._batch("/contacts", _disc(), sides, np.full((4, 3), MARK))
         return [*parts, self._marks]
 

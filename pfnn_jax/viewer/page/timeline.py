@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pfnn_jax.viewer.page.colours import LEFT, RIGHT, see_through
+from pfnn_jax.viewer.draw.palette import LEFT, RIGHT, rgba_css
 
 if TYPE_CHECKING:
     import viser
@@ -15,7 +15,7 @@ SECONDS = 4.0
 SAMPLES = 120
 LANES = ("right toe", "right heel", "left toe", "left heel")  # from the bottom
 _ORDER = (3, 2, 1, 0)  # of a view's contacts
-_FILL = tuple(see_through(colour, opacity) for colour in (RIGHT, LEFT) for opacity in (0.55, 0.9))
+_FILL = tuple(rgba_css(colour, opacity) for colour in (RIGHT, LEFT) for opacity in (0.55, 0.9))
 _GAP = 0.18  # of a lane's height
 
 

@@ -7,15 +7,16 @@ import math
 from collections.abc import Mapping, Sequence
 from importlib import resources
 
-from pfnn_jax.viewer.draw.palette import INK, MUTED
-from pfnn_jax.viewer.page.colours import (
+from pfnn_jax.viewer.draw.palette import (
     ACCENT,
     FACE,
     FAINT,
+    INK,
     LEFT,
     LETTER,
     LINE,
     MESSAGES,
+    MUTED,
     PALE_LEFT,
     PALE_RIGHT,
     PASSIVE,

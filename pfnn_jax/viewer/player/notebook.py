@@ -1,4 +1,4 @@
-"""Motion that plays in a notebook: inline, without a server, and still in the saved file and in its HTML export."""
+"""Motion that plays in a notebook: inline, without a server, also in the saved file and in its HTML export."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate_clips, foot_bars, phase_lines
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, Showable, annotate_clips
 from pfnn_jax.viewer.player.player import player_page
 
-SCENE_HEIGHT, STACKED_HEIGHT = 330, 250  # pixels of a scene alone in its column, and of one of several rows
+SCENE_HEIGHT, STACKED_HEIGHT = 330, 250  # pixels of a scene with one row of clips, and with several
 PER_ROW = 3
 AROUND = 130  # pixels of captions, controls and margins
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What `show` returns; a notebook draws it.
+    """A player that a notebook displays; returned by `show`.
 
     Attributes:
         clips: the clips with their contacts and phases.
@@ -33,7 +32,7 @@ class Shown:
 
     @property
     def html(self) -> str:
-        """A page of its own, to be written to a file.
+        """A complete page, to be written to a file.
 
         Raises:
             InputError: for clips too long for a page.
@@ -41,10 +40,10 @@ class Shown:
         return player_page(self.clips, title=", ".join(annotated.name for annotated in self.clips))
 
     def _repr_html_(self) -> str:
-        """A frame that holds the whole page.
+        """Returns an iframe that holds the whole page.
 
-        Frames cannot disturb each other or the notebook, whatever its own styles are. The sandbox lets the player's
-        script run and nothing else: no access to the notebook, no forms, no windows.
+        The iframe isolates the player from the notebook's styles and from other players. Its sandbox allows the
+        player's script and nothing else: no access to the notebook, no forms, no windows.
         """
         page = html.escape(self.html, quote=True)
         return (
@@ -58,29 +57,31 @@ class Shown:
 
 
 def show(
-    *clips: MotionClip,
+    *clips: Showable,
     names: Sequence[str] | None = None,
     phase: Sequence[np.ndarray | None] | None = None,
     contacts: Sequence[np.ndarray | None] | None = None,
 ) -> Shown:
-    """Play clips in a notebook, side by side and in step, with contacts and phases below.
+    """Plays clips in a notebook, next to each other and in step, with contacts and phases below.
 
-    Drag to look around; press on a time line to go there. Feet and phases are found from the motion; where a clip has
-    none, a note says why.
+    Drag to look around; press on a time line to jump there. Contacts and phases are found from the motion; if a clip
+    has none, a note says why.
 
     Args:
-        clips: the motions; rates and lengths may differ.
-        names: captions, one for each clip; style and content, or the file's name, by default.
-        phase: for each clip [T] radians (NaN where there is none), or local phases [T, B, 2], or None for those found.
-        contacts: for each clip [T, 4] or [T, 2] bool, or None for those found.
+        clips: clips, records with a clip, or paths of BVH files; rates and lengths may differ.
+        names: captions, one for each clip; by default style and content, or the file's name.
+        phase: for each clip [T] radians (NaN in frames without a phase), or local phases [T, B, 2], or None for those
+            found from the motion.
+        contacts: for each clip [T, 4] or [T, 2] bool, or None for those found from the motion.
 
     Returns:
-        An object that a notebook shows where it is a cell's last value; `.html` is a page of its own.
+        An object that a notebook displays as the last value of a cell; `.html` is a complete page.
 
     Raises:
-        ValueError: without clips; if names, phases or contacts are not one for each clip, or not its shape.
-        InputError: for clips without frames or with numbers that are not finite. Clips too long for a page are refused
-            where the page is made: by `.html`, and as the cell's result.
+        ValueError: without clips, or if names, phases or contacts are not one for each clip or have another shape.
+        InputError: for anything that is not a clip, a file that cannot be read, or clips without frames or with
+            numbers that are not finite. Clips too long for a page are refused when the page is made: by `.html`, and
+            as the result of a cell.
     """
     if not clips:
         raise ValueError("show needs at least one clip.")
@@ -97,7 +98,7 @@ def _with(clips: Sequence[AnnotatedClip], field: str, given: Sequence[np.ndarray
     changed: list[AnnotatedClip] = []
     for annotated, values in zip(clips, given, strict=True):
         new: dict[str, Any] = {} if values is None else {field: np.asarray(values)}
-        if "phase" in new:  # the note is about the one that was found
+        if "phase" in new:  # the note is about the phase that was found
             new["note"] = ""
         changed.append(replace(annotated, **new))
     return changed
@@ -105,5 +106,5 @@ def _with(clips: Sequence[AnnotatedClip], field: str, given: Sequence[np.ndarray
 
 def _height(clips: Sequence[AnnotatedClip]) -> int:
     rows = math.ceil(len(clips) / PER_ROW)
-    strip = max(14 * len(foot_bars(annotated)) + 34 * min(2, len(phase_lines(annotated))) for annotated in clips)
+    strip = max(14 * len(clip.foot_bars()) + 34 * min(2, len(clip.phase_lines())) for clip in clips)
     return rows * ((SCENE_HEIGHT if rows == 1 else STACKED_HEIGHT) + strip) + AROUND

@@ -1,5 +1,5 @@
-// Plays motion clips side by side, in step. Joined behind player_scene.js and player_strip.js; no outside resources.
-// Drag to orbit, Ctrl + wheel to zoom, space to pause, arrow keys for single frames, press on a time line to go there.
+// Plays motion clips next to each other, in step. Follows player_scene.js and player_strip.js; no outside resources.
+// Drag to orbit, Ctrl + wheel to zoom, space to pause, arrow keys for single frames, press on a time line to jump there.
 
 const DEFAULT_VIEW = { yaw: 0.75, pitch: 0.28, distance: 4.6 };
 
@@ -72,7 +72,7 @@ class Player {
     }, { passive: false });
   }
 
-  // Press on a time line to go there.
+  // Jumps to the moment pressed on a time line.
   seek(strip) {
     const go = (event) => {
       this.time = strip.timeAt(event.offsetX, this.time);
@@ -88,11 +88,11 @@ class Player {
     });
   }
 
-  // To the next frame or the one before, of the clip with most of them in a second.
+  // Steps to the next or the previous frame of the clip with the highest frame rate.
   step(direction) {
     this.play(false);
     const fps = Math.max(...this.clips.map((clip) => clip.fps));
-    const now = this.time * fps, near = 1e-3; // of a frame: this near to one it stands on it
+    const now = this.time * fps, near = 1e-3; // of a frame: a time this close to a frame is that frame's
     const frame = direction > 0 ? Math.floor(now + near) + 1 : Math.ceil(now - near) - 1;
     this.time = Math.max(0, Math.min(this.duration, frame / fps));
     this.draw();
@@ -108,7 +108,7 @@ class Player {
     this.playing = on;
     this.button.textContent = on ? "Pause" : "Play";
     if (!on) return;
-    let last; // the first frame's own time, which may lie before this call
+    let last; // the browser's time of the last animation frame
     const tick = (now) => {
       if (!this.playing) return;
       this.time = (this.time + ((now - (last ?? now)) / 1000) * Number(this.rate.value)) % this.duration;

@@ -1,7 +1,7 @@
-"""Motion that plays inside a web page: one file, no server, nothing loaded from elsewhere.
+"""Motion as HTML: one file that plays in a browser, without a server and without outside resources.
 
-The page gets quantised joint positions and a small script (`SCRIPTS`) that draws bodies of capsules on a ground grid,
-several clips side by side and in step, with their foot contacts and phases on a time line below.
+The page holds quantised joint positions and a small script (`SCRIPTS`) that draws bodies of capsules on a ground grid,
+several clips next to each other and in step, with their foot contacts and phases on a time line below.
 """
 
 from __future__ import annotations
@@ -16,44 +16,44 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, foot_bars, phase_lines
+from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
 from pfnn_jax.viewer.draw.body import Capsule
 from pfnn_jax.viewer.draw.palette import BRIGHT, DARK, css_variables
 from pfnn_jax.viewer.draw.scene import make_scene
 
-MILLIMETRE = 0.001  # finest step of a position; wider scenes than ±32 m get a coarser one
+MILLIMETRE = 0.001  # resolution of positions; scenes wider than ±32 m get a coarser one
 INT16 = 32767
 RATES = ("0.25", "0.5", "1", "2")
 FPS = 30.0
-SCRIPTS = ("player_scene.js", "player_strip.js", "player.js")  # what a later one uses stands in an earlier one
-HINT = "Drag to look around, Ctrl + wheel to come nearer; space pauses, arrow keys step through frames"
-MOST = 32_000_000  # characters of a page; browsers and notebooks become slow beyond
+SCRIPTS = ("player_scene.js", "player_strip.js", "player.js")  # in order: later ones use what earlier ones define
+HINT = "Drag to look around, Ctrl + wheel to zoom; space pauses, arrow keys step through frames"
+MOST = 32_000_000  # characters of a page; larger ones make browsers and notebooks slow
 
 
 def player_html(clips: Sequence[AnnotatedClip], *, fps: float = FPS, assets: bool = True) -> str:
-    """A piece of HTML that plays clips side by side, in step.
+    """Returns a piece of HTML that plays clips next to each other, in step.
 
     A second of one clip of 28 points takes about 7 kB at 30 frames per second.
 
     Args:
-        clips: clips to show; shorter ones hold their last frame.
-        fps: frames per second kept, as near as whole steps of the clip's rate allow; the page interpolates.
-        assets: include style and script. They are needed once in a page: `player_assets`.
+        clips: what to show; shorter ones hold their last frame.
+        fps: frames per second in the page, rounded so that whole frames are skipped; the page interpolates.
+        assets: include style and script (`player_assets`), which a page needs once.
 
     Returns:
         HTML to be put inside a page's body.
 
     Raises:
-        ValueError: no clips.
+        ValueError: without clips, or for a rate that is not positive.
         InputError: clips too long for a page.
     """
     if not clips:
-        raise ValueError("A player needs at least one annotated.")
+        raise ValueError("A player needs at least one clip.")
     if not fps > 0:
         raise ValueError(f"fps must be positive, got {fps}.")
     data = {"clips": [_track_data(annotated, fps) for annotated in clips]}
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    text = text.replace("<", "\\u003c")  # no name may end the script
+    text = text.replace("<", "\\u003c")  # so that no name can close the script element
     _require_small(clips, len(text))
     panes = "".join(_pane(number, annotated) for number, annotated in enumerate(clips))
     options = "".join(f'<option value="{r}"{" selected" if r == "1" else ""}>{r}×</option>' for r in RATES)
@@ -69,10 +69,10 @@ def player_html(clips: Sequence[AnnotatedClip], *, fps: float = FPS, assets: boo
 
 
 def player_page(clips: Sequence[AnnotatedClip], *, title: str, fps: float = FPS) -> str:
-    """A whole page with a player that fills its window.
+    """Returns a complete page with a player that fills its window.
 
     Args:
-        clips: clips to show.
+        clips: what to show.
         title: the page's title.
         fps: as in `player_html`.
 
@@ -88,11 +88,11 @@ def player_page(clips: Sequence[AnnotatedClip], *, title: str, fps: float = FPS)
 
 
 def player_assets() -> str:
-    """Style and script of the player, once for a page."""
+    """Returns style and script of the player, which a page needs once."""
     folder = files("pfnn_jax.viewer.player")
     style = folder.joinpath("player.css").read_text(encoding="utf-8")
     script = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
-    # a function of its own: its names are not the page's
+    # inside a function, so that its names do not leak into the page
     return f'<style>{_colours()}{style}</style><script>(() => {{\n"use strict";\n{script}}})();</script>'
 
 
@@ -102,11 +102,11 @@ def _colours() -> str:
 
 
 def _pane(number: int, annotated: AnnotatedClip) -> str:
-    feet, lines = len(foot_bars(annotated)), len(phase_lines(annotated))
+    feet, lines = len(annotated.foot_bars()), len(annotated.phase_lines())
     name = html.escape(annotated.name, quote=True)
     strip = (
         f'<canvas class="strip" data-clip="{number}" role="img" aria-label="contacts and phase of {name}" '
-        'title="Press to go there"></canvas>'
+        'title="Press to jump there"></canvas>'
         if feet or lines
         else ""
     )
@@ -119,8 +119,8 @@ def _pane(number: int, annotated: AnnotatedClip) -> str:
 def _require_small(clips: Sequence[AnnotatedClip], size: int) -> None:
     if size > MOST:
         seconds = sum(annotated.seconds for annotated in clips)
-        shown = f"{size / 1e6:.0f} MB for {seconds:.0f} s of motion"
-        rule = f"a page holds {MOST / 1e6:.0f} MB: show fewer seconds or fewer frames per second"
+        shown = f"{size / 1e6:.3g} MB for {seconds:.3g} s of motion"
+        rule = f"must be at most {MOST / 1e6:.3g} MB: show fewer seconds or fewer frames per second"
         raise InputError(clips[0].clip.source or clips[0].name, "player", shown, rule)
 
 
@@ -132,19 +132,19 @@ def _track_data(annotated: AnnotatedClip, fps: float) -> dict[str, Any]:
     points, focus = scene.points[frames][:, used], scene.focus[frames]
     unit = max(MILLIMETRE, float(np.abs(points).max()) / INT16, float(np.abs(focus).max()) / INT16)
     return {
-        "over": round(annotated.over, 4),
+        "end": round(annotated.end, 4),
         "fps": scene.fps / step,
         "count": len(used),
         "unit": unit,
         "tall": scene.tall,
-        "heading": round(scene.heading, 3),
+        "facing": round(scene.facing, 3),
         "points": _quantised(points, unit),
         "focus": _quantised(focus, unit),
         "capsules": [_capsule_data(capsule, used) for capsule in scene.capsules],
-        "contacts": [(foot_runs / step).tolist() for _, foot_runs in foot_bars(annotated)],
+        "contacts": [(foot_runs / step).tolist() for _, foot_runs in annotated.foot_bars()],
         "phases": [
             {"name": line.name, "angle": _listed(line.angle[frames]), "weight": _weights(line.weight[frames])}
-            for line in phase_lines(annotated)
+            for line in annotated.phase_lines()
         ],
     }
 
@@ -158,7 +158,7 @@ def _listed(angle: np.ndarray) -> list[float | None]:
 
 
 def _weights(weight: np.ndarray) -> list[float] | None:
-    """None where every frame has all of it or no phase at all."""
+    """Returns None if every weight is 0 or 1: then the gaps of the angle say it all."""
     return None if np.isin(weight, (0.0, 1.0)).all() else [round(float(value), 2) for value in weight]
 
 

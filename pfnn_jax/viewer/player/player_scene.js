@@ -1,7 +1,7 @@
 // The scene of one clip: a body of capsules on a ground grid, drawn on a plain 2D canvas.
 
 const TAU = 2 * Math.PI;
-const TRAIL = 20; // seconds of the path drawn before and after now
+const TRAIL = 20; // seconds of the path drawn before and after the present
 
 function numbers(text, unit) {
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -68,23 +68,23 @@ class Scene {
     this.grid(colours);
     this.trail(before, colours);
     this.shadow(points, colours);
-    const over = time > clip.over; // it has ended and waits for the others
-    this.body(points, over ? colours.pale : colours.tones);
-    if (over) this.ended(colours);
+    const ended = time > clip.end; // longer clips go on playing
+    this.body(points, ended ? colours.pale : colours.tones);
+    if (ended) this.ended(colours);
     else if (clip.phases.length === 1 && clip.phases[0].angle[before] !== null) {
       this.dial(clip.phases[0].angle[before], colours);
     }
   }
 
   aim(camera, target) {
-    const { width, height } = this.canvas, yaw = camera.yaw + this.clip.heading;
+    const { width, height } = this.canvas, yaw = camera.yaw + this.clip.facing;
     this.target = target;
     this.sines = [Math.cos(yaw), Math.sin(yaw), Math.cos(camera.pitch), Math.sin(camera.pitch)];
     this.distance = camera.distance * this.clip.tall;
     this.zoom = 1.75 * Math.min(height, 1.25 * width);
   }
 
-  // Screen position and pixels per metre; null behind the eye.
+  // Returns screen position, pixels per metre and nearness; null behind the eye.
   project(x, y, z) {
     const [cy, sy, cp, sp] = this.sines;
     const dx = x - this.target[0], dy = y - this.target[1], dz = z - this.target[2];
@@ -194,7 +194,7 @@ class Scene {
     return gradient;
   }
 
-  // Adds the outline around two circles to the current path, flattened vertically by `flat`.
+  // Adds the outline around two circles to the current path, scaled vertically by `flat`.
   hull(a, b, ra, rb, flat) {
     const { context } = this;
     const dx = b[0] - a[0], dy = (b[1] - a[1]) / flat, length = Math.hypot(dx, dy);
@@ -222,7 +222,7 @@ class Scene {
     context.fillText(`ended at ${last.toFixed(1)} s`, canvas.width - 10 * ratio, canvas.height - 8 * ratio);
   }
 
-  // The phase as a clock hand: up is right contact, down left contact.
+  // Draws the phase as a clock hand: up is the right foot's contact, down the left foot's.
   dial(phase, colours) {
     const { context } = this, ratio = window.devicePixelRatio || 1;
     const r = 13 * ratio, x = this.canvas.width - r - 10 * ratio, y = r + 22 * ratio;

@@ -1,7 +1,7 @@
-// Contacts and phases over time: a bar while a foot stands, a line rising from 0 to 2π with every cycle.
+// Time line of contacts and phases: a bar while a foot is down, a line that rises from 0 to 2π in every cycle.
 
-const WINDOW = 10; // seconds of a time line; of longer clips it shows the part around now
-const GUTTER = 62; // pixels for the names of its rows
+const WINDOW = 10; // seconds of a time line; for longer clips it shows the part around the present moment
+const GUTTER = 62; // pixels for the names of the rows
 const FOOT_ROW = 11, PHASE_ROW = 30, BONE_ROW = 17, ROW_GAP = 3;
 
 class Strip {
@@ -12,7 +12,7 @@ class Strip {
     canvas.style.height = `${this.heights.reduce((sum, height) => sum + height + ROW_GAP, 0) + 14}px`;
   }
 
-  // First second shown, so that now is in the middle unless an end of the clip is near.
+  // Returns the first second shown: the present is in the middle unless an end of the clip is near.
   from(time) {
     return Math.max(0, Math.min(time - WINDOW / 2, this.duration - WINDOW));
   }
@@ -35,7 +35,7 @@ class Strip {
     this.x = (second) => GUTTER + ((second - from) / span) * width;
     context.font = "11px system-ui, sans-serif";
     context.textBaseline = "middle";
-    const ends = Math.max(0, Math.min(this.x(clip.over) - GUTTER, width)); // nothing is known of what comes after
+    const ends = Math.max(0, Math.min(this.x(clip.end) - GUTTER, width)); // nothing is known about the time after the clip
     const names = [...clip.contacts.map((_, i) => (i ? "right foot" : "left foot")), ...clip.phases.map((p) => p.name)];
     let top = 0;
     this.heights.forEach((height, row) => {
@@ -60,7 +60,7 @@ class Strip {
     context.fillRect(this.x(Math.min(time, this.duration)) - 0.75, 0, 1.5, top - ROW_GAP);
   }
 
-  // What the lower and the upper edge of a phase's row mean.
+  // Labels the lower and the upper edge of a phase's row.
   scale(top, height) {
     const { context } = this;
     context.font = "9px system-ui, sans-serif";
