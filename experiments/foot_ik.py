@@ -21,10 +21,8 @@ import numpy as np
 import tyro
 
 from experiments.common.markdown import markdown_table
-from pfnn_jax.control.generation import generate
 from pfnn_jax.control.ik.fix_feet import fix_feet
 from pfnn_jax.control.ik.pose import make_rig
-from pfnn_jax.control.loop.state import contacts_of_output
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.metrics import bone_length_error, contact_sliding, jitter
 from pfnn_jax.io.checkpoint import write_json
@@ -35,6 +33,7 @@ from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.paths import figure_eight
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.run import Run, list_styles, load_run
+from pfnn_jax.workflows.generate import generate_walk
 
 COLUMNS = {
     "toes": ("toes slide, m/s", 3),
@@ -86,13 +85,12 @@ def main(config: Config) -> dict[str, Any]:
 
 def compare(run: Run, style: str | None, seconds: float) -> dict[str, dict[str, float]]:
     """The measures of one walk `network` (joints as predicted), `before` (rigid bones) and `after`."""
-    made = generate(run, style, figure_eight(), seconds=seconds)
-    contacts = contacts_of_output(run.layout, np.asarray(made.frames.outputs))
+    made = generate_walk(run, style, figure_eight(), seconds=seconds, foot_ik=False, published_loop=True)
+    contacts = made.contacts
     if contacts is None:
         contacts = foot_contacts(_joints(made.clip), need_roles(run.skeleton), run.layout.fps).astype(float)
-    predicted = np.asarray(made.frames.joint_positions, np.float64)
     fixed = fix_feet(made.clip, contacts)
-    walks = {"network": predicted, "before": _joints(made.clip), "after": _joints(fixed)}
+    walks = {"network": made.joints, "before": _joints(made.clip), "after": _joints(fixed)}
     return {name: measures(run, positions, contacts) for name, positions in walks.items()}
 
 

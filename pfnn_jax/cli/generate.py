@@ -55,10 +55,9 @@ class Generate(Command):
         check_finished(self.run_path)
         style = parse_choice(self.style, self.run_path)
         from pfnn_jax.cli.progress import stages
-        from pfnn_jax.control.drive_along import drive_along
-        from pfnn_jax.control.generation import generate
         from pfnn_jax.motion.bvh import write_bvh
         from pfnn_jax.run import load_run, load_style
+        from pfnn_jax.workflows.generate import generate_clip
 
         run = load_run(self.run_path)
         for name in [style] if isinstance(style, str) else style or ():
@@ -66,10 +65,7 @@ class Generate(Command):
         options: Any = {"speed": self.speed, "seconds": self.seconds, "foot_ik": self.foot_ik}
         with stages("generating") as stage:
             stage("compiling the network and walking the path")
-            if self.published_loop:
-                clip = generate(run, style, path, mode=self.mode, **options).clip
-            else:
-                clip = drive_along(run, style, path, **options)
+            clip = generate_clip(run, style, path, published_loop=self.published_loop, mode=self.mode, **options)
         write_bvh(self.out, clip, overwrite=self.overwrite)
         seconds = clip.num_frames / clip.fps
         print(f"{self.out}: {seconds:.1f} s")

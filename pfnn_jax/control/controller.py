@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -32,12 +32,12 @@ from pfnn_jax.control.controller_state import (
     predicted_frame,
     style_speed,
 )
-from pfnn_jax.control.generation import default_speed, loop_config, recorded_speed
 from pfnn_jax.control.ground import mix
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
 from pfnn_jax.control.ik.pose import make_rig
 from pfnn_jax.control.loop.state import ROOT, straight_row, turn_state
-from pfnn_jax.control.loop.step import Command, held_command
+from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, held_command
+from pfnn_jax.control.run_settings import default_speed, loop_config, mean_speed, recorded_speed
 from pfnn_jax.control.tracking import (
     StyleSpeed,
     TrackingConfig,
@@ -48,9 +48,14 @@ from pfnn_jax.control.tracking import (
     update_tracking,
 )
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.mixture import check_weights, load_bank, need_style
+from pfnn_jax.inference.mixture import check_weights, need_style, stack_styles
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor
-from pfnn_jax.run import Run, list_styles
+from pfnn_jax.models.adapters import Style
+from pfnn_jax.models.network import Network
+from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.run import Run, list_styles, load_style
 
 STYLE_RATE = 0.06
 """Share per frame by which a character's style moves towards the commanded one: 90 % of the way in 0.6 s."""
@@ -60,6 +65,19 @@ STYLE_SNAP = 1e-3
 
 AGNOSTIC = "agnostic"
 """Name of the only style of a network without styles."""
+
+
+class Embodiment(Protocol):
+    """The layout, skeleton and normaliser of a network: a `Run` and a `Dataset` are one."""
+
+    @property
+    def layout(self) -> FrameLayout: ...
+
+    @property
+    def skeleton(self) -> Skeleton: ...
+
+    @property
+    def normaliser(self) -> Normaliser: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,24 +159,66 @@ def make_controller(
     """
     names = tuple(list_styles(run.path) if styles is None else styles)
     need_style(run, names)
-    layout = run.layout
+    recorded = {name: recorded_speed(run, name) for name in names}
+    return assemble_controller(
+        run.shared,
+        {name: load_style(run, name) for name in names},
+        run,
+        speeds={name: speed for name, speed in recorded.items() if speed is not None},
+        default_speed=default_speed(run, None),
+        loop=loop_config(run),
+        capacity=capacity,
+        foot_ik=foot_ik,
+        tracking=tracking,
+    )
+
+
+def assemble_controller(
+    network: Network,
+    styles: Mapping[str, Style],
+    body: Embodiment,
+    *,
+    speeds: Mapping[str, float] | None = None,
+    default_speed: float | None = None,
+    loop: LoopConfig | None = None,
+    capacity: int | None = None,
+    foot_ik: bool = True,
+    tracking: TrackingConfig | None = TrackingConfig(),  # noqa: B008 - frozen
+) -> Controller:
+    """Returns the controller of parameters in memory.
+
+    Args:
+        network: style-agnostic parameters.
+        styles: styles of one kind, by name. Without any, the network as it is is the one style `AGNOSTIC`.
+        body: layout, skeleton and normaliser of the network.
+        speeds: metres per second of styles in their data, by name, where known.
+        default_speed: metres per second, for the other styles; by default that of the mean row of the data.
+        loop: constants of the published loop, by default those of the layout.
+        capacity, foot_ik, tracking: as for `make_controller`.
+
+    Raises:
+        InputError: for styles of different kinds, or a skeleton without the roles that a controller needs.
+    """
+    layout, normaliser, speeds = body.layout, body.normaliser, speeds or {}
     if tracking is not None:
         tracking = replace(tracking, fps=float(layout.fps))
-    rig = make_rig(run.skeleton, run.path)
-    setup = ControllerSetup(layout, loop_config(run), rig, FootLockConfig() if foot_ik else None, tracking)
-    rows = max(capacity or 0, len(names)) if names else 1
-    speed, normaliser = default_speed(run, None), run.normaliser
+    rig = make_rig(body.skeleton, getattr(body, "path", "skeleton"))
+    loop = loop or LOOP_CONFIGS[layout.name]
+    setup = ControllerSetup(layout, loop, rig, FootLockConfig() if foot_ik else None, tracking)
+    rows = max(capacity or 0, len(styles)) if styles else 1
+    default_speed = mean_speed(layout, normaliser) if default_speed is None else default_speed
+    mean_row = jnp.asarray(normaliser.inputs.mean, jnp.float32)
     params = ControllerParams(
-        predictor=assemble_predictor(run.shared, None, normaliser),
-        bank=_padded(load_bank(run, names), rows) if names else None,
-        speeds=_padded(jnp.asarray([recorded_speed(run, name) or 0.0 for name in names], jnp.float32), rows),
-        default_speed=jnp.float32(speed),
+        predictor=assemble_predictor(network, None, normaliser),
+        bank=_padded(stack_styles(styles, "controller"), rows) if styles else None,
+        speeds=_padded(jnp.asarray([speeds.get(name, 0.0) for name in styles], jnp.float32), rows),
+        default_speed=jnp.float32(default_speed),
         speed_gains=jnp.ones(rows, jnp.float32),
-        initial_row=straight_row(layout, jnp.asarray(normaliser.inputs.mean, jnp.float32), speed),
+        initial_row=straight_row(layout, mean_row, default_speed),
         initial_phase=jnp.asarray(normaliser.initial_phase()),
         foot_heights=jnp.asarray(foot_heights(layout, normaliser, rig), jnp.float32),
     )
-    names = names or (AGNOSTIC,)
+    names = tuple(styles) or (AGNOSTIC,)
     return with_calibrated_speeds(Controller(params, setup, names), names)
 
 

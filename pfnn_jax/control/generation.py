@@ -1,34 +1,38 @@
-"""From a run, a style and a path to a clip of motion."""
+"""Motion in a style along a path, in memory: by a tracked character, or by the published loop alone."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path as FilePath
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pfnn_jax.control.controller import Controller, Embodiment, assemble_controller, step
+from pfnn_jax.control.controller_state import ControllerParams, ControllerSetup, ControllerState, style_speed
 from pfnn_jax.control.ik.fix_feet import fix_feet
-from pfnn_jax.control.loop.pursuit import make_timed_path
-from pfnn_jax.control.loop.rollout import EvaluateFn, Frames, follow_path, rollout
+from pfnn_jax.control.loop.pursuit import TimedPath, advance_progress, make_timed_path, pursue
+from pfnn_jax.control.loop.rollout import EvaluateFn, Frames, follow_path, warm_up
 from pfnn_jax.control.loop.state import CharacterState, contacts_of_output, initial_state, place_state, straight_row
-from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig
+from pfnn_jax.control.loop.step import Command, LoopConfig, published_step
+from pfnn_jax.control.run_settings import mean_speed
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import table_phase
-from pfnn_jax.inference.mixture import StyleChoice
 from pfnn_jax.inference.modes import Mode
-from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
+from pfnn_jax.inference.predictor import Predictor, assemble_predictor, evaluate
+from pfnn_jax.models.adapters import Style
+from pfnn_jax.models.network import Network
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.features.decode import clip_from_outputs, root_steps
+from pfnn_jax.motion.features.decode import clip_from_outputs
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.ground import facing_of, to_local
-from pfnn_jax.motion.paths import Path
+from pfnn_jax.motion.paths import Path, make_path
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.run import Run, list_styles, style_note
 
 
 def _nearest50(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Array:
@@ -43,138 +47,230 @@ EVALUATORS: dict[Mode, EvaluateFn] = {"cubic": evaluate, "nearest50": _nearest50
 """How `rollout` and `follow_path` evaluate a `Predictor` in each mode. A scan needs no table: it blends the network at
 the table's phase, which is the same to rounding and gathers nothing."""
 
-RUN_IN_FRAMES = 60
-"""Frames of straight walking before a path begins: the mean pose is no pose, and takes a few steps to become one."""
+WARM_UP_FRAMES = 60
+"""Frames of straight walking before a path begins: the mean pose is not a valid pose; a few steps converge to the gait
+cycle."""
+
+STANDING_SECONDS = 1.0
+"""Seconds added to those of a path: a tracked character starts standing, and completes its last step."""
 
 
 @dataclass(frozen=True, eq=False)
-class Generated:
-    """A clip and the rollout that it was made from.
+class GeneratedWalk:
+    """A generated clip and what the network predicted for its frames.
 
     Attributes:
-        clip: rigid bones, joint rotations from the network; write it with `pfnn_jax.motion.bvh.write_bvh`.
-        frames: outputs, roots, phase, and the joint positions that the network itself predicted.
+        clip: rigid bones, joint rotations from the network; write it with `pfnn_jax.motion.write_bvh`.
+        phase: [T] radians, or [T, G] in layout units: the gating input of every frame.
+        contacts: [T, 4] in [0, 1], left heel, left toe, right heel, right toe; None for a layout without contacts in
+            the published loop.
+        joints: [T, J, 3] metres in the world, the joint positions that the network predicted.
     """
 
     clip: MotionClip
-    frames: Frames
+    phase: np.ndarray
+    contacts: np.ndarray | None
+    joints: np.ndarray
 
 
 def generate(
-    run: Run,
-    style: StyleChoice,
-    path: Path,
+    network: Network,
+    style: Style | None,
+    path: Path | str | FilePath,
+    body: Embodiment,
     *,
     speed: float | None = None,
     seconds: float | None = None,
-    mode: Mode = "cubic",
-    config: LoopConfig | None = None,
-    foot_ik: bool = False,
-) -> Generated:
-    """Motion in a style along a path.
+    natural_speed: float | None = None,
+    loop: LoopConfig | None = None,
+    foot_ik: bool = True,
+    published_loop: bool = False,
+) -> MotionClip:
+    """Returns motion in a style along a path.
+
+    By default the character tracks the path (`tracking`): it starts standing, keeps to the path and the speed, and
+    stops at the end of an open path.
 
     Args:
-        run: a loaded run.
-        style: name of one of its styles; weights that sum to one by name; or None for style-agnostic motion, which on
-            a FiLM run is the mean of its styles.
-        path: in metres; the character starts at its first point, walking along it.
-        speed: metres per second asked for; by default as `default_speed`.
-        seconds: how long; by default as long as the path takes at that speed.
+        network: style-agnostic parameters.
+        style: of the motion; None for style-agnostic motion.
+        path: a path in metres, the name of a shape (`straight`, `circle`, `figure-eight`), or a CSV file of points.
+        body: layout, skeleton and normaliser of the network, as a `Dataset` or `Run` has them.
+        speed: metres per second; by default the natural speed.
+        seconds: duration; by default as long as the path takes at that speed.
+        natural_speed: metres per second of the style in its data; by default that of the mean row of the data.
+        loop: constants of the published loop, by default those of the layout.
+        foot_ik: lock feet that are in contact.
+        published_loop: leave speed and heading to the network, as the published demos do.
+
+    Raises:
+        InputError: for an unknown path, a speed or duration that is not positive, or motion that is not finite.
+    """
+    path = as_path(path)
+    if not published_loop:
+        styles = {} if style is None else {"style": style}
+        speeds = {} if natural_speed is None else {"style": natural_speed}
+        controller = assemble_controller(network, styles, body, speeds=speeds, loop=loop, foot_ik=foot_ik)
+        weights = controller.style_weights(0)
+        return track_path(controller, weights, path, body, speed=speed, seconds=seconds).clip
+    speed = speed or natural_speed or mean_speed(body.layout, body.normaliser)
+    predictor = assemble_predictor(network, style, body.normaliser)
+    walk = loop_path(predictor, path, body, speed=speed, seconds=seconds, loop=loop)
+    return (fix_walk(walk) if foot_ik else walk).clip
+
+
+def as_path(path: Path | str | FilePath) -> Path:
+    """Returns a path, the shape of a name, or the path in a CSV file.
+
+    Raises:
+        InputError: for an unknown shape that is not a file either, or a file that holds no path.
+    """
+    return path if isinstance(path, Path) else make_path(str(path))
+
+
+def track_path(
+    controller: Controller,
+    weights: np.ndarray,
+    path: Path,
+    body: Embodiment,
+    *,
+    speed: float | None = None,
+    seconds: float | None = None,
+) -> GeneratedWalk:
+    """Returns the walk of a controlled character along a path, from standing to standing.
+
+    Args:
+        controller: of the character.
+        weights: [C] of its style.
+        path: in metres; the character starts at its first point.
+        body: the controller was made for.
+        speed: metres per second; by default the natural speed.
+        seconds: duration; by default as long as the path takes at that speed, and `STANDING_SECONDS`.
+
+    Raises:
+        InputError: for a speed or duration that is not positive, or motion that is not finite.
+    """
+    style = jnp.asarray(weights)
+    speed = float(style_speed(controller.params, style).natural) if speed is None else speed
+    seconds = path.length / max(speed, 1e-6) + STANDING_SECONDS if seconds is None else seconds
+    num_frames = _num_frames(body, speed, seconds)
+    state = replace(controller.start(path.points[0], path.start_yaw), style=style)
+    states = _track(controller.setup, controller.params, state, make_timed_path(path, speed), num_frames)
+    hips, rotations = (np.asarray(values, np.float64) for values in (states.pose.hips, states.pose.rotations))
+    if not (np.isfinite(hips).all() and np.isfinite(rotations).all()):
+        raise InputError(_source(body), "motion", "not finite", "the network cannot walk in this style")
+    clip = MotionClip(body.skeleton, body.layout.fps, hips, rotations, content="generated", source=_source(body))
+    phase, contacts, joints = (np.asarray(x) for x in (states.motion.phase, states.contacts, states.next.joints))
+    return GeneratedWalk(clip, phase, contacts, joints)
+
+
+@partial(jax.jit, static_argnames=("setup", "num_frames"))
+def _track(
+    setup: ControllerSetup, params: ControllerParams, state: ControllerState, path: TimedPath, num_frames: int
+) -> ControllerState:
+    """Returns the states, leaves [T, ...], of a character that follows a path and stops at its end, if it has one."""
+
+    def frame(carry, _):
+        state, progress = carry
+        progress = advance_progress(path, state.root, progress)
+        state = step(setup, params, state, pursue(path, state.motion, progress, setup.loop))
+        return (state, progress), state
+
+    return jax.lax.scan(frame, (state, jnp.zeros((), jnp.float32)), length=num_frames)[1]
+
+
+def loop_path(
+    predictor: Predictor,
+    path: Path,
+    body: Embodiment,
+    *,
+    speed: float,
+    seconds: float | None = None,
+    mode: Mode = "cubic",
+    loop: LoopConfig | None = None,
+) -> GeneratedWalk:
+    """Returns the walk of the published loop along a path, from a warmed-up stride on.
+
+    Args:
+        predictor: network, style and statistics.
+        path: in metres; the character starts at its first point.
+        body: the predictor was made for.
+        speed: metres per second to request.
+        seconds: duration; by default as long as the path takes at that speed.
         mode: how the network is evaluated.
-        config: constants of the controller, by default those of the run.
-        foot_ik: hold feet in place while they are in contact, as the network predicts it, or where the layout has no
-            contacts as the motion shows it; lay the arms of a mixture of styles along the predicted positions. The
-            loop itself is not changed by it.
+        loop: constants of the loop, by default those of the layout.
 
     Raises:
-        InputError: for an unknown style or mode, a table of phases where the run has no global one,
-            a speed or a time that is not above 0, or motion that is not finite.
+        InputError: for an unknown mode, a table for a layout without a global phase, a speed or duration that is not
+            positive, or motion that is not finite.
     """
+    frames = loop_frames(predictor, path, body, speed=speed, seconds=seconds, mode=mode, loop=loop)
+    clip = clip_from_frames(body.skeleton, body.layout, frames)
+    contacts = contacts_of_output(body.layout, np.asarray(frames.outputs))
+    clip = replace(clip, content="generated", source=_source(body))
+    return GeneratedWalk(clip, np.asarray(frames.phase), contacts, np.asarray(frames.joint_positions, np.float64))
+
+
+def loop_frames(
+    predictor: Predictor,
+    path: Path,
+    body: Embodiment,
+    *,
+    speed: float,
+    seconds: float | None = None,
+    mode: Mode = "cubic",
+    loop: LoopConfig | None = None,
+) -> Frames:
+    """Returns the frames of the published loop along a path, with the arguments and errors of `loop_path`."""
+    layout = body.layout
     if mode not in EVALUATORS:
-        raise InputError(run.path, "mode", mode, f"must be {', '.join(EVALUATORS)}")
-    if mode != "cubic" and run.layout.phase_kind != "global":
-        raise InputError(run.path, "mode", mode, f"must be cubic: layout {run.layout.name} has no global phase")
-    speed = default_speed(run, style) if speed is None else speed
+        raise InputError(_source(body), "mode", mode, f"must be {', '.join(EVALUATORS)}")
+    if mode != "cubic" and layout.phase_kind != "global":
+        raise InputError(_source(body), "mode", mode, f"must be cubic: layout {layout.name} has no global phase")
     seconds = path.length / max(speed, 1e-6) if seconds is None else seconds
-    num_frames = walk_frames(run, speed, seconds)
-    evaluate_fn, params, config = EVALUATORS[mode], make_predictor(run, style), config or loop_config(run)
-    state = walking_state(evaluate_fn, params, run.layout, run.normaliser, speed, config=config)
+    num_frames, evaluate_fn = _num_frames(body, speed, seconds), EVALUATORS[mode]
+    state = walking_state(evaluate_fn, predictor, layout, body.normaliser, speed, config=loop)
     state = place_state(state, jnp.asarray(path.points[0], jnp.float32), jnp.float32(path.start_yaw))
-    frames = follow_path(
-        evaluate_fn, params, run.layout, state, make_timed_path(path, speed), num_frames, config=config
-    )
-    clip = clip_from_frames(run.skeleton, run.layout, frames)
-    if foot_ik:
-        contacts = contacts_of_output(run.layout, np.asarray(frames.outputs))
-        joints = np.asarray(frames.joint_positions) if isinstance(style, Mapping) else None
-        clip = fix_feet(clip, contacts, joints=joints)
-    return Generated(replace(clip, style=style_label(style), content="generated", source=str(run.path)), frames)
+    return follow_path(evaluate_fn, predictor, layout, state, make_timed_path(path, speed), num_frames, config=loop)
 
 
-def walk_frames(run: Run, speed: float, seconds: float) -> int:
-    """Frames of a walk at a speed in m/s for some seconds.
+def fix_walk(walk: GeneratedWalk, *, arms: bool = False) -> GeneratedWalk:
+    """Returns the walk with its feet locked while they are in contact, by `fix_feet`.
 
-    Raises:
-        InputError: unless both are above 0.
+    Args:
+        walk: of the published loop.
+        arms: lay arms along the predicted joint positions, which the rotations of mixed styles may not fit.
     """
-    for name, value in (("speed", speed), ("seconds", seconds)):
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(run.path, name, value, "must be above 0")
-    return max(round(seconds * run.layout.fps), 2)
-
-
-def loop_config(run: Run) -> LoopConfig:
-    """The controller's constants of a run: those of its layout, with the run's own gain of commands."""
-    return replace(LOOP_CONFIGS[run.layout.name], command_gain=run.config.command_gain)
-
-
-def style_label(style: StyleChoice) -> str:
-    """What a clip calls its style: the name, a mixture as it is written, or `agnostic`."""
-    if style is None or isinstance(style, str):
-        return style or "agnostic"
-    return "+".join(f"{name}:{weight:g}" for name, weight in style.items())
-
-
-def default_speed(run: Run, style: StyleChoice) -> float:
-    """Metres per second to ask for: the `speed` that a style's `style.json` tells of its clips.
-
-    Of a mixture, the weighted mean of its styles. Where a style tells none, and for None, the mean of the run's data;
-    for None on a FiLM run, whose data goes every way, the mean of what its styles tell.
-    """
-    if style is None and run.config.adapter.kind == "film":
-        told = [recorded_speed(run, name) for name in run.config.styles if name in list_styles(run.path)]
-        speeds = [speed for speed in told if speed is not None]
-        if speeds:
-            return float(np.mean(speeds))
-    if isinstance(style, str):
-        style = {style: 1.0}
-    told = [(weight, recorded_speed(run, name)) for name, weight in (style or {}).items()]
-    if told and all(speed is not None for _, speed in told):
-        return sum(weight * speed for weight, speed in told if speed is not None)
-    velocity, _ = root_steps(run.layout, run.normaliser.outputs.mean[None])
-    return float(np.hypot(*velocity[0]))
-
-
-def recorded_speed(run: Run, name: str) -> float | None:
-    """Metres per second of a style's clips as its `style.json` tells them, or None."""
-    speed = style_note(run.path, name)["info"].get("speed")
-    usable = isinstance(speed, int | float) and math.isfinite(speed) and speed > 0.0
-    return float(speed) if usable else None
+    return replace(walk, clip=fix_feet(walk.clip, walk.contacts, joints=walk.joints if arms else None))
 
 
 def starting_row(layout: FrameLayout, normaliser: Normaliser, speed: float | jax.Array) -> tuple[jax.Array, jax.Array]:
-    """A row of inputs [Dx] and a phase [] or [G] from which a walk along +Z begins: the mean of a network's inputs.
+    """Returns the row of inputs [Dx] and the gating input ([] phase or [G]) that a warm-up along +Z starts from.
 
-    Layouts of the next frame are trained on walks and runs to all sides: their mean stands still, so that the walk
-    begins with a straight trajectory at its speed and, with local phases, with their mean.
+    It is the mean of the network's inputs. Next-frame layouts are trained on walks and runs in all directions, so the
+    trajectory of their mean does not move; they start with a straight trajectory at the given speed.
 
     Args:
         layout, normaliser: of the network, in the same units.
         speed: metres per second.
     """
     x = jnp.asarray(normaliser.inputs.mean)
-    x = straight_row(layout, x, speed) if layout.next_frame else x
-    return x, jnp.asarray(normaliser.initial_phase())
+    return straight_row(layout, x, speed) if layout.next_frame else x, jnp.asarray(normaliser.initial_phase())
+
+
+@partial(jax.jit, static_argnames=("evaluate_fn", "layout", "config"))
+def _warmed_up(
+    evaluate_fn: EvaluateFn,
+    params: Any,
+    layout: FrameLayout,
+    state: CharacterState,
+    command: Command,
+    config: LoopConfig | None,
+) -> CharacterState:
+    def frame(state: CharacterState, command: Command):
+        return published_step(partial(evaluate_fn, params), layout, state, command, config)
+
+    return jax.tree.map(lambda leaf: leaf[-1], warm_up(frame, state, command, WARM_UP_FRAMES)[0])
 
 
 def walking_state(
@@ -186,7 +282,7 @@ def walking_state(
     *,
     config: LoopConfig | None = None,
 ) -> CharacterState:
-    """A character in its stride near the origin: a second of straight walking from `starting_row`.
+    """Returns a character in its stride near the origin, after a warm-up from `starting_row` straight along +Z.
 
     Args:
         evaluate_fn, params, layout, config: as for `rollout`.
@@ -195,22 +291,32 @@ def walking_state(
     """
     x, phase = starting_row(layout, normaliser, speed)
     state = initial_state(layout, x, phase, jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32))
-    ahead = jnp.tile(jnp.asarray([[0.0, 1.0]], jnp.float32), (RUN_IN_FRAMES, 1))
-    return rollout(
-        evaluate_fn, params, layout, state, Command(velocity=speed * ahead, direction=ahead), config=config
-    ).state
+    ahead = jnp.asarray([0.0, 1.0], jnp.float32)
+    return _warmed_up(evaluate_fn, params, layout, state, Command(velocity=speed * ahead, direction=ahead), config)
 
 
 def clip_from_frames(skeleton: Skeleton, layout: FrameLayout, frames: Frames) -> MotionClip:
-    """The clip of one character's frames: predicted rotations, hips where the blended pose has them.
+    """Returns the clip of one character's frames: predicted rotations, hips where the blended pose has them.
 
     Raises:
-        InputError: if a value is not finite, or the skeleton is not of the layout.
+        InputError: if a value is not finite, or the skeleton does not fit the layout.
     """
     y, yaw = np.array(frames.outputs, np.float64), np.asarray(frames.root_yaw, np.float64)
     roots, joints = np.asarray(frames.root_positions, np.float64), np.array(frames.joint_positions, np.float64)
     joints[..., [0, 2]] -= roots[:, None]
-    y[:, layout.output_slice("joint_position")] = (
-        to_local(joints, facing_of(yaw)).reshape(len(y), -1) / layout.length_unit
-    )
+    local = to_local(joints, facing_of(yaw)) / layout.length_unit
+    y[:, layout.output_slice("joint_position")] = local.reshape(len(y), -1)
     return clip_from_outputs(skeleton, layout, y, roots, yaw, layout.fps)
+
+
+def _num_frames(body: Embodiment, speed: float, seconds: float) -> int:
+    """Returns the number of frames of some seconds; refuses a speed or duration that is not positive."""
+    for name, value in (("speed", speed), ("seconds", seconds)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise InputError(_source(body), name, value, "must be above 0")
+    return max(round(seconds * body.layout.fps), 2)
+
+
+def _source(body: Embodiment) -> str:
+    """Returns the folder of a run or dataset, for messages."""
+    return str(getattr(body, "path", "memory"))

@@ -11,7 +11,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from pfnn_jax.control.generation import generate
 from pfnn_jax.demo.config import DemoConfig
 from pfnn_jax.demo.report import write_demo_report
 from pfnn_jax.evaluation.style_methods import compare_methods
@@ -29,6 +28,7 @@ from pfnn_jax.motion.synthetic.walks import PRETRAINING_STYLES, STYLES, UNSEEN_S
 from pfnn_jax.run import Run
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.few_shot_learning import FewShotConfig
+from pfnn_jax.workflows.generate import generate_walk
 from pfnn_jax.workflows.learn import clip_parts, learn_style
 from pfnn_jax.workflows.pretrain import pretrain_run
 
@@ -167,6 +167,6 @@ def walk(run: Run, folder: Path, config: DemoConfig, overwrite: bool = False) ->
     folder.mkdir(parents=True, exist_ok=True)
     walks = {}
     for name, style in (("learned", UNSEEN_STYLE), ("agnostic", None), ("neutral", "neutral")):
-        walks[name] = generate(run, style, figure_eight(FIGURE_EIGHT_RADIUS), seconds=config.walk_seconds)
+        walks[name] = generate_walk(run, style, figure_eight(FIGURE_EIGHT_RADIUS), seconds=config.walk_seconds)
         write_bvh(folder / f"{style or 'agnostic'}_figure_eight.bvh", walks[name].clip, overwrite=overwrite)
     return walks

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.control.generation import Generated
+from pfnn_jax.control.generation import GeneratedWalk
 from pfnn_jax.evaluation.plots import error_bars, loss_curves
 from pfnn_jax.evaluation.report import Section, Table, write_report
 from pfnn_jax.evaluation.style_methods import DEFAULT_ROW
@@ -32,7 +32,12 @@ COLUMNS = (
 
 
 def write_demo_report(
-    out: Path, result: Mapping[str, Any], clip: LabelledClip, walks: Mapping[str, Generated], *, overwrite: bool = False
+    out: Path,
+    result: Mapping[str, Any],
+    clip: LabelledClip,
+    walks: Mapping[str, GeneratedWalk],
+    *,
+    overwrite: bool = False,
 ) -> Path:
     """Writes `report.json` and `report.html`; returns the page's path.
 
@@ -118,8 +123,6 @@ def _annotated(name: str, labelled: LabelledClip) -> AnnotatedClip:
     return AnnotatedClip(name, clip, phase=labelled.labels.phase, contacts=contacts)
 
 
-def _annotated_walk(name: str, walk: Generated) -> AnnotatedClip:
-    contacts = foot_contacts(
-        np.asarray(walk.frames.joint_positions, np.float64), need_roles(walk.clip.skeleton), walk.clip.fps
-    )
-    return AnnotatedClip(name, walk.clip, phase=np.asarray(walk.frames.phase), contacts=contacts)
+def _annotated_walk(name: str, walk: GeneratedWalk) -> AnnotatedClip:
+    contacts = foot_contacts(walk.joints.astype(np.float64), need_roles(walk.clip.skeleton), walk.clip.fps)
+    return AnnotatedClip(name, walk.clip, phase=walk.phase, contacts=contacts)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -120,13 +120,23 @@ def load_bank(run: Run, names: Sequence[str]) -> Style:
     Raises:
         InputError: for an unknown style, or styles of different kinds.
     """
-    styles = [load_style(run, name) for name in names]
-    shapes = [jax.tree.map(np.shape, style) for style in styles]
+    return stack_styles({name: load_style(run, name) for name in names}, run.path)
+
+
+def stack_styles(styles: Mapping[str, Any], source: str | Path) -> Any:
+    """Returns styles by name as one bank, leaves [S, ...] in the order of the names.
+
+    Raises:
+        InputError: for styles of different kinds or sizes; `source` names where they are from.
+    """
+    names = tuple(styles)
+    shapes = [jax.tree.map(np.shape, style) for style in styles.values()]
     for name, shape in zip(names, shapes, strict=True):
         if shape != shapes[0]:
-            rule = f"only styles of one kind can be mixed, and {names[0]} is of another"
-            raise InputError(run.path, "style", name, rule)
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *styles)
+            raise InputError(
+                source, "style", name, f"only styles of one kind can be mixed, and {names[0]} is of another"
+            )
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *styles.values())
 
 
 def mix_rows(bank: FiLMStyle, indices: jax.Array, weights: jax.Array) -> FiLMStyle:

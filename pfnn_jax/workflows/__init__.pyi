@@ -1,3 +1,4 @@
+from .generate import generate_clip as generate_clip
 from .learn import learn_style as learn_style
 from .learn import tune_style as tune_style
 from .pretrain import pretrain_run as pretrain_run

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.control.generation import loop_config
+from pfnn_jax.control.run_settings import loop_config
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice

@@ -22,7 +22,6 @@ from experiments.controller_laws import (
     wander_all,
 )
 from pfnn_jax.control.controller import Controller, make_controller, step
-from pfnn_jax.control.drive_along import drive_along
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
@@ -30,6 +29,7 @@ from pfnn_jax.motion.paths import straight
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import Run
 from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.workflows.generate import generate_clip
 from pfnn_jax.workflows.pretrain import pretrain_run
 
 STYLES = ("neutral", "old", "proud")
@@ -118,7 +118,7 @@ def test_a_change_of_style_is_no_jump(controller):
 
 def test_a_driven_character_keeps_to_a_path_and_stands_at_its_end(run, controller):
     path = straight(4.0)
-    clip = drive_along(run, {"neutral": 0.5, "proud": 0.5}, path, seconds=8.0, foot_ik=False)
+    clip = generate_clip(run, {"neutral": 0.5, "proud": 0.5}, path, seconds=8.0, foot_ik=False)
     speeds, root = np.asarray(controller.params.speeds), clip.root_positions[:, [0, 2]]
     steps = np.linalg.norm(np.diff(root, axis=0), axis=-1) * clip.fps
     walking = steps[60:150].mean()
@@ -126,7 +126,7 @@ def test_a_driven_character_keeps_to_a_path_and_stands_at_its_end(run, controlle
     assert np.abs(root[:, 0]).max() < ASTRAY and abs(root[-1, 1] - 4.0) < STRIDE and steps[-1] < DRIFT
     assert clip.skeleton == run.skeleton and clip.style == "neutral:0.5+proud:0.5" and clip.num_frames == 480
     with pytest.raises(InputError, match="speed: -1.0; must be above 0"):
-        drive_along(run, "old", path, speed=-1.0, foot_ik=False)
+        generate_clip(run, "old", path, speed=-1.0, foot_ik=False)
 
 
 def test_the_commands_that_are_judged():

@@ -9,11 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.generation import clip_from_frames, default_speed, generate
-from pfnn_jax.control.loop.rollout import rollout
+from pfnn_jax.control.generation import clip_from_frames, generate, loop_frames
+from pfnn_jax.control.loop.rollout import Frames, rollout
 from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command
+from pfnn_jax.control.run_settings import default_speed, loop_config
 from pfnn_jax.errors import InputError
+from pfnn_jax.inference.modes import Mode
+from pfnn_jax.inference.predictor import make_predictor
 from pfnn_jax.models.adapters import AdapterConfig, init_style
 from pfnn_jax.models.network import NetworkConfig, init_network
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
@@ -22,10 +25,11 @@ from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import LAYOUTS
 from pfnn_jax.motion.features.normaliser import fit_normaliser
 from pfnn_jax.motion.kinematics import forward_kinematics
-from pfnn_jax.motion.paths import circle, read_path, straight
+from pfnn_jax.motion.paths import Path, circle, read_path, straight
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+from pfnn_jax.run import Run, RunConfig, create_run, load_run, load_style, save_shared, save_style
+from pfnn_jax.workflows.generate import generate_clip
 
 # Metres: the clip's root path is filled in by chords before the first frame; the pose forgets half of it every frame.
 FORGOTTEN, MILLIMETRE = 20, 1e-3
@@ -94,16 +98,20 @@ def run(request, tmp_path_factory) -> Run:
     return load_run(path)
 
 
+def published_frames(run: Run, path: Path, **settings) -> Frames:
+    return loop_frames(make_predictor(run, "brisk"), path, run, loop=loop_config(run), **settings)
+
+
 def test_generated_motion_follows_its_path_into_a_file(run, tmp_path):
     (tmp_path / "path.csv").write_text("x,z\n3,1\n8,1\n")
-    made = generate(run, "brisk", read_path(tmp_path / "path.csv"), speed=SPEED, seconds=1.5)
-    clip, roots = made.clip, np.asarray(made.frames.root_positions)
-    assert clip.num_frames == 90 and clip.fps == 60.0 and clip.style == "brisk"
+    frames = published_frames(run, read_path(tmp_path / "path.csv"), speed=SPEED, seconds=1.5)
+    clip, roots = clip_from_frames(run.skeleton, run.layout, frames), np.asarray(frames.root_positions)
+    assert clip.num_frames == 90 and clip.fps == 60.0
     np.testing.assert_allclose(roots[0], [3.0, 1.0], atol=DECIMALS)
     # The quiet network walks on at about the mean speed, along +X from its first frame.
     assert roots[-1, 0] - 3.0 == pytest.approx(1.5 * SPEED, rel=0.2)
-    np.testing.assert_allclose(made.frames.root_yaw, np.pi / 2, atol=0.3)
-    np.testing.assert_allclose(clip.root_positions, made.frames.joint_positions[:, 0], atol=DECIMALS)
+    np.testing.assert_allclose(frames.root_yaw, np.pi / 2, atol=0.3)
+    np.testing.assert_allclose(clip.root_positions, frames.joint_positions[:, 0], atol=DECIMALS)
     write_bvh(tmp_path / "clip.bvh", clip)
     back = read_bvh(tmp_path / "clip.bvh", unit=0.01)
     expected = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)[0]
@@ -116,10 +124,9 @@ def test_generated_motion_follows_its_path_into_a_file(run, tmp_path):
 
 
 def test_modes_are_close_and_differ(run):
-    made = [
-        generate(run, "brisk", circle(2.0), seconds=0.5, mode=mode) for mode in ("cubic", "nearest50", "constant50")
-    ]
-    outputs = [np.asarray(each.frames.outputs) / run.normaliser.outputs.std for each in made]
+    modes: tuple[Mode, ...] = ("cubic", "nearest50", "constant50")
+    made = [published_frames(run, circle(2.0), speed=1.4, seconds=0.5, mode=mode) for mode in modes]
+    outputs = [np.asarray(each.outputs) / run.normaliser.outputs.std for each in made]
     for other in outputs[1:]:
         assert 0.0 < np.abs(outputs[0] - other).max() < 1.0
     assert np.abs(outputs[1] - outputs[2]).max() > 0.0
@@ -128,19 +135,34 @@ def test_modes_are_close_and_differ(run):
 def test_speed_and_time_by_default(run):
     assert default_speed(run, "brisk") == 1.4
     assert default_speed(run, None) == pytest.approx(SPEED, rel=0.05)
-    made = generate(run, "brisk", straight(1.4))
-    assert made.clip.num_frames == 60
+    assert generate_clip(run, "brisk", straight(1.4), published_loop=True).num_frames == 60
+
+
+def test_generating_by_name_is_generating_in_memory(run):
+    """A clip of a run is that of its parameters, with and without command tracking; paths and styles go by name."""
+    for published_loop in (False, True):
+        settings = {"seconds": 0.5, "foot_ik": False, "published_loop": published_loop}
+        by_name = generate_clip(str(run.path), "brisk", "circle", **settings)
+        style, loop = load_style(run, "brisk"), loop_config(run)
+        in_memory = generate(run.shared, style, circle(2.0), run, natural_speed=1.4, loop=loop, **settings)
+        np.testing.assert_array_equal(by_name.rotations, in_memory.rotations)
+        np.testing.assert_array_equal(by_name.root_positions, in_memory.root_positions)
+        assert by_name.style == "brisk" and by_name.num_frames == 30
 
 
 @pytest.mark.parametrize(
-    ("style", "options", "message"),
+    ("change", "place", "value"),
     [
-        ("slow", {}, "style: slow; must be one of brisk"),
-        ("brisk", {"mode": "linear10"}, "mode: linear10; must be cubic, nearest50, constant50"),
-        ("brisk", {"speed": 0.0}, "speed: 0.0; must be above 0"),
-        ("brisk", {"seconds": float("nan")}, "seconds: nan; must be above 0"),
+        ({"style": "slow"}, "style", "slow"),
+        ({"mode": "linear10", "published_loop": True}, "mode", "linear10"),
+        ({"mode": "nearest50"}, "mode", "nearest50"),
+        ({"speed": 0.0}, "speed", 0.0),
+        ({"seconds": float("nan"), "published_loop": True}, "seconds", float("nan")),
+        ({"path": "zigzag"}, "shape", "zigzag"),
     ],
 )
-def test_bad_requests(run, style, options, message):
-    with pytest.raises(InputError, match=message):
-        generate(run, style, circle(1.0), **options)
+def test_bad_requests_are_refused(run, change, place, value):
+    arguments = {"style": "brisk", "path": circle(1.0), "foot_ik": False} | change
+    with pytest.raises(InputError) as caught:
+        generate_clip(run, **arguments)
+    assert (caught.value.place, str(caught.value.value)) == (place, str(value))

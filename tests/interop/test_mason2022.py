@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.generation import default_speed, generate, loop_config
+from pfnn_jax.control.generation import clip_from_frames, loop_frames
 from pfnn_jax.control.ground import turn_towards
 from pfnn_jax.control.loop.state import ROOT, initial_state, straight_row
 from pfnn_jax.control.loop.step import Command, published_step
+from pfnn_jax.control.run_settings import default_speed, loop_config
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_bank
 from pfnn_jax.inference.predictor import evaluate, make_predictor
@@ -195,9 +196,12 @@ def alternates(contacts) -> bool:
 
 
 def test_generated_mixture_goes_round(lpn_run):
-    made = generate(lpn_run, {"Neutral": 0.5, "Old": 0.3, "Zombie": 0.2}, circle(2.0), seconds=3.0)
-    assert made.clip.style == "Neutral:0.5+Old:0.3+Zombie:0.2" and made.clip.num_frames == 180
-    assert float(np.asarray(made.frames.path_distance).max()) < 0.5
-    turned = np.unwrap(np.asarray(made.frames.root_yaw))
-    assert turned[-1] - turned[0] > 0.7
-    assert 0.8 < made.clip.root_positions[:, 1].mean() < 1.1
+    style = {"Neutral": 0.5, "Old": 0.3, "Zombie": 0.2}
+    predictor, speed = make_predictor(lpn_run, style), default_speed(lpn_run, style)
+    loop = loop_config(lpn_run)
+    frames = loop_frames(predictor, circle(2.0), lpn_run, speed=speed, seconds=3.0, loop=loop)
+    assert float(np.asarray(frames.path_distance).max()) < 0.5
+    turned = np.unwrap(np.asarray(frames.root_yaw))
+    assert len(turned) == 180 and turned[-1] - turned[0] > 0.7
+    clip = clip_from_frames(lpn_run.skeleton, lpn_run.layout, frames)
+    assert 0.8 < clip.root_positions[:, 1].mean() < 1.1

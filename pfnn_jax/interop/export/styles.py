@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from pfnn_jax.control.generation import style_label
+from pfnn_jax.control.run_settings import style_label
 from pfnn_jax.inference.mixture import StyleChoice, file_stem, load_choice, need_style
 from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.film import FiLMStyle, film_to_vector

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from pfnn_jax.control.controller import Controller, make_controller
 from pfnn_jax.control.controller_state import style_speed
-from pfnn_jax.control.generation import default_speed
+from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.inference.mixture import StyleChoice, choice_weights
 from pfnn_jax.run import Run
 

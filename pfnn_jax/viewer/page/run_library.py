@@ -14,7 +14,7 @@ import numpy as np
 
 from pfnn_jax.control.controller import Command, Controller, make_controller, with_calibrated_speeds
 from pfnn_jax.control.controller_state import ControllerParams
-from pfnn_jax.control.generation import default_speed
+from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.errors import InputError
 from pfnn_jax.run import Run, list_styles, load_run, load_style
 from pfnn_jax.viewer.page.view import phase_scale
