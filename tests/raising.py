@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from pfnn_jax.errors import InputError
 def assert_refused(
     call: Callable[[], Any],
     *,
-    file: str | None = None,
+    file: str | Path | None = None,
     place: str | None = None,
     value: object = None,
     rule_mentions: str | None = None,
@@ -32,7 +33,7 @@ def assert_refused(
     with pytest.raises(InputError) as caught:
         call()
     error = caught.value
-    assert file is None or error.file.endswith(file), error
+    assert file is None or error.file.endswith(str(file)), error
     assert place is None or error.place == place, error
     assert value is None or str(error.value) == str(value), error
     assert rule_mentions is None or rule_mentions in error.rule, error

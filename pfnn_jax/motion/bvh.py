@@ -1,8 +1,8 @@
-"""BVH files to motion clips and back.
+"""Reads and writes BVH files as motion clips.
 
-One small reader serves every file: any channel order, position channels on any joint, any frame rate. It parses a
-clip of 2428 frames and 31 joints in the time of pybvh 0.9 (17 ms on one core, 38 ms with quaternions and roles), which
-refuses position channels below the root.
+`parse_bvh` reads and checks the text; `read_bvh` makes a clip on a rigid skeleton in metres of it. The reader takes any
+channel order, position channels on any joint and any frame rate. It is as fast as pybvh 0.9, which refuses position
+channels below the root: 17 ms on one core for 2428 frames and 31 joints, 38 ms with quaternions and roles.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import write_whole
+from pfnn_jax.io.files import refuse_existing, write_whole
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import (
     AXES,
@@ -29,14 +29,18 @@ from pfnn_jax.motion.kinematics import (
 from pfnn_jax.motion.roles import assign_roles, find_roles, is_hips_name, leg_length, longest_chain
 from pfnn_jax.motion.skeleton import Skeleton
 
-LIMIT = 1e7  # no length or angle of a person comes near; far below where squares overflow
+LIMIT = 1e7  # far above any length or angle of a person, far below where squares overflow
 CHANNELS = {f"{axis}{kind}": f"{kind[0]}{axis}" for axis in "XYZ" for kind in ("POSITION", "ROTATION")}
 LONGEST_FRAME, SHORTEST_FRAME = 10.0, 1e-5  # seconds
+STRETCH = 0.02  # share of the longest limb by which bones may vary and still count as rigid
+METRE, CENTIMETRE, MILLIMETRE, INCH, CMU = 1.0, 0.01, 0.001, 0.0254, 0.056444
+NUM_POSES = 30  # enough to tell left from right in a walk or a run
+RATE_STEP = 2e-4  # relative; printed frame times have few decimals: 0.008333 means 120 fps
 
 
 @dataclass
 class BvhJoint:
-    """One joint as the hierarchy states it; channels as `PX` for Xposition, `RZ` for Zrotation."""
+    """One joint of the hierarchy; channels are written `PX` for Xposition and `RZ` for Zrotation."""
 
     name: str
     parent: int
@@ -49,12 +53,12 @@ class BvhJoint:
 
 @dataclass(frozen=True)
 class BvhText:
-    """What a BVH file says.
+    """The contents of a BVH file.
 
     Attributes:
-        joints: depth first, so that an only child follows its parent.
+        joints: in depth-first order, so that an only child follows its parent.
         frame_time: seconds.
-        values: [T, C] one number per frame and channel, channels in the joints' order.
+        values: [T, C], one number per frame and channel, in the order of the joints' channels.
     """
 
     joints: list[BvhJoint]
@@ -63,10 +67,10 @@ class BvhText:
 
 
 def parse_bvh(path: Path) -> BvhText:
-    """Read and check the text of a BVH file.
+    """Reads and checks the text of a BVH file.
 
     Raises:
-        InputError: naming the file, the line, the value found and the rule.
+        InputError: if the text is malformed, naming the line.
     """
     text = _read_text(path)
     hierarchy, frames, frame_time, first_line, numbers = _split(path, text)
@@ -76,7 +80,7 @@ def parse_bvh(path: Path) -> BvhText:
 
 
 class _Tokens:
-    """The words of a hierarchy with their line numbers."""
+    """A cursor over the words of a hierarchy with their line numbers."""
 
     def __init__(self, path: Path, text: str):
         self.path = path
@@ -118,7 +122,7 @@ class _Tokens:
         return np.array([self.number(what) for _ in range(3)])
 
     def rest_of_line(self, rule: str) -> str:
-        """The words up to an opening brace on the same line: names may hold spaces."""
+        """Takes the words up to an opening brace on the same line: names may contain spaces."""
         line, words = self.words[self.next - 1][1], []
         while self.next < len(self.words) and self.words[self.next][1] == line and self.peek() != "{":
             words.append(self.take(rule))
@@ -128,7 +132,7 @@ class _Tokens:
 
 
 def shorten(value: object) -> str:
-    """A value fit for a one-line message, however long or unprintable it is."""
+    """Returns a value as printable text of at most 40 characters, for messages of one line."""
     text = str(value)
     text = text if text.isprintable() else ascii(text)
     return text if len(text) <= 40 else text[:37] + "..."
@@ -147,13 +151,13 @@ def _read_text(path: Path) -> str:
 
 
 def _split(path: Path, text: str) -> tuple[str, int, float, int, str]:
-    """(hierarchy text, number of frames, frame time in seconds, line number of the first frame, rows of numbers)."""
+    """Splits a text into hierarchy, number of frames, frame time in seconds, line of the first frame, and numbers."""
     if not re.match(r"\s*HIERARCHY\b", text, re.IGNORECASE):
         raise InputError(
             path,
             "line 1",
             shorten(text.strip()[:80].split("\n")[0] or "empty file"),
-            "a BVH file starts with HIERARCHY",
+            "must start with HIERARCHY",
         )
     motion = re.search(r"^[ \t]*MOTION[ \t]*$|(?<=\})\s*MOTION\b", text, re.IGNORECASE | re.MULTILINE)
     if motion is None:
@@ -163,7 +167,7 @@ def _split(path: Path, text: str) -> tuple[str, int, float, int, str]:
     line = text.count("\n", 0, motion.end()) + 1
     if match is None:
         after = shorten(text[motion.end() : motion.end() + 40].strip() or "end of file")
-        raise InputError(path, f"line {line}", after, "MOTION is followed by `Frames: N` and `Frame Time: SECONDS`")
+        raise InputError(path, f"line {line}", after, "MOTION precedes `Frames: N` and `Frame Time: SECONDS`")
     first_line = text.count("\n", 0, match.end()) + 1
     frames_line, time_line = (f"line {text.count(chr(10), 0, match.start(group)) + 1}" for group in (1, 2))
     try:
@@ -171,7 +175,7 @@ def _split(path: Path, text: str) -> tuple[str, int, float, int, str]:
     except ValueError:
         raise InputError(path, frames_line, f"Frames: {shorten(match[1])}", "must be a whole number") from None
     if frames < 1:
-        raise InputError(path, frames_line, f"Frames: {frames}", "there must be at least one frame")
+        raise InputError(path, frames_line, f"Frames: {frames}", "must be at least 1")
     try:
         seconds = float(match[2])
     except ValueError:
@@ -184,14 +188,14 @@ def _split(path: Path, text: str) -> tuple[str, int, float, int, str]:
 
 def _parse_hierarchy(path: Path, text: str) -> list[BvhJoint]:
     tokens = _Tokens(path, text)
-    tokens.take("a BVH file starts with HIERARCHY", "HIERARCHY")
-    tokens.take("HIERARCHY is followed by ROOT", "ROOT")
+    tokens.take("must start with HIERARCHY", "HIERARCHY")
+    tokens.take("HIERARCHY must be followed by ROOT", "ROOT")
     joints: list[BvhJoint] = []
     open_joints: list[int] = []
     _open_joint(tokens, joints, open_joints)
     while open_joints:
         joint = joints[open_joints[-1]]
-        word = tokens.take(f"joint {shorten(joint.name)} is not closed by a brace")
+        word = tokens.take(f"joint {shorten(joint.name)} must be closed by a brace")
         match word.upper():
             case "OFFSET" if joint.offset is None:
                 joint.offset = tokens.vector(f"OFFSET of {shorten(joint.name)}")
@@ -206,19 +210,20 @@ def _parse_hierarchy(path: Path, text: str) -> list[BvhJoint]:
                 _close_joint(tokens, joint)
                 open_joints.pop()
             case _:
-                raise tokens.fail(word, "a joint holds one OFFSET, one CHANNELS, then JOINT or End Site, and a brace")
+                rule = "a joint must hold one OFFSET, one CHANNELS, then JOINT or End Site, and a brace"
+                raise tokens.fail(word, rule)
     if tokens.peek():
         tokens.next += 1
-        raise tokens.fail(tokens.words[tokens.next - 1][0], "one ROOT, then MOTION")
+        raise tokens.fail(tokens.words[tokens.next - 1][0], "there must be one ROOT, then MOTION")
     return joints
 
 
 def _open_joint(tokens: _Tokens, joints: list[BvhJoint], open_joints: list[int]) -> None:
     line = tokens.words[tokens.next - 1][1]
-    name = tokens.rest_of_line("a joint needs a name")
+    name = tokens.rest_of_line("a joint must have a name")
     if name in tokens.names:
         raise tokens.fail(name, "joint names must differ")
-    tokens.take(f"joint {shorten(name)} opens with a brace", "{")
+    tokens.take(f"joint {shorten(name)} must be opened by a brace", "{")
     tokens.names.add(name)
     joints.append(BvhJoint(name, open_joints[-1] if open_joints else -1, line))
     open_joints.append(len(joints) - 1)
@@ -227,29 +232,30 @@ def _open_joint(tokens: _Tokens, joints: list[BvhJoint], open_joints: list[int])
 def _close_joint(tokens: _Tokens, joint: BvhJoint) -> None:
     if joint.offset is None or joint.channels is None:
         missing = "OFFSET" if joint.offset is None else "CHANNELS"
-        raise tokens.fail(f"joint {shorten(joint.name)} without {missing}", "every joint has OFFSET and CHANNELS")
+        raise tokens.fail(f"joint {shorten(joint.name)} without {missing}", "every joint must have OFFSET and CHANNELS")
     if joint.num_children == 0 and not joint.end_sites:
-        raise tokens.fail(f"joint {shorten(joint.name)} without End Site", "a joint without children has an End Site")
+        found = f"joint {shorten(joint.name)} without End Site"
+        raise tokens.fail(found, "joints without children must have an End Site")
 
 
 def _parse_channels(tokens: _Tokens, joint: BvhJoint) -> list[str]:
-    """Channels as two letters, `PX` for Xposition and `RZ` for Zrotation."""
+    """Returns channels as two letters: `PX` for Xposition, `RZ` for Zrotation."""
     count = tokens.number("the count of CHANNELS")
     if count not in range(7):
-        raise tokens.fail(tokens.words[tokens.next - 1][0], "a joint has 0 to 6 channels")
+        raise tokens.fail(tokens.words[tokens.next - 1][0], "a joint must have 0 to 6 channels")
     channels: list[str] = []
     for _ in range(int(count)):
-        word = tokens.take("the stated count of channels must follow")
+        word = tokens.take("as many channels must follow as their count says")
         channel = CHANNELS.get(word.upper())
         if channel is None or channel in channels:
-            rule = f"joint {shorten(joint.name)} states {int(count)} different channels, as Xposition or Zrotation"
+            rule = f"joint {shorten(joint.name)} must list {int(count)} different channels, such as Zrotation"
             raise tokens.fail(word, rule)
         channels.append(channel)
     return channels
 
 
 def _parse_end_site(tokens: _Tokens) -> np.ndarray:
-    rule = "an end is written `End Site { OFFSET x y z }`"
+    rule = "must be written `End Site { OFFSET x y z }`"
     tokens.take(rule, "SITE")
     if tokens.peek() != "{":
         tokens.rest_of_line(rule)  # some exporters name their end sites
@@ -261,7 +267,7 @@ def _parse_end_site(tokens: _Tokens) -> np.ndarray:
 
 
 def _parse_frames(path: Path, numbers: str, first_line: int, frames: int, columns: int) -> np.ndarray:
-    """[T, columns] numbers, refused unless every row has one finite number per channel."""
+    """Parses [T, columns] numbers, checking that every row has one finite number per channel."""
     if columns == 0:
         raise InputError(path, "hierarchy", "no channels", "at least one joint must move")
     values = None
@@ -276,7 +282,7 @@ def _parse_frames(path: Path, numbers: str, first_line: int, frames: int, column
 
 
 def _frames_error(path: Path, numbers: str, first_line: int, frames: int, columns: int) -> InputError:
-    """What is wrong with the rows, found line by line since speed no longer matters."""
+    """Finds what is wrong with the rows, line by line since speed no longer matters."""
     rows, last = 0, first_line
     for line, text in enumerate(numbers.split("\n"), start=first_line):
         words = text.split()
@@ -292,47 +298,41 @@ def _frames_error(path: Path, numbers: str, first_line: int, frames: int, column
                 rule = f"must be a finite number within ±{LIMIT:g}"
                 return InputError(path, f"line {line}", f"value {column} is {shorten(word)}", rule)
         if len(words) != columns:
-            rule = f"the hierarchy's channels need {columns}"
+            rule = f"must be {columns}, one for each channel of the hierarchy"
             return InputError(path, f"line {line}", f"{len(words)} numbers", rule)
-    return InputError(path, f"line {last}", f"{rows} frames", f"`Frames:` states {frames}")
-
-
-STRETCH = 0.02  # bones may vary by this share of the longest limb and still count as rigid
-METRE, CENTIMETRE, MILLIMETRE, INCH, CMU = 1.0, 0.01, 0.001, 0.0254, 0.056444
-POSES = 30  # enough to tell left from right in a walk or a run
-RATE_STEP = 2e-4  # relative: frame times are printed to few decimals, 0.008333 means 120 fps
+    return InputError(path, f"line {last}", f"{rows} frames", f"must be {frames}, as `Frames:` says")
 
 
 def read_bvh(path: str | Path, *, unit: float | None = None, roles_file: str | Path | None = None) -> MotionClip:
-    """Read a BVH file.
+    """Reads a BVH file.
 
-    Joints above the hips which only carry the root, as `joint_Root` of the Bandai-Namco files, are folded into the
-    hips: joint 0 moves as the product of their transforms. Position channels replace OFFSET; below the root they must
-    be constant (within 2 % of the longest limb, since bones are rigid) and their median becomes the offset.
+    Joints above the hips that only carry the root, such as `joint_Root` of the Bandai-Namco files, are merged into the
+    hips: joint 0 moves by the product of their transforms. Position channels replace OFFSET; below the root they must
+    be constant (within 2 % of the longest limb, as bones are rigid), and their median becomes the offset.
 
     Args:
-        path: the file.
+        path: file to read.
         unit: metres per unit of the file; None guesses metre, centimetre, millimetre, inch or the CMU database's
             0.056444 m from the length of the legs.
-        roles_file: JSON from role to joint name, see `assign_roles`. Without it the skeleton's roles are found from
-            names and geometry, and stay None where they cannot be.
+        roles_file: JSON from role to joint name, see `assign_roles`. None finds the roles by names and geometry, and
+            leaves them None if that fails.
 
     Returns:
-        The clip, with style `unknown` and without content.
+        The clip, with style `unknown` and empty content.
 
     Raises:
-        InputError: naming the file, the line or joint, the value found and the rule.
+        InputError: if the file is malformed, naming the line or joint.
     """
     path = Path(path)
     if unit is not None and not (np.isfinite(unit) and unit > 0):
-        raise InputError(path, "unit", unit, "metres per unit must be positive and finite")
+        raise InputError(path, "unit", unit, "must be a positive, finite number of metres")
     text = parse_bvh(path)
     names, parents, positions, rotations, end_sites = _fold(text.joints, *_channels(text.joints, text.values))
     offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
 
     def poses() -> np.ndarray:
-        some = rotations[:: max(1, len(rotations) // POSES)]
+        some = rotations[:: max(1, len(rotations) // NUM_POSES)]
         return forward_kinematics(bare, np.zeros((len(some), 3)), some)[0]
 
     scale = _guess_unit(bare, poses) if unit is None else unit
@@ -345,14 +345,14 @@ def read_bvh(path: str | Path, *, unit: float | None = None, roles_file: str | P
 
 
 def _frame_rate(frame_time: float) -> float:
-    """Frames per second, snapped to a whole rate that the printed frame time stands for."""
+    """Returns frames per second, rounded to a whole number where the printed frame time means one."""
     fps = 1.0 / frame_time
     whole = round(fps)
     return float(whole) if whole and abs(fps - whole) <= RATE_STEP * whole else fps
 
 
 def _channels(joints: list[BvhJoint], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [T, J, 3] in file units and rotations [T, J, 4], both in the parent's frame."""
+    """Returns positions [T, J, 3] in file units and rotations [T, J, 4], both in the parent's frame."""
     positions = np.empty((len(values), len(joints), 3))
     orders: dict[str, list[tuple[int, list[int]]]] = {}
     column = 0
@@ -376,12 +376,12 @@ def _channels(joints: list[BvhJoint], values: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _fold(joints: list[BvhJoint], positions: np.ndarray, rotations: np.ndarray):
-    """Names, parents, positions, rotations and end sites with the carriers above the hips folded into joint 0."""
+    """Merges the joints above the hips into joint 0; returns names, parents, positions, rotations and end sites."""
     first = 0
     while joints[first].num_children == 1 and not joints[first].end_sites and not is_hips_name(joints[first].name):
         first += 1  # the only child follows its parent
     if joints[first].num_children < 2 and not is_hips_name(joints[first].name):
-        first = 0  # a chain has no hips
+        first = 0  # a chain without hips is kept whole
     position, rotation = positions[:, 0], rotations[:, 0]
     for joint in range(1, first + 1):
         position = position + quat_rotate(rotation, positions[:, joint])
@@ -395,7 +395,7 @@ def _fold(joints: list[BvhJoint], positions: np.ndarray, rotations: np.ndarray):
 
 
 def _rest_offsets(positions: np.ndarray) -> np.ndarray:
-    """[J, 3] offsets: a joint's constant position, the median where it varies, zero for the root."""
+    """Returns offsets [J, 3]: a joint's constant position, its median if it varies, zero for the root."""
     offsets = positions[0].copy()
     varying = np.any(positions != offsets, axis=0)
     varying[0] = False
@@ -409,14 +409,15 @@ def _require_rigid(path: Path, skeleton: Skeleton, positions: np.ndarray) -> Non
     stretch[0] = 0.0
     joint, size = int(np.argmax(stretch)), longest_chain(skeleton)
     if stretch[joint] > STRETCH * size:
-        rule = f"bones are rigid: a position below the root may vary by {STRETCH:.0%} of the longest limb's {size:.3g}"
+        rule = f"bones must be rigid: positions may vary by {STRETCH:.0%} of the longest limb's {size:.3g}"
         raise InputError(path, f"joint {shorten(skeleton.names[joint])}", f"moves by {stretch[joint]:.3g}", rule)
 
 
 def _guess_unit(skeleton: Skeleton, poses: Callable[[], np.ndarray]) -> float:
-    """Metres per file unit, from the length of a leg from hip to ankle.
+    """Guesses the metres per file unit from the length of a leg from hip to ankle.
 
-    An adult's is 0.7 to 1 m, a child's of 1 m height 0.42 m. Without legs, three quarters of the longest chain.
+    It is 0.7 to 1 m for adults and 0.42 m for a child of 1 m height. Without legs, it is taken to be three quarters of
+    the longest chain.
     """
     try:
         leg = leg_length(skeleton, find_roles(skeleton, poses=poses))
@@ -429,31 +430,30 @@ def _guess_unit(skeleton: Skeleton, poses: Callable[[], np.ndarray]) -> float:
 
 
 def write_bvh(path: str | Path, clip: MotionClip, *, unit: float = CENTIMETRE, overwrite: bool = False) -> None:
-    """Write a clip as a BVH file that other software opens: ZYX Euler channels, centimetres, an End Site on every leaf.
+    """Writes a clip as a BVH file for other software: ZYX Euler channels, centimetres, an End Site on every leaf.
 
     Joints are written depth first, which is the skeleton's own order for clips that were read from BVH. Numbers have
-    6 decimals. The file appears whole or not at all.
+    6 decimals. The file is written atomically.
 
     Args:
         path: file to write.
         clip: the motion, in metres.
         unit: metres per unit of the file.
-        overwrite: whether an existing file may be replaced.
+        overwrite: whether to replace an existing file.
 
     Raises:
-        InputError: if the file exists and may not be replaced, cannot be written, or the clip is not finite.
+        InputError: if the file exists and `overwrite` is false, it cannot be written, or the clip is not finite.
     """
     path = Path(path)
-    if path.exists() and not overwrite:
-        raise InputError(path, "output", "exists", "pass overwrite (--overwrite) to replace it")
+    refuse_existing(path, overwrite)
     if not (np.isfinite(unit) and unit > 0):
-        raise InputError(path, "unit", unit, "metres per unit must be positive and finite")
+        raise InputError(path, "unit", unit, "must be a positive, finite number of metres")
     for what, values in (("root positions", clip.root_positions), ("rotations", clip.rotations)):
         if not np.all(np.isfinite(values)):
             frame = int(np.argwhere(~np.isfinite(values))[0][0])
-            raise InputError(path, f"frame {frame}", f"non-finite {what}", "motion must be finite to be written")
+            raise InputError(path, f"frame {frame}", f"non-finite {what}", "every value must be finite")
     if clip.num_frames < 1:
-        raise InputError(path, "clip", "0 frames", "there must be at least one frame")
+        raise InputError(path, "clip", "0 frames", "must have at least one frame")
     write_whole(path, "\n".join(_hierarchy_lines(clip.skeleton, unit) + _motion_lines(clip, unit)) + "\n")
 
 

@@ -1,4 +1,4 @@
-"""The record of one take of motion, and what can be done to it whole."""
+"""One take of motion: the record, and operations on all of it (cut, resample, mirror)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.kinematics import quat_multiply, quat_slerp, quat_to_matrix
 from pfnn_jax.motion.skeleton import Skeleton
 
-ON_FRAME = 1e-6  # of a frame: a new frame this near to an old one is that frame
-FIT = 0.1  # share of a joint's bone lengths by which left and right may differ in real skeletons
+ON_FRAME = 1e-6  # of a frame: a new frame this close to an old one takes its values exactly
+ASYMMETRY = 0.1  # share of a joint's bone lengths by which left and right may differ in real skeletons
 REFLECTIONS = np.array([[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0]])
 WORLD_REFLECTION = REFLECTIONS[0]  # x to -x
 
@@ -26,10 +26,10 @@ class MotionClip:
         fps: frames per second.
         root_positions: [T, 3] metres, world position of joint 0.
         rotations: [T, J, 4] wxyz, each joint's rotation in its parent's frame (joint 0: in the world).
-        style: name of the style, as `angry`.
-        content: what is done, as `walk`.
-        mirrored: whether left and right were exchanged.
-        source: file the clip came from, for messages.
+        style: name of the style, such as `angry`.
+        content: what the character does, such as `walk`.
+        mirrored: whether left and right have been exchanged.
+        source: file that the clip was read from, for messages.
     """
 
     skeleton: Skeleton
@@ -43,32 +43,33 @@ class MotionClip:
 
     @property
     def num_frames(self) -> int:
+        """T."""
         return len(self.root_positions)
 
 
 def cut(clip: MotionClip, start: int, stop: int) -> MotionClip:
-    """Frames start to stop (exclusive) of a clip.
+    """Returns frames start to stop (exclusive) of a clip.
 
     Raises:
         InputError: unless 0 <= start < stop <= number of frames.
     """
     if not 0 <= start < stop <= clip.num_frames:
-        rule = f"a cut lies within the clip's {clip.num_frames} frames and holds at least one"
+        rule = f"must lie within the clip's {clip.num_frames} frames and contain at least one"
         raise InputError(clip.source or "clip", "cut", f"frames {start} to {stop}", rule)
     return replace(clip, root_positions=clip.root_positions[start:stop], rotations=clip.rotations[start:stop])
 
 
 def resample(clip: MotionClip, fps: float) -> MotionClip:
-    """The clip at another frame rate, from its first frame to the last new frame within it.
+    """Resamples a clip to another frame rate, from its first frame to the last new frame within it.
 
-    Positions are linear and rotations follow the shorter great arc (slerp) between neighbouring frames; where a new
-    frame falls on an old one it is that frame exactly, so that 120 to 60 fps keeps every second frame.
+    Positions are interpolated linearly and rotations along the shorter great arc (slerp). A new frame that coincides
+    with an old one equals it exactly, so that resampling from 120 to 60 fps keeps every second frame.
 
     Raises:
         InputError: if the rate is not positive and finite.
     """
     if not (np.isfinite(fps) and fps > 0):
-        raise InputError(clip.source or "clip", "frame rate", fps, "frames per second must be positive and finite")
+        raise InputError(clip.source or "clip", "frame rate", fps, "must be positive and finite")
     if abs(fps - clip.fps) <= ON_FRAME * fps or clip.num_frames < 2:
         return replace(clip, fps=float(fps))
     times = np.arange(int(np.floor((clip.num_frames - 1) * fps / clip.fps + ON_FRAME)) + 1) * (clip.fps / fps)
@@ -86,17 +87,17 @@ def resample(clip: MotionClip, fps: float) -> MotionClip:
 
 
 def mirror_clip(clip: MotionClip, signs: np.ndarray | None = None) -> MotionClip:
-    """The clip with left and right exchanged: reflected across the plane x = 0, on the same skeleton.
+    """Mirrors a clip across the plane x = 0, exchanging left and right, on the same skeleton.
 
-    Each joint takes its partner's reflected rotation. A reflection is no rotation, so every joint also has a reflection
-    S of its own frame that takes its bones to its partner's bones: x to -x in skeletons whose zero pose is symmetric,
-    other axes where bones lie along local X as in the Bandai-Namco files. Where bones leave S open, it is the one that
-    keeps the mirrored pose closest to the clip's own. Bone lengths stay the skeleton's: if left and right differ, the
-    mirrored positions differ from the reflected ones by as much. Mirroring twice gives the clip back.
+    Each joint takes its partner's reflected rotation. Since a reflection is not a rotation, every joint also has a
+    reflection S of its own frame, which maps its bones to its partner's bones: x to -x in skeletons whose zero pose is
+    symmetric, other axes where bones lie along local X, as in the Bandai-Namco files. Where bones do not determine S,
+    it is chosen to keep the mirrored poses closest to the clip's own. Bone lengths remain the skeleton's: where left
+    and right differ, mirrored positions differ from reflected ones by as much. Mirroring twice is the identity.
 
     Args:
         clip: the motion.
-        signs: [J, 3] as `frame_reflections` returns them, where they are known already.
+        signs: [J, 3] as `frame_reflections` returns them; None computes them.
     """
     signs = frame_reflections(clip) if signs is None else signs
     partner, parents = clip.skeleton.mirror, clip.skeleton.parents
@@ -113,36 +114,39 @@ def mirror_clip(clip: MotionClip, signs: np.ndarray | None = None) -> MotionClip
 
 
 def swap_sides(content: str) -> str:
-    """A content's name with its words left and right exchanged: walk-turn-left becomes walk-turn-right."""
+    """Exchanges the words left and right in a content's name: walk-turn-left becomes walk-turn-right."""
     return re.sub(r"left|right", lambda word: "right" if word[0] == "left" else "left", content)
 
 
 def reflect_rotations(q: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    """Quaternions [T, J, 4] of O R I for diagonal reflections outer and inner [J, 3] of signs with product -1.
+    """Returns quaternions [T, J, 4] of O R I, for diagonal reflections O (outer) and I (inner) given by signs [J, 3].
 
-    With O = -A and I = -B for half turns (or identities) A and B about an axis, O R I = A R B: a permutation of the
-    quaternion's parts with signs, found by applying it to the unit quaternions.
+    Each reflection's signs have product -1. With O = -A and I = -B for half turns (or identities) A and B about an
+    axis, O R I = A R B. This permutes the quaternion's components and changes their signs; applying it to the four unit
+    quaternions shows how.
     """
     units = np.eye(4)[:, None]
     outer = np.broadcast_to(outer, inner.shape)
     images = quat_multiply(quat_multiply(_half_turn(outer), units), _half_turn(inner))  # [4, J, 4]
     source = np.argmax(np.abs(images), axis=0)  # [J, 4] part of q that each part of the result comes from
     sign = np.take_along_axis(images, source[None], axis=0)[0]
+    if (source == np.arange(4)).all():  # where outer and inner are equal, as in symmetric zero poses
+        return q * sign
     return np.take_along_axis(q, source[None], axis=-1) * sign
 
 
 def _half_turn(signs: np.ndarray) -> np.ndarray:
-    """Quaternions [J, 4] of the rotation -S: a half turn about the axis that S reflects, or the identity."""
+    """Returns quaternions [J, 4] of the rotation -S: a half turn about the axis that S reflects, or the identity."""
     turn = np.concatenate((np.zeros((len(signs), 1)), (signs < 0).astype(float)), axis=1)
     turn[np.all(signs < 0, axis=1)] = (1.0, 0.0, 0.0, 0.0)
     return turn
 
 
 def frame_reflections(clip: MotionClip) -> np.ndarray:
-    """[J, 3] signs of the reflection of each joint's frame, the same for both joints of a pair."""
+    """Returns the signs [J, 3] of the reflection of each joint's frame, equal for both joints of a pair."""
     skeleton = clip.skeleton
     misfit, length = _bone_misfit(skeleton)
-    fits = misfit <= misfit.min(axis=1, keepdims=True) + FIT * length[:, None]
+    fits = misfit <= misfit.min(axis=1, keepdims=True) + ASYMMETRY * length[:, None]
     if np.all(fits[:, 0]):
         # the zero pose is symmetric, so every frame mirrors as the world does
         return np.tile(WORLD_REFLECTION, (skeleton.num_joints, 1))
@@ -152,7 +156,7 @@ def frame_reflections(clip: MotionClip) -> np.ndarray:
         partner, parent = skeleton.mirror[joint], skeleton.parents[joint]
         if partner < joint:
             chosen[joint] = chosen[partner]
-        elif parent < 0:  # only the upright axis is the same whichever way the clip heads
+        elif parent < 0:  # of the root's axes only the vertical one does not depend on the clip's heading
             chosen[joint] = _best(fits[joint], (mean[joint][1] ** 2 * REFLECTIONS).sum(axis=1))
         else:
             mirrored = REFLECTIONS[chosen[parent]][:, None] * mean[partner]
@@ -166,7 +170,7 @@ def _best(fits: np.ndarray, closeness: np.ndarray) -> int:
 
 
 def _bone_misfit(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
-    """[J, 4] distance by which each reflection misses the partner's bones, and [J] length of a joint's bones."""
+    """Returns how far each reflection misses the partner's bones [J, 4], and the length of each joint's bones [J]."""
     misfit, length = np.zeros((skeleton.num_joints, len(REFLECTIONS))), np.zeros(skeleton.num_joints)
     for joint in range(1, skeleton.num_joints):
         parent, partner = skeleton.parents[joint], skeleton.mirror[joint]

@@ -1,4 +1,4 @@
-"""Hand ends as joints: the tips that `mason2022` layouts take for the hands' end effectors."""
+"""Makes joints of the ends of hands, which `mason2022` layouts use as end effectors."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from pfnn_jax.motion.skeleton import Roles, Skeleton, need_roles
 
 
 def extend_hands(clip: MotionClip) -> MotionClip:
-    """The clip with the hands' End Sites as joints, as Mason et al. 2022 count joints (section 4.2).
+    """Adds the hands' End Sites to a clip as joints, as Mason et al. 2022 count joints (section 4.2).
 
-    Where both hands end in an End Site away from the wrist, each becomes a joint `<wrist>Site` right after its wrist,
-    with no rotation of its own, and is the hand in the roles from then on: 23 joints of a 100STYLE file become 25.
-    Elsewhere (a wrist without an End Site, or with one at the wrist itself, as in the Bandai-Namco files) the clip
-    stays as it is. So it does where the joints are there already; then only the roles move to them.
+    If both hands end in an End Site away from the wrist, each becomes a joint `<wrist>Site` right after its wrist,
+    without rotation, and takes the role of the hand: the 23 joints of a 100STYLE file become 25. Otherwise (a wrist
+    without an End Site, or with one at the wrist itself, as in the Bandai-Namco files) the clip is returned unchanged.
+    If the joints exist already, only the roles are moved to them.
 
     Args:
-        clip: of J joints, with roles.
+        clip: of J joints, on a skeleton with roles.
 
     Returns:
         A clip of J + 2 or J joints.
@@ -48,11 +48,11 @@ def extend_hands(clip: MotionClip) -> MotionClip:
 
 
 def _insert(skeleton: Skeleton, roles: Roles, sites: dict[int, int], order: np.ndarray) -> Skeleton:
-    """The skeleton with new joints where `order` (old joints in their new places) has -1.
+    """Inserts joints into a skeleton where `order` (old joints at their new indices) is -1.
 
     Args:
         skeleton: J joints.
-        roles: of it.
+        roles: of the skeleton.
         sites: hand joint -> index in `end_sites` of the site that becomes a joint.
         order: [J + 2].
     """
@@ -75,7 +75,7 @@ def _insert(skeleton: Skeleton, roles: Roles, sites: dict[int, int], order: np.n
 
 
 def _move(roles: Roles, place: np.ndarray) -> Roles:
-    """The roles of joints that now stand at `place`."""
+    """Returns the roles with each old joint index replaced by its new one, `place[joint]`."""
     moved: dict[str, Any] = {
         role: tuple(int(place[joint]) for joint in joints) if isinstance(joints, tuple) else int(place[joints])
         for role, joints in asdict(roles).items()
@@ -84,7 +84,7 @@ def _move(roles: Roles, place: np.ndarray) -> Roles:
 
 
 def _site_joint(skeleton: Skeleton, hand: int) -> int | None:
-    """The joint that stands for the hand's tip: the hand itself, or its child, after an earlier extension."""
+    """Returns the joint at the hand's tip that an earlier extension made: the hand itself or its child."""
     if skeleton.names[hand].endswith("Site"):
         return hand
     name = f"{skeleton.names[hand]}Site"
@@ -93,7 +93,7 @@ def _site_joint(skeleton: Skeleton, hand: int) -> int | None:
 
 
 def _tip(skeleton: Skeleton, hand: int) -> int | None:
-    """Index in `end_sites` of the hand's End Site away from the hand."""
+    """Returns the index in `end_sites` of the hand's End Site, if it is away from the wrist."""
     for index, (joint, offset) in enumerate(skeleton.end_sites):
         if joint == hand and np.linalg.norm(offset) > 0:
             return index

@@ -2,10 +2,11 @@
 
 A quaternion turns vectors by `v' = q v q*`; a product `a b` applies b first. Right-handed axes, Y up.
 
-NumPy in and out, in float64. The functions that a character needs while it runs (`quat_multiply`, `quat_conjugate`,
-`quat_rotate`, `quat_normalise`, `quat_exp`, `quat_between` and the `quat_from_` of axis and angle, matrix, yaw, forward
-and up) also take arrays of another library that names its functions as NumPy does (`__array_namespace__`): they answer
-in that library and in its precision, and their gradients are finite everywhere.
+All functions take and return NumPy arrays in float64. Those that a character needs at run time (`quat_multiply`,
+`quat_conjugate`, `quat_rotate`, `quat_normalise`, `quat_exp`, `quat_between`, `quat_from_axis_angle`,
+`quat_from_matrix`, `quat_from_yaw` and `quat_from_forward_up`) also take arrays of another library with the array API
+(`__array_namespace__`), such as JAX: they then return arrays of that library, in its precision, and their gradients are
+finite everywhere.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from pfnn_jax.motion.arrays import array_namespace, as_floats, components, join_
 from pfnn_jax.motion.skeleton import Skeleton
 
 AXES = {"X": 0, "Y": 1, "Z": 2}
-SMALL = 1e-12  # below this a length carries no direction
+SMALL = 1e-12  # a vector shorter than this has no direction
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Any:
-    """Hamilton product [..., 4]: the rotation b followed by the rotation a."""
+    """Returns the Hamilton product [..., 4]: the rotation b followed by the rotation a."""
     xp = array_namespace(a, b)
     aw, ax, ay, az = components(a, xp)
     bw, bx, by, bz = components(b, xp)
@@ -40,7 +41,7 @@ def quat_multiply(a: ArrayLike, b: ArrayLike) -> Any:
 
 
 def quat_conjugate(q: ArrayLike) -> Any:
-    """Inverse rotation [..., 4] of a unit quaternion."""
+    """Returns the inverse rotation [..., 4] of a unit quaternion."""
     xp = array_namespace(q)
     if xp is np:
         return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])
@@ -49,7 +50,7 @@ def quat_conjugate(q: ArrayLike) -> Any:
 
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> Any:
-    """Vectors v [..., 3] turned by unit quaternions q [..., 4]."""
+    """Rotates vectors v [..., 3] by unit quaternions q [..., 4]."""
     xp = array_namespace(q, v)
     w, qx, qy, qz = components(q, xp)
     x, y, z = components(v, xp)
@@ -60,17 +61,17 @@ def quat_rotate(q: ArrayLike, v: ArrayLike) -> Any:
 
 
 def quat_normalise(q: ArrayLike) -> Any:
-    """q [..., 4] at unit length; a zero quaternion becomes the identity."""
+    """Normalises q [..., 4] to unit length; a zero quaternion becomes the identity."""
     xp, given = as_floats(q)
     squared = xp.sum(given * given, axis=-1, keepdims=True)
     found = squared > SMALL**2
-    # the length that is divided by is chosen before the root is taken, so that its gradient exists at zero too
+    # zero lengths are replaced before the square root, whose gradient at zero would be infinite
     identity = xp.broadcast_to(xp.asarray(_IDENTITY, dtype=given.dtype), given.shape)
     return xp.where(found, given / xp.sqrt(xp.where(found, squared, 1.0)), identity)
 
 
 def quat_from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Any:
-    """Rotation [..., 4] by `angle` [...] radians about `axis` [..., 3] (any length; zero gives the identity)."""
+    """Returns the rotation [..., 4] by `angle` [...] radians about `axis` [..., 3] of any length (zero: identity)."""
     xp, along, angles = as_floats(axis, angle)
     half = angles[..., None] / 2
     squared = xp.sum(along * along, axis=-1, keepdims=True)
@@ -81,12 +82,12 @@ def quat_from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Any:
 
 
 def quat_from_euler(angles: ArrayLike, order: str) -> np.ndarray:
-    """Rotation [..., 4] from `angles` [..., 3] radians in the order in which a BVH file lists its channels.
+    """Returns the rotation [..., 4] of Euler angles in radians, in the order in which a BVH file lists its channels.
 
-    "ZYX" means R = Rz Ry Rx: the last listed axis turns first about fixed axes.
+    "ZYX" means R = Rz Ry Rx: about fixed axes, the rotation listed last is applied first.
 
     Args:
-        angles: one angle per letter of `order`.
+        angles: [..., 3], one angle per letter of `order`.
         order: any of the six orders of X, Y and Z.
     """
     half = np.asarray(angles, dtype=float) / 2
@@ -95,7 +96,7 @@ def quat_from_euler(angles: ArrayLike, order: str) -> np.ndarray:
     parity = _parity(i, j)
     q = np.empty(half.shape[:-1] + (4,))
     c01, s01, cs, sc = cos[0] * cos[1], sin[0] * sin[1], cos[0] * sin[1], sin[0] * cos[1]
-    # the product of three axis quaternions; e_i e_j = parity e_k
+    # product of three axis quaternions, with e_i e_j = parity e_k
     q[..., 0] = c01 * cos[2] - parity * s01 * sin[2]
     q[..., 1 + i] = sc * cos[2] + parity * cs * sin[2]
     q[..., 1 + j] = cs * cos[2] - parity * sc * sin[2]
@@ -104,7 +105,7 @@ def quat_from_euler(angles: ArrayLike, order: str) -> np.ndarray:
 
 
 def quat_to_euler(q: ArrayLike, order: str) -> np.ndarray:
-    """Angles [..., 3] radians, one per letter of `order`, with `quat_from_euler(angles, order)` = ±q.
+    """Returns Euler angles [..., 3] in radians, one per letter of `order`, with `quat_from_euler(angles, order)` = ±q.
 
     The middle angle lies in [-π/2, π/2]; at its ends (gimbal lock) the last angle is 0.
     """
@@ -122,7 +123,7 @@ def quat_to_euler(q: ArrayLike, order: str) -> np.ndarray:
 
 
 def quat_to_matrix(q: ArrayLike) -> np.ndarray:
-    """Rotation matrices [..., 3, 3] of unit quaternions q [..., 4]."""
+    """Returns the rotation matrices [..., 3, 3] of unit quaternions q [..., 4]."""
     w, x, y, z = components(q)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -133,12 +134,12 @@ def quat_to_matrix(q: ArrayLike) -> np.ndarray:
 
 
 def quat_from_matrix(m: ArrayLike) -> Any:
-    """Unit quaternions [..., 4] with w ≥ 0 of rotation matrices m [..., 3, 3]."""
+    """Returns the unit quaternions [..., 4] with w ≥ 0 of rotation matrices m [..., 3, 3]."""
     xp, r = as_floats(m)
     xx, yy, zz = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
     wx, wy, wz = r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]
     xy, xz, yz = r[..., 0, 1] + r[..., 1, 0], r[..., 0, 2] + r[..., 2, 0], r[..., 1, 2] + r[..., 2, 1]
-    # row n is 4 q_n q: the longest row is the one free of cancellation
+    # row n is 4 q_n q; the longest row is free of cancellation
     rows = xp.stack(
         [
             xp.stack((1 + xx + yy + zz, wx, wy, wz), axis=-1),
@@ -154,9 +155,9 @@ def quat_from_matrix(m: ArrayLike) -> Any:
 
 
 def quat_log(q: ArrayLike) -> np.ndarray:
-    """Half-angle logarithm [..., 3] of unit quaternions: axis times half of the angle, with w ≥ 0 taken first.
+    """Returns the logarithm [..., 3] of unit quaternions: axis times half the angle, after a change of sign to w ≥ 0.
 
-    Source: Holden et al. 2017, joint rotations of the released layout.
+    Source: joint rotations in the released layout of Holden et al. 2017.
     """
     q = np.asarray(q, dtype=float)
     q = np.where(q[..., :1] < 0, -q, q)
@@ -167,7 +168,7 @@ def quat_log(q: ArrayLike) -> np.ndarray:
 
 
 def quat_exp(v: ArrayLike) -> Any:
-    """Unit quaternions [..., 4] of half-angle vectors v [..., 3]; the inverse of `quat_log`."""
+    """Returns unit quaternions [..., 4] of half-angle vectors v [..., 3]; the inverse of `quat_log`."""
     xp, along = as_floats(v)
     squared = xp.sum(along * along, axis=-1, keepdims=True)
     found = squared > SMALL**2
@@ -177,13 +178,13 @@ def quat_exp(v: ArrayLike) -> Any:
 
 
 def quat_slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> np.ndarray:
-    """Rotation [..., 4] at fraction t [...] of the shorter great arc from a to b (both [..., 4], unit)."""
+    """Returns the rotation [..., 4] at fraction t [...] of the shorter great arc from a to b (unit, [..., 4])."""
     a, b, t = np.asarray(a, dtype=float), np.asarray(b, dtype=float), np.asarray(t, dtype=float)[..., None]
     dot = np.sum(a * b, axis=-1, keepdims=True)
     sign = np.where(dot < 0, -1.0, 1.0)
     angle = np.arccos(np.clip(dot * sign, 0.0, 1.0))
     sin = np.sin(angle)
-    near = sin < 1e-6  # on so short an arc the chord is the arc
+    near = sin < 1e-6  # short arcs equal their chords
     safe = np.where(near, 1.0, sin)
     wa = np.where(near, 1.0 - t, np.sin((1.0 - t) * angle) / safe)
     wb = np.where(near, t, np.sin(t * angle) / safe)
@@ -191,9 +192,9 @@ def quat_slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> np.ndarray:
 
 
 def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
-    """Shortest rotation [..., 4] taking the direction of u [..., 3] to that of v [..., 3].
+    """Returns the shortest rotation [..., 4] from the direction of u [..., 3] to that of v [..., 3].
 
-    Opposite directions turn half a circle about some axis across u; without a direction, nothing turns.
+    For opposite directions this is a half turn about some axis perpendicular to u; zero vectors give the identity.
     """
     xp, *given = as_floats(u, v)
     start, end = xp.broadcast_arrays(*(_direction(each, xp) for each in given))
@@ -207,7 +208,7 @@ def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
 
 
 def quat_from_yaw(yaw: ArrayLike) -> Any:
-    """Rotation [..., 4] by yaw [...] radians about +Y; takes +Z to (sin yaw, 0, cos yaw)."""
+    """Returns the rotation [..., 4] by yaw [...] radians about +Y, which takes +Z to (sin yaw, 0, cos yaw)."""
     xp, angle = as_floats(yaw)
     half = angle / 2
     zero = xp.zeros_like(half)
@@ -215,9 +216,9 @@ def quat_from_yaw(yaw: ArrayLike) -> Any:
 
 
 def quat_from_forward_up(forward: ArrayLike, up: ArrayLike) -> Any:
-    """Rotation [..., 4] whose local +Z is `forward` [..., 3] and whose local +Y is `up` [..., 3] made orthogonal.
+    """Returns the rotation [..., 4] whose +Z is along `forward` [..., 3] and whose +Y is `up` [..., 3], orthogonalised.
 
-    Both need not be unit or orthogonal, as a network's outputs are not; `forward` keeps its direction.
+    They need be neither unit nor orthogonal, as a network's outputs are not; `forward` keeps its direction.
     """
     xp, along, upward = as_floats(forward, up)
     z = _direction(along, xp)
@@ -228,7 +229,7 @@ def quat_from_forward_up(forward: ArrayLike, up: ArrayLike) -> Any:
 def forward_kinematics(
     skeleton: Skeleton, root_positions: np.ndarray, rotations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """World positions and rotations of all joints.
+    """Computes world positions and rotations of all joints.
 
     Args:
         skeleton: J joints.
@@ -236,7 +237,7 @@ def forward_kinematics(
         rotations: [T, J, 4] local rotations.
 
     Returns:
-        (positions [T, J, 3] metres, global rotations [T, J, 4]).
+        (positions [T, J, 3] metres, world rotations [T, J, 4]).
     """
     rotations = np.asarray(rotations)
     positions, world = np.empty(rotations.shape[:-1] + (3,)), np.empty(rotations.shape)
@@ -255,19 +256,19 @@ def forward_kinematics(
 
 
 def _parity(i: int, j: int) -> float:
-    """+1 where the axes i, j and the third run as X, Y, Z do, -1 where they run backwards."""
+    """Returns +1 if the axes i, j and the third are a cyclic permutation of X, Y, Z, otherwise -1."""
     return 1.0 if j == (i + 1) % 3 else -1.0
 
 
 def _direction(v: Any, xp: Any) -> Any:
-    """v [..., 3] at length 1, or zero where it has no direction."""
+    """Normalises v [..., 3] to unit length, or to zero where it has no direction."""
     squared = xp.sum(v * v, axis=-1, keepdims=True)
     found = squared > SMALL**2
     return xp.where(found, v / xp.sqrt(xp.where(found, squared, 1.0)), 0.0)
 
 
 def _axes(order: str) -> tuple[int, int, int]:
-    """Indices of the three axes of an Euler order.
+    """Returns the indices of the three axes of an Euler order.
 
     Raises:
         ValueError: unless `order` names X, Y and Z once each.

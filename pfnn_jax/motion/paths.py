@@ -1,4 +1,4 @@
-"""Paths on the ground for a character to follow: straight, circle, figure-eight, or points from a CSV file."""
+"""Paths on the ground for characters to follow: straight, circle, figure-eight, or points from a CSV file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 
 SPACING = 0.05
-"""Metres between neighbouring points of a path made here."""
+"""Default distance in metres between neighbouring points of a path."""
 
 SHAPES = ("straight", "circle", "figure-eight")
 """Names that `make_path` knows."""
@@ -20,12 +20,12 @@ SHAPES = ("straight", "circle", "figure-eight")
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A polyline whose points stand at equal distances along it.
+    """A polyline whose points are equally spaced along it.
 
     Attributes:
         points: [N, 2] metres, x and z on the ground. A closed path does not repeat its first point.
         closed: whether the last point is joined to the first.
-        length: metres along the whole path.
+        length: of the whole path in metres.
     """
 
     points: np.ndarray
@@ -34,26 +34,26 @@ class Path:
 
     @property
     def spacing(self) -> float:
-        """Metres along the path from one point to the next."""
+        """Distance in metres along the path from one point to the next."""
         return self.length / (len(self.points) - (0 if self.closed else 1))
 
     @property
     def start_yaw(self) -> float:
-        """Radians about +Y of the direction in which the path sets out (0 = +Z, π/2 = +X)."""
+        """Yaw of the path's initial direction in radians (0 = +Z, π/2 = +X)."""
         x, z = self.points[1] - self.points[0]
         return math.atan2(x, z)
 
 
 def resample_path(points: np.ndarray, closed: bool, num_points: int | None = None) -> Path:
-    """Points at equal arc length along a polyline.
+    """Returns the path of points at equal arc length along a polyline.
 
     Args:
         points: [M, 2] metres; repeated neighbours are dropped.
-        closed: whether the polyline returns to its first point (which may be repeated at the end or not).
-        num_points: N; by default one every `SPACING` metres. A batch of paths needs one N.
+        closed: whether the polyline returns to its first point, which may be repeated at the end.
+        num_points: N; by default one point every `SPACING` metres. Paths in a batch need equal N.
 
     Returns:
-        The path, whose length is that of the polyline.
+        The path; its length is the polyline's.
 
     Raises:
         ValueError: if the points are not [M, 2] and finite, fewer than two differ, or N is below 2 (3 if closed).
@@ -79,20 +79,20 @@ def resample_path(points: np.ndarray, closed: bool, num_points: int | None = Non
 
 
 def straight(length: float = 10.0) -> Path:
-    """A straight path of `length` metres from the origin along +Z."""
+    """Returns a straight path of `length` metres from the origin along +Z."""
     _positive("length", length)
     return resample_path(np.array([[0.0, 0.0], [0.0, length]]), closed=False)
 
 
 def circle(radius: float | None = None, *, turn_rate: float | None = None, speed: float | None = None) -> Path:
-    """A circle that sets out from the origin along +Z.
+    """Returns a circle that starts at the origin along +Z.
 
     Args:
         radius: metres; positive turns left (towards +X), negative right.
-        turn_rate: radians per second about +Y, together with `speed` in metres per second, instead of the radius.
+        turn_rate: radians per second about +Y, with `speed` in metres per second, instead of a radius.
 
     Raises:
-        ValueError: unless either the radius or both of the others are given, finite and not zero.
+        ValueError: unless either `radius` or both `turn_rate` and `speed` are given, finite and not zero.
     """
     if radius is None:
         if turn_rate is None or speed is None or turn_rate == 0.0:
@@ -106,23 +106,23 @@ def circle(radius: float | None = None, *, turn_rate: float | None = None, speed
 
 
 def figure_eight(radius: float = 2.0) -> Path:
-    """Two circles of `radius` metres that touch at the origin: first to the left, then to the right, along +Z."""
+    """Returns two circles of `radius` metres that touch at the origin, the first to the left, starting along +Z."""
     _positive("radius", radius)
     return _smooth(np.concatenate([_arc(radius), _arc(-radius)]), 4.0 * math.pi * radius)
 
 
 def mirror_path(path: Path) -> Path:
-    """The path across the plane x = 0."""
+    """Mirrors a path across the plane x = 0."""
     return Path(path.points * np.array([-1.0, 1.0]), path.closed, path.length)
 
 
 def read_path(file: str | FilePath) -> Path:
-    """A path from a CSV file of two columns, x and z in metres, with or without a header line.
+    """Reads a path from a CSV file of two columns, x and z in metres, with or without a header line.
 
-    The path is closed when its last point repeats its first. Blank lines are skipped.
+    The path is closed if the last point equals the first. Blank lines are skipped.
 
     Raises:
-        InputError: for a line that is not two finite numbers, or fewer than two different points.
+        InputError: if a line does not hold two finite numbers, or fewer than two points differ.
         OSError: if the file cannot be read.
     """
     rows: list[list[float]] = []
@@ -136,27 +136,26 @@ def read_path(file: str | FilePath) -> Path:
                 if point is not None:
                     rows.append(point)
     except UnicodeDecodeError as error:
-        raise InputError(
-            file, f"byte {error.start}", repr(error.object[error.start]), "a path is UTF-8 text"
-        ) from error
+        raise InputError(file, f"byte {error.start}", repr(error.object[error.start]), "must be UTF-8 text") from error
     except csv.Error as error:
-        raise InputError(file, "text", error, "a path is a table of two columns, x and z") from error
+        raise InputError(file, "text", error, "must be a table of two columns, x and z") from error
     points = np.array(rows).reshape(-1, 2)
     if len(np.unique(points, axis=0)) < 2:
-        raise InputError(file, "rows", f"{len(points)} points", "a path needs at least two different points")
+        raise InputError(file, "rows", f"{len(points)} points", "must have at least two different points")
     closed = len(points) > 3 and bool((points[0] == points[-1]).all())
     return resample_path(points, closed)
 
 
 def make_path(shape: str, size: float | None = None) -> Path:
-    """A path by the name of its shape, or from a CSV file.
+    """Returns a path by the name of its shape, or from a CSV file.
 
     Args:
         shape: one of `SHAPES`, or the name of a file.
-        size: metres: length of the straight path, or radius (of a circle: negative turns right). Files have none.
+        size: in metres: length of the straight path, or radius (a circle with a negative one turns right); not used for
+            files.
 
     Raises:
-        InputError: for an unknown shape that is no file either, or a size that the shape cannot have.
+        InputError: if `shape` is neither a known shape nor a file, or the size is not valid for the shape.
     """
     makers = {"straight": (straight, 10.0), "circle": (circle, 2.0), "figure-eight": (figure_eight, 2.0)}
     if shape in makers:
@@ -164,32 +163,32 @@ def make_path(shape: str, size: float | None = None) -> Path:
         try:
             return maker(default if size is None else size)
         except ValueError as error:
-            raise InputError("path", shape, size, "its size is a number of metres above 0") from error
+            raise InputError("path", shape, size, "must have a size that is a positive number of metres") from error
     if not FilePath(shape).is_file():
-        raise InputError("path", "shape", shape, f"it must be {', '.join(SHAPES)} or the name of a CSV file")
+        raise InputError("path", "shape", shape, f"must be {', '.join(SHAPES)} or the name of a CSV file")
     return read_path(shape)
 
 
 def _arc(radius: float) -> np.ndarray:
-    """[M, 2] one full turn from the origin, setting out along +Z, towards +X when the radius is positive."""
+    """Returns one full turn [M, 2] from the origin, starting along +Z, towards +X if the radius is positive."""
     angle = np.linspace(0.0, 2.0 * math.pi, 1440, endpoint=False)
     return np.stack([radius * (1.0 - np.cos(angle)), abs(radius) * np.sin(angle)], axis=-1)
 
 
 def _smooth(points: np.ndarray, length: float) -> Path:
-    """A closed path through a fine polyline, with the exact length of the curve that it stands for."""
+    """Returns a closed path through a fine polyline, with the exact length of the curve that it approximates."""
     return Path(resample_path(points, closed=True).points, True, length)
 
 
 def _positive(name: str, value: float) -> None:
     if not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"`{name}` must be above 0 and finite, got {value}.")
+        raise ValueError(f"`{name}` must be positive and finite, got {value}.")
 
 
 def _parse_point(file: str | FilePath, line: int, cells: list[str], header: bool) -> list[float] | None:
-    """The two numbers of a line, or None for a header."""
+    """Returns the two numbers of a line, or None for a header."""
     place = f"line {line}"
-    rule = "each line holds two numbers, x and z in metres"
+    rule = "each line must hold two numbers, x and z in metres"
     if len(cells) != 2:
         raise InputError(file, place, f"{len(cells)} columns", rule)
     numbers = [_number(cell) for cell in cells]

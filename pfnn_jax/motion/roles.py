@@ -1,6 +1,7 @@
-"""Which joint plays which part: hips, legs, arms and head, from names, else from geometry, else from the user.
+"""Finds the joints of hips, legs, arms and head: by name, else by geometry, else from a file of the user.
 
-Names cover the CMU, Bandai-Namco, 100STYLE (Xsens), Mixamo, Biped, Unreal, Blender and SMPL conventions.
+The geometry of limbs and the names of joints both give roles; `find_roles` combines them. Names cover the CMU,
+Bandai-Namco, 100STYLE (Xsens), Mixamo, Biped, Unreal, Blender and SMPL conventions.
 """
 
 from __future__ import annotations
@@ -17,13 +18,27 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.skeleton import Roles, Skeleton
 
-LIMB = (
-    0.6  # of the longest bone: forearms and calves are longer than this, clavicles before them do not count, nor feet
-)
+LONG_BONE = 0.6
+"""Share of a limb's longest bone above which bones are long: forearms and calves are, clavicles and feet are not."""
+
+ROLE_NAMES = tuple(field.name for field in fields(Roles))
+FOOT_ROLES = ("left_foot", "right_foot")
+
+# words in order of preference; a clavicle is often called Shoulder, so Arm comes first
+PART_WORDS = {
+    "hip": ("upleg", "upperleg", "thigh", "femur", "legupper", "hip"),
+    "heel": ("ankle", "foot", "feet"),
+    "toe": ("toebase", "toe", "toes", "ball", "foot"),
+    "shoulder": ("upperarm", "uparm", "armupper", "humerus", "arm", "shldr", "shoulder"),
+    "hand": ("wrist", "hand"),
+}
+HIPS_WORDS = ("hips", "pelvis", "hip")
+HEAD_WORDS = ("head", "neck1", "neck")
+SIDE_WORDS = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 
 def chain_up(parents: np.ndarray, joint: int) -> list[int]:
-    """The joint and all above it, up to the root."""
+    """Returns the joint and all its ancestors, up to the root."""
     chain = [int(joint)]
     while parents[chain[-1]] >= 0:
         chain.append(int(parents[chain[-1]]))
@@ -31,7 +46,7 @@ def chain_up(parents: np.ndarray, joint: int) -> list[int]:
 
 
 def rest_pose(skeleton: Skeleton) -> np.ndarray:
-    """[J, 3] positions with all rotations zero."""
+    """Returns joint positions [J, 3] with all rotations zero."""
     pose = np.zeros((skeleton.num_joints, 3))
     for joint in range(1, skeleton.num_joints):
         pose[joint] = pose[skeleton.parents[joint]] + skeleton.offsets[joint]
@@ -39,7 +54,7 @@ def rest_pose(skeleton: Skeleton) -> np.ndarray:
 
 
 def longest_chain(skeleton: Skeleton) -> float:
-    """Length of the longest run of bones from the root to an end, End Sites left out, in the skeleton's unit."""
+    """Returns the length of the longest chain of bones from the root, without End Sites, in the skeleton's unit."""
     reach = np.zeros(skeleton.num_joints)
     for joint in range(1, skeleton.num_joints):
         reach[joint] = reach[skeleton.parents[joint]] + np.linalg.norm(skeleton.offsets[joint])
@@ -47,14 +62,14 @@ def longest_chain(skeleton: Skeleton) -> float:
 
 
 def roles_from_geometry(skeleton: Skeleton, poses: np.ndarray) -> dict:
-    """The roles that standing or moving poses give; empty where there are no two legs.
+    """Finds roles from the geometry of poses; none if there are no two legs.
 
     Args:
-        skeleton: J joints, of which only the parents are read.
+        skeleton: J joints; only the parents are used.
         poses: [N, J, 3] joint positions, Y up, in any unit.
 
     Returns:
-        Role -> joint index, or (heel, toe) for the feet; only the roles that were found.
+        Role -> joint index, or (heel, toe) for feet; only the roles that were found.
     """
     parents, pose, height = skeleton.parents, poses[0], poses[..., 1].mean(axis=0)
     inner = set(parents.tolist())
@@ -63,7 +78,7 @@ def roles_from_geometry(skeleton: Skeleton, poses: np.ndarray) -> dict:
     if fork is None:
         return {}
     hips, legs = fork
-    # how far to the left of the hips each joint is, on average over the poses
+    # mean distance of each joint to the left of the hips
     leftness = np.einsum("njc,nc->j", poses - poses[:, hips, None], _left(poses, legs))
     right, left = sorted(legs, key=lambda leg: leftness[leg[0]])
     roles: dict = {"hips": hips, "left_hip": left[0], "right_hip": right[0]}
@@ -79,15 +94,18 @@ def roles_from_geometry(skeleton: Skeleton, poses: np.ndarray) -> dict:
 
 
 def _left(poses: np.ndarray, legs: list[tuple]) -> np.ndarray:
-    """[N, 3] horizontal direction to the left of where the toes point, as long as they do; +X if there are no toes."""
+    """Returns horizontal vectors [N, 3] to the left of the direction in which the toes point; +X without toes.
+
+    Their length is that of the feet on the ground.
+    """
     (_, _, *one), (_, _, *other) = legs
     forward = poses[:, one[1]] - poses[:, one[0]] + poses[:, other[1]] - poses[:, other[0]]
-    left = np.stack((forward[:, 2], np.zeros(len(poses)), -forward[:, 0]), axis=-1)  # Y x forward
+    left = np.stack((forward[:, 2], np.zeros(len(poses)), -forward[:, 0]), axis=-1)  # up × forward
     return left if np.abs(left).max() > 1e-6 else np.tile([1.0, 0.0, 0.0], (len(poses), 1))
 
 
 def _two_limbs(parents: np.ndarray, pose: np.ndarray, ends: list[int]) -> tuple[int, list[tuple]] | None:
-    """The joint where the first end's chain parts from another's, and both limbs, trying ends in order."""
+    """Returns the joint where two chains of ends fork and both limbs: the first end's, and the first that fits it."""
     for other in ends[1:]:
         first, second = chain_up(parents, ends[0]), chain_up(parents, other)
         fork = next(joint for joint in first if joint in second)
@@ -98,32 +116,16 @@ def _two_limbs(parents: np.ndarray, pose: np.ndarray, ends: list[int]) -> tuple[
 
 
 def _limb(pose: np.ndarray, chain: list[int]) -> tuple[int, int, int, int] | None:
-    """(upper, middle, lower, tip) of a chain given from the body outwards, by the last two successive long bones."""
+    """Returns (upper, middle, lower, tip) of a chain from the body outwards, by the last two successive long bones."""
     kept = [j for i, j in enumerate(chain) if i == 0 or np.linalg.norm(pose[j] - pose[chain[i - 1]]) > 1e-6]
     if len(kept) < 3:
         return None
     bones = np.linalg.norm(np.diff(pose[kept], axis=0), axis=-1)
     shorter = np.minimum(bones[:-1], bones[1:])
-    long = np.flatnonzero(shorter >= LIMB * bones.max())
+    long = np.flatnonzero(shorter >= LONG_BONE * bones.max())
     start = int(long[-1]) if len(long) else int(np.argmax(shorter))
     lower = start + 2
     return kept[start], kept[start + 1], kept[lower], kept[min(lower + 1, len(kept) - 1)]
-
-
-ROLE_NAMES = tuple(field.name for field in fields(Roles))
-FEET = ("left_foot", "right_foot")
-
-# in order of preference: a clavicle is often called Shoulder, so Arm comes first
-PARTS = {
-    "hip": ("upleg", "upperleg", "thigh", "femur", "legupper", "hip"),
-    "heel": ("ankle", "foot", "feet"),
-    "toe": ("toebase", "toe", "toes", "ball", "foot"),
-    "shoulder": ("upperarm", "uparm", "armupper", "humerus", "arm", "shldr", "shoulder"),
-    "hand": ("wrist", "hand"),
-}
-HIPS = ("hips", "pelvis", "hip")
-HEAD = ("head", "neck1", "neck")
-SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 
 def find_roles(
@@ -133,31 +135,31 @@ def find_roles(
     *,
     poses: Callable[[], np.ndarray] | None = None,
 ) -> Roles:
-    """The part of each joint in walking, from names and, for parts that names do not give, from geometry.
+    """Finds the roles of a skeleton by the names of joints and, where names do not suffice, by geometry.
 
     Geometry: the legs are the two chains that reach lowest, the arms those that reach farthest to the sides, the head
-    the highest end; a leg or arm is the last run of three joints with two long bones, so duplicates of zero length
-    are passed over. Left is +X when the toes point to +Z. A foot without a toe joint is (ankle, ankle): both contacts
-    are then the ankle's.
+    is the highest end. A leg or arm is the last three joints joined by two long bones, which skips duplicates of zero
+    length. Left is +X if the toes point to +Z. A foot without a toe joint is (ankle, ankle): both contacts are then the
+    ankle's.
 
     Args:
-        skeleton: the joints; its own roles and mirror are not read.
-        overrides: role -> joint name, or [heel, toe] names for the feet (one name stands for both).
+        skeleton: the joints; its own roles and mirror are ignored.
+        overrides: role -> joint name, or [heel, toe] for feet (a single name is used for both).
         source: file to name in messages.
-        poses: gives [N, J, 3] joint positions of some poses in any unit, called where names do not suffice; None takes
-            the pose of zero rotations. Without toe joints left is +X.
+        poses: returns joint positions [N, J, 3] of some poses in any unit; called only if names do not suffice. None
+            uses the pose of zero rotations. Without toe joints left is +X.
 
     Returns:
         Joint indices.
 
     Raises:
-        InputError: if an override names no role or no joint, or a role cannot be found.
+        InputError: if an override names an unknown role or joint, or a role cannot be found.
     """
     chosen = _read_overrides(skeleton, overrides or {}, source)
     named = _roles_from_names(skeleton.names, tuple(int(parent) for parent in skeleton.parents))
     found = dict(_deepest_hips(skeleton, {**named, **chosen}), **chosen)
     if any(role not in found for role in ROLE_NAMES):
-        # sides found by geometry must not mix with sides found by names, so a pair is taken whole
+        # geometry and names may disagree about sides, so both joints of a pair come from one of them
         measured = roles_from_geometry(skeleton, rest_pose(skeleton)[None] if poses is None else poses())
         for part in ("hip", "foot", "shoulder", "hand"):
             pair = (f"left_{part}", f"right_{part}")
@@ -166,7 +168,7 @@ def find_roles(
         found = {**measured, **found}
     missing = [role for role in ROLE_NAMES if role not in found]
     if missing:
-        rule = f"needs a joint for {', '.join(missing)}; name it in a roles file"
+        rule = f"must have a joint for {', '.join(missing)}; name it in a roles file"
         raise InputError(source, "skeleton", f"joints {_listed(skeleton.names)}", rule)
     return _consistent(skeleton, Roles(**found), source)
 
@@ -178,19 +180,20 @@ def assign_roles(
     *,
     poses: Callable[[], np.ndarray] | None = None,
 ) -> Skeleton:
-    """The skeleton with its left-right partners and roles filled in.
+    """Returns the skeleton with left-right partners and roles filled in.
 
-    Without a roles file, roles that cannot be found stay None; with one, they must be found.
+    Without a roles file, roles are None if any cannot be found; with one, this is an error.
 
     Args:
         skeleton: the joints.
-        roles_file: JSON object from role to joint name, feet as [heel, toe], as
-            `{"hips": "Pelvis", "left_foot": ["Ankle_L", "Ball_L"]}`. Roles not named in it are found as usual.
+        roles_file: JSON object from role to joint name, feet as [heel, toe], such as
+            `{"hips": "Pelvis", "left_foot": ["Ankle_L", "Ball_L"]}`. Roles that it does not name are found as usual.
         source: file to name in messages.
         poses: as in `find_roles`.
 
     Raises:
-        InputError: if the roles file is not such a JSON object, or names no role, no joint or an impossible one.
+        InputError: if the roles file is not such a JSON object, or names an unknown role, or an unknown or impossible
+            joint.
     """
     roles = None
     if roles_file is not None:
@@ -204,10 +207,10 @@ def assign_roles(
 
 
 def find_mirror(names: tuple[str, ...], parents: np.ndarray | None = None, roles: Roles | None = None) -> np.ndarray:
-    """[J] index of each joint's left-right partner, its own index on the midline.
+    """Returns the index [J] of each joint's left-right partner, its own index on the midline.
 
-    Partners have names that differ only in the side. Where names tell no sides, the limbs of `roles` are paired, and
-    below them children in order.
+    Partners have names that differ only in the side. If names do not contain sides, the limbs of `roles` are paired,
+    and below them children in order.
     """
     sides = _sides(tuple(names))
     index = {key: joint for joint, key in reversed(list(enumerate(sides)))}
@@ -222,41 +225,41 @@ def find_mirror(names: tuple[str, ...], parents: np.ndarray | None = None, roles
     for joint in range(1, len(names)) if parents is not None else ():
         partner = mirror[joint]
         if parents is not None and parents[partner] != mirror[parents[joint]] and partner != joint:
-            mirror[joint], mirror[partner] = joint, partner  # partners hang from partners
+            mirror[joint], mirror[partner] = joint, partner  # partners must have partners as parents
     return mirror
 
 
 def is_hips_name(name: str) -> bool:
-    """Whether a joint's name says that it is the hips."""
+    """Returns whether a joint's name means hips."""
     words = [word for word in _words(name) if not word.isdigit()]
     return bool(words) and words[-1] in ("hips", "pelvis")
 
 
 def leg_length(skeleton: Skeleton, roles: Roles) -> float:
-    """Length of the bones from hip to ankle, the mean of both legs, in the skeleton's unit.
+    """Returns the length of the bones from hip to ankle, averaged over both legs, in the skeleton's unit.
 
     Raises:
-        ValueError: if an ankle does not lie below its hip.
+        ValueError: if an ankle is not a descendant of its hip.
     """
     lengths = np.linalg.norm(skeleton.offsets, axis=-1)
     total = 0.0
     for hip, (ankle, _) in ((roles.left_hip, roles.left_foot), (roles.right_hip, roles.right_foot)):
         chain = chain_up(skeleton.parents, ankle)
         if hip not in chain:
-            raise ValueError(f"{skeleton.names[ankle]} does not lie below {skeleton.names[hip]}.")
+            raise ValueError(f"{skeleton.names[ankle]} is not a descendant of {skeleton.names[hip]}.")
         total += float(lengths[chain[: chain.index(hip)]].sum())
     return total / 2
 
 
 def _words(name: str) -> list[str]:
-    """Lower-case words of a joint name without its namespace: `mixamorig:LeftUpLeg` -> left, up, leg."""
+    """Splits a joint name, without its namespace, into lower-case words: `mixamorig:LeftUpLeg` -> left, up, leg."""
     name = name.rsplit(":", 1)[-1]
     return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)]
 
 
 @functools.lru_cache(maxsize=64)
 def _sides(names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    """(side, part) of each joint: side is left, right or empty, part the remaining words joined."""
+    """Returns (side, part) of each joint: side is left, right or empty, part is the remaining words joined."""
     words = [_words(name) for name in names]
     while len(names) > 2 and words[-1] and sum(w[:1] == words[-1][:1] for w in words) >= 0.8 * len(names):
         prefix = words[-1][:1]
@@ -264,15 +267,15 @@ def _sides(names: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
     whole = {"".join(w) for w in words}
     sides = []
     for w in words:
-        marks = [i for i, word in enumerate(w) if word in SIDES]
+        marks = [i for i, word in enumerate(w) if word in SIDE_WORDS]
         joined = "".join(w)
         glued = re.match(r"(left|right)(.+)", joined)
         if marks:
-            sides.append((SIDES[w[marks[0]]], "".join(w[: marks[0]] + w[marks[0] + 1 :])))
+            sides.append((SIDE_WORDS[w[marks[0]]], "".join(w[: marks[0]] + w[marks[0] + 1 :])))
         elif glued:
             sides.append((glued[1], glued[2]))
         elif joined[:1] in ("l", "r") and {"l" + joined[1:], "r" + joined[1:]} <= whole:
-            sides.append((SIDES[joined[0]], joined[1:]))  # lfemur beside rfemur
+            sides.append((SIDE_WORDS[joined[0]], joined[1:]))  # lfemur, where there is also rfemur
         else:
             sides.append(("", joined))
     return tuple(sides)
@@ -284,15 +287,15 @@ def _other(side: str) -> str:
 
 @functools.lru_cache(maxsize=64)
 def _roles_from_names(names: tuple[str, ...], parents: tuple[int, ...]) -> dict:
-    """The roles that names give; a pair of sides is found whole or not at all."""
+    """Finds roles by names; left and right of a pair are found together or not at all."""
     first: dict[tuple[str, str], int] = {}
     for joint, (side, part) in enumerate(_sides(names)):
-        first.setdefault((side, re.sub(r"\d+$", "", part) if part not in HEAD else part), joint)
+        first.setdefault((side, re.sub(r"\d+$", "", part) if part not in HEAD_WORDS else part), joint)
 
-    def pair(part: str, beside: tuple[int, int] | None = None) -> tuple[int, int] | None:
-        for word in PARTS[part]:
+    def pair(part: str, other_than: tuple[int, int] | None = None) -> tuple[int, int] | None:
+        for word in PART_WORDS[part]:
             found = first.get(("left", word)), first.get(("right", word))
-            if found[0] is not None and found[1] is not None and found != beside:
+            if found[0] is not None and found[1] is not None and found != other_than:
                 return found[0], found[1]
         return None
 
@@ -305,14 +308,14 @@ def _roles_from_names(names: tuple[str, ...], parents: tuple[int, ...]) -> dict:
         below = all(heel in chain_up(np.array(parents), toe) for heel, toe in zip(heels, toes, strict=True))
         toes = toes if below else heels
         roles["left_foot"], roles["right_foot"] = (heels[0], toes[0]), (heels[1], toes[1])
-    for role, words in (("hips", HIPS), ("head", HEAD)):
+    for role, words in (("hips", HIPS_WORDS), ("head", HEAD_WORDS)):
         if found := [first[("", word)] for word in words if ("", word) in first]:
             roles[role] = found[0]
     return roles
 
 
 def _deepest_hips(skeleton: Skeleton, roles: dict) -> dict:
-    """Roles with the hips at the joint that both legs hang from, where the name is missing or not above them."""
+    """Sets the hips to the lowest common ancestor of both legs, unless the named joint is an ancestor of both."""
     if "left_hip" not in roles or "right_hip" not in roles:
         return roles
     left, right = (chain_up(skeleton.parents, roles[f"{side}_hip"]) for side in ("left", "right"))
@@ -339,13 +342,13 @@ def _pair_downwards(mirror: np.ndarray, parents: np.ndarray, left: int, right: i
 
 
 def _consistent(skeleton: Skeleton, roles: Roles, source: str | Path) -> Roles:
-    """The roles, refused where a leg does not hang from the hips or an ankle not from its leg."""
+    """Returns the roles after checking that hips, upper leg, ankle and toe descend from each other in this order."""
     limbs = (("left_hip", roles.left_hip, roles.left_foot), ("right_hip", roles.right_hip, roles.right_foot))
     for role, hip, (heel, toe) in limbs:
         above = chain_up(skeleton.parents, toe)
         if not (heel in above and hip in above and hip != heel and roles.hips in above):
             found = f"{role} {skeleton.names[hip]}, foot {skeleton.names[heel]} {skeleton.names[toe]}"
-            raise InputError(source, "skeleton", found, "hips, upper leg, ankle and toe lie on one chain")
+            raise InputError(source, "skeleton", found, "hips, upper leg, ankle and toe must lie on one chain")
     if roles.left_hip == roles.right_hip or roles.left_shoulder == roles.right_shoulder:
         found = f"left {skeleton.names[roles.left_hip]}, {skeleton.names[roles.left_shoulder]}"
         raise InputError(source, "skeleton", found, "left and right must be different joints")
@@ -370,20 +373,20 @@ def _read_json(path: Path) -> dict:
 
 
 def _read_overrides(skeleton: Skeleton, overrides: dict, source: str | Path) -> dict:
-    """Role -> joint index or (heel, toe), checked."""
+    """Returns role -> joint index or (heel, toe), after checking the names."""
     chosen: dict = {}
     for role, value in overrides.items():
         if role not in ROLE_NAMES:
-            raise InputError(source, "role", ascii(role), f"known roles are {', '.join(ROLE_NAMES)}")
+            raise InputError(source, "role", ascii(role), f"must be one of {', '.join(ROLE_NAMES)}")
         names = [value] if isinstance(value, str) else value
-        if not isinstance(names, list) or len(names) not in ((1, 2) if role in FEET else (1,)):
-            rule = "a role names one joint, a foot one joint or [heel, toe]"
+        if not isinstance(names, list) or len(names) not in ((1, 2) if role in FOOT_ROLES else (1,)):
+            rule = "must name one joint, or for a foot one joint or [heel, toe]"
             raise InputError(source, f"role {role}", ascii(value), rule)
         for name in names:
             if name not in skeleton.names:
                 raise InputError(
-                    source, f"role {role}", ascii(name), f"no such joint; there are {_listed(skeleton.names)}"
+                    source, f"role {role}", ascii(name), f"must be one of the joints {_listed(skeleton.names)}"
                 )
         joints = [skeleton.names.index(name) for name in names]
-        chosen[role] = (joints[0], joints[-1]) if role in FEET else joints[0]
+        chosen[role] = (joints[0], joints[-1]) if role in FOOT_ROLES else joints[0]
     return chosen

@@ -1,4 +1,4 @@
-"""Records that describe a skeleton: its joints, and the part each plays in walking."""
+"""The skeleton: its joints, and the roles that some of them have in locomotion."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from pfnn_jax.errors import InputError
 
 @dataclass(frozen=True)
 class Roles:
-    """Joint indices of the parts that the features need.
+    """Indices of the joints that labels and features need.
 
     Attributes:
-        hips: root of the body.
+        hips: joint from which both legs and the spine descend.
         left_hip, right_hip: upper-leg joints.
         left_shoulder, right_shoulder: upper-arm joints.
         left_foot, right_foot: (heel, toe), where the heel is the ankle joint.
@@ -47,7 +47,7 @@ class Skeleton:
         offsets: [J, 3] metres, from the parent's origin in the parent's frame.
         end_sites: (joint index, offset [3] in metres) of every End Site.
         mirror: [J] index of each joint's left-right partner, its own index on the midline.
-        roles: the joints' parts in walking, or None where they were not found.
+        roles: of the joints, or None if they were not found.
     """
 
     names: tuple[str, ...]
@@ -59,19 +59,19 @@ class Skeleton:
 
     @property
     def num_joints(self) -> int:
+        """J."""
         return len(self.names)
 
 
 def need_roles(skeleton: Skeleton, source: str | Path = "skeleton") -> Roles:
-    """The skeleton's roles.
+    """Returns the skeleton's roles.
 
     Raises:
         InputError: if the roles were not found when the skeleton was read.
     """
     if skeleton.roles is None:
-        raise InputError(
-            source, "skeleton", f"joints {', '.join(skeleton.names)}", "hips, shoulders and feet must be found or named"
-        )
+        rule = "hips, shoulders and feet must be found, or named in a roles file"
+        raise InputError(source, "skeleton", f"joints {', '.join(skeleton.names)}", rule)
     return skeleton.roles
 
 
@@ -98,7 +98,7 @@ def check_same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path)
 
 
 def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
-    """The skeleton as numbers, strings, lists and dicts, exact to the last bit."""
+    """Returns the skeleton as JSON data, exact to the last bit."""
     return {
         "names": list(skeleton.names),
         "parents": [int(p) for p in skeleton.parents],
@@ -110,22 +110,23 @@ def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
 
 
 def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton") -> Skeleton:
-    """Inverse of `skeleton_to_json`.
+    """Returns the skeleton that `skeleton_to_json` described.
 
     Args:
         data: as `skeleton_to_json` returns it.
         source: file it was read from, for messages.
 
     Raises:
-        InputError: if an entry is missing or not of the joints' shape.
+        InputError: if an entry is missing, or does not have one value for each joint.
     """
     missing = [k for k in ("names", "parents", "offsets", "end_sites", "mirror", "roles") if k not in data]
     if missing:
-        raise InputError(source, "skeleton", f"no {', '.join(missing)}", "a skeleton has all of its entries")
+        raise InputError(source, "skeleton", f"no {', '.join(missing)}", "must have all entries of a skeleton")
     joints = len(data["names"])
     for key in ("parents", "offsets", "mirror"):
         if len(data[key]) != joints:
-            raise InputError(source, f"skeleton.{key}", f"{len(data[key])} entries", f"one for each of {joints} joints")
+            rule = f"must have one for each of {joints} joints"
+            raise InputError(source, f"skeleton.{key}", f"{len(data[key])} entries", rule)
     roles = data["roles"]
     return Skeleton(
         names=tuple(data["names"]),

@@ -1,6 +1,6 @@
-"""The character's root on the ground: where it is, where it faces, and the path around every frame.
+"""The root of every frame (position and facing on the ground), and the trajectory around every frame.
 
-Ground vectors are (x, z). The yaw of a direction (dx, dz) is atan2(dx, dz): a turn about +Y that takes +Z to it.
+Ground vectors are (x, z); `ground` defines facing and yaw.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from pfnn_jax.motion.ground import facing_of, to_local, yaw_of
 from pfnn_jax.motion.skeleton import Roles
 
 LAYOUT_FPS = 60.0
-"""Frame rate at which `TRAJECTORY_OFFSETS` count."""
+"""Frame rate of the frames that `TRAJECTORY_OFFSETS` counts."""
 
 EXTRAPOLATION_SECONDS = 0.5
-"""Span at a clip's end whose mean velocity carries on beyond it: about one step, so that hip sway averages out."""
+"""Span at a clip's ends whose mean velocity extrapolates it: about one step, so that hip sway averages out."""
 
 
 @dataclass(frozen=True, eq=False)
 class Root:
-    """Root of every frame.
+    """The root of every frame.
 
     Attributes:
-        positions: [T, 2] metres, hips projected to the ground (x, z).
-        directions: [T, 2] unit facing direction (x, z).
+        positions: [T, 2] metres, the hips projected onto the ground (x, z).
+        directions: [T, 2] unit vectors (x, z), the facing; zero in degenerate poses.
     """
 
     positions: np.ndarray
@@ -35,17 +35,17 @@ class Root:
 
     @property
     def yaw(self) -> np.ndarray:
-        """[T] radians about +Y from +Z, in (-π, π]."""
+        """Yaw [T] of `directions` in radians."""
         return yaw_of(self.directions)
 
     @property
     def facing(self) -> np.ndarray:
-        """[T, 2] facing of `yaw`: `directions`, but +Z where a degenerate pose has no direction."""
+        """Facing [T, 2]: `directions`, or +Z where a degenerate pose has none."""
         return facing_of(self.yaw)
 
 
 def root_motion(positions: np.ndarray, roles: Roles, fps: float, smoothing_seconds: float = 20 / 60) -> Root:
-    """Root position and smoothed facing direction (Holden et al. 2017, section 5; sigma of 20 frames at 60 fps).
+    """Returns the hips' position and a smoothed facing (Holden et al. 2017, section 5; sigma of 20 frames at 60 fps).
 
     Across is the unit vector along (left - right shoulder) + (left - right hip), forward = across × up, smoothed in
     time by a Gaussian and normalised.
@@ -65,9 +65,9 @@ def root_motion(positions: np.ndarray, roles: Roles, fps: float, smoothing_secon
 
 
 def hips_root(positions: np.ndarray, roles: Roles) -> Root:
-    """Root position and facing direction of the hips alone, without smoothing (Mason et al. 2022, section 4.2).
+    """Returns position and facing of the hips alone, without smoothing (Mason et al. 2022, section 4.2).
 
-    Forward = across × up with across along left - right hip joint, so that no axis of the hips need point forward.
+    Forward = across × up, with across along left - right hip joint, so that the axes of the hip joint do not matter.
 
     Args:
         positions: [T, J, 3] metres, world joint positions.
@@ -78,21 +78,21 @@ def hips_root(positions: np.ndarray, roles: Roles) -> Root:
 
 
 def layout_root(positions: np.ndarray, roles: Roles, layout: FrameLayout) -> Root:
-    """The root that a layout's rows are relative to: `hips_root` or `root_motion`.
+    """Returns the root that a layout's rows are relative to: `hips_root` or `root_motion`.
 
     Args:
         positions: [T, J, 3] metres, world joint positions at the layout's frame rate.
         roles: hips and shoulders.
-        layout: says which.
+        layout: its `hips_heading` selects the rule.
     """
     return hips_root(positions, roles) if layout.hips_heading else root_motion(positions, roles, layout.fps)
 
 
 def trajectory_windows(root: Root, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Path around every frame, relative to that frame's root: 12 samples, one second each way.
+    """Returns the trajectory around every frame, relative to its root: 12 samples within one second either way.
 
-    Beyond the ends of the clip the root goes on at constant velocity (the mean over `EXTRAPOLATION_SECONDS`) with the
-    last facing direction, so that no frame is lost. Before the start likewise, backwards.
+    Beyond both ends of the clip the root is extrapolated at constant velocity (the mean over `EXTRAPOLATION_SECONDS`)
+    and constant facing, so that no frame is lost.
 
     Args:
         root: T frames.
@@ -113,10 +113,10 @@ def trajectory_windows(root: Root, fps: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sample_offsets(fps: float) -> np.ndarray:
-    """[12] offsets of the trajectory samples in frames at `fps`.
+    """Returns the offsets [12] of the trajectory samples in frames at `fps`.
 
     Raises:
-        ValueError: if they do not fall on frames.
+        ValueError: if they are not whole numbers of frames.
     """
     offsets = np.array(TRAJECTORY_OFFSETS) * fps / LAYOUT_FPS
     if np.abs(offsets - np.round(offsets)).max() > 1e-6:
@@ -125,7 +125,7 @@ def sample_offsets(fps: float) -> np.ndarray:
 
 
 def _across_up(across: np.ndarray) -> np.ndarray:
-    """[T, 2] of across [T, 3] × (0, 1, 0), without its y, which is zero."""
+    """Returns x and z [T, 2] of across [T, 3] × (0, 1, 0); its y is zero."""
     return np.stack([-across[:, 2], across[:, 0]], axis=-1)
 
 

@@ -1,4 +1,4 @@
-"""Blocks of a frame layout in metres, seconds and radians, and the layout of the 2018 authors' run time."""
+"""Units of a layout's blocks, conversion between layouts, and the layout of the 2018 authors' run-time code."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ VELOCITIES = ("joint_velocity", "root_velocity")
 
 
 def block_unit(layout: FrameLayout, name: str) -> tuple[float, str]:
-    """By what a block's numbers are multiplied to be in SI units, and that unit.
+    """Returns the factor that converts a block to SI units, and the name of that unit.
 
     Args:
         layout: with the block among its inputs or outputs.
         name: of the block.
 
     Returns:
-        The factor and `m`, `m/s`, `rad/s`, or `1` where numbers have no unit.
+        The factor, and `m`, `m/s`, `rad/s`, or `1` for numbers without a unit.
     """
     if name in LENGTHS:
         return layout.length_unit, "m"
@@ -35,10 +35,10 @@ def block_unit(layout: FrameLayout, name: str) -> tuple[float, str]:
 
 
 def authors2018(num_joints: int = 31) -> FrameLayout:
-    """`mason2018` as the authors' run time reads and writes it.
+    """Returns `mason2018` as the authors' run-time code reads and writes it.
 
-    Half metres (its `UnitScale` is 2), frames at 60 a second, degrees of yaw a frame, cycles of phase a frame; root
-    and phase stand before the trajectory in the outputs.
+    Lengths are in half metres (its `UnitScale` is 2), times in frames at 60 fps, yaw rate in degrees per frame and
+    phase change in cycles per frame; in the outputs, root and phase come before the trajectory.
 
     Args:
         num_joints: J.
@@ -56,10 +56,10 @@ def authors2018(num_joints: int = 31) -> FrameLayout:
 
 
 def convert_columns(source: FrameLayout, target: FrameLayout, side: str) -> tuple[np.ndarray, np.ndarray]:
-    """How rows of one layout become rows of another that has the same blocks.
+    """Returns how rows of one layout become rows of another with the same blocks.
 
     Args:
-        source, target: layouts of the same blocks and widths, in any order and units.
+        source, target: layouts with blocks of the same names and widths, in any order and units.
         side: `inputs` or `outputs`.
 
     Returns:

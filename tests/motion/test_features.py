@@ -19,10 +19,12 @@ from pfnn_jax.motion.features.layout import NOW, mason2018, pfnn2017
 from pfnn_jax.motion.ground import facing_of, to_world, wrap_angle
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.labels.contacts import estimate_gait, flat_crouch, read_gait
+from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.phase import PhaseLabels, cut_phase, mirror_phase, read_phase, resample_phase
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
 from pfnn_jax.motion.trajectory import root_motion
+from tests.raising import assert_refused
 
 GOLDEN = 1e-3  # standard deviations: the golden file's own rounding is float32
 GOLDEN_UNIT = 0.05644  # metres per file unit: the golden frames were made with 5.644 cm, four digits of CMU's scale
@@ -247,10 +249,10 @@ def test_gait_files_merge_eight_columns_into_six(tmp_path):
     path = tmp_path / "a.gait"
     path.write_text("0 0 .25 .75 0 0 0 0\n0 0 0 0 .5 0 .5 1\n")
     np.testing.assert_allclose(read_gait(path, 2), [[0, 0, 1, 0, 0, 0], [0, 0, 0, 1, 0, 1]])
-    with pytest.raises(InputError, match="lines: 2; must be 3"):
+    with pytest.raises(InputError, match="lines: 2"):
         read_gait(path, 3)
     path.write_text("0 0 1\n")
-    with pytest.raises(InputError, match="line 1: 3 values; must be 8"):
+    with pytest.raises(InputError, match="line 1: 3 values"):
         read_gait(path)
 
 
@@ -281,18 +283,17 @@ def test_gait_windows_hold_the_first_and_last_label_beyond_the_clip(walk):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "place", "value"),
     [
-        (lambda c: dataclasses.replace(c, fps=30.0), "frame rate: 30 fps; layout mason2018 needs 60"),
-        (lambda c: cut(c, 0, 29), "frames: 29; one trajectory window needs at least 30"),
-        (lambda c: spoil(c, "root_positions"), "frame 7, root position: nan; every value must be finite"),
-        (lambda c: spoil(c, "rotations"), "frame 7, rotation: nan; every value must be finite"),
+        (lambda c: dataclasses.replace(c, fps=30.0), "frame rate", "30 fps"),
+        (lambda c: cut(c, 0, 29), "frames", 29),
+        (lambda c: spoil(c, "root_positions"), "frame 7, root position", np.nan),
+        (lambda c: spoil(c, "rotations"), "frame 7, rotation", np.nan),
     ],
 )
-def test_bad_clips_are_refused(walk, change, message):
+def test_bad_clips_are_refused(walk, change, place, value):
     clip = change(dataclasses.replace(walk[0], source="a.bvh"))
-    with pytest.raises(InputError, match=f"a.bvh: {message}"):
-        clip_features(clip, mason2018(21), walk[1])
+    assert_refused(lambda: clip_features(clip, mason2018(21), walk[1]), file="a.bvh", place=place, value=value)
 
 
 def spoil(clip: MotionClip, field: str) -> MotionClip:
@@ -303,23 +304,22 @@ def spoil(clip: MotionClip, field: str) -> MotionClip:
 
 def test_labels_gaits_and_joints_must_fit_the_clip(walk):
     clip, labels = walk
-    with pytest.raises(InputError, match="21 joints; layout mason2018 was made for 31"):
-        clip_features(clip, mason2018(31), labels)
-    with pytest.raises(InputError, match="phase: 359 frames; the clip has 360"):
-        clip_features(clip, mason2018(21), cut_phase(labels, 0, 359))
-    with pytest.raises(InputError, match="gait: 2 frames; the clip has 360"):
-        clip_features(clip, pfnn2017(21), labels, np.zeros((2, 6)))
+    layout, short = mason2018(21), cut_phase(labels, 0, 359)
     none = dataclasses.replace(labels, labelled=np.zeros(clip.num_frames, bool))
-    with pytest.raises(InputError, match="no two frames in a row are labelled"):
-        clip_features(clip, mason2018(21), none)
+    gait = np.zeros((2, 6))
+    assert_refused(lambda: clip_features(clip, mason2018(31), labels), place="skeleton", value="21 joints")
+    assert_refused(lambda: clip_features(clip, layout, short), place="phase", value="359 frames")
+    assert_refused(lambda: clip_features(clip, pfnn2017(21), labels, gait), place="gait", value="2 frames")
+    assert isinstance(assert_refused(lambda: clip_features(clip, layout, none), place="phase"), NoGaitError)
 
 
 def test_outputs_must_fit_the_layout(walk):
     clip, _ = walk
     layout = mason2018(21)
     y = np.zeros((3, layout.output_size))
-    with pytest.raises(InputError, match="layout mason2018 has 280 columns"):
-        clip_from_outputs(clip.skeleton, layout, y[:, 1:], np.zeros((3, 2)), np.zeros(3))
+    roots, yaw = np.zeros((3, 2)), np.zeros(3)
+    narrow = lambda: clip_from_outputs(clip.skeleton, layout, y[:, 1:], roots, yaw)  # noqa: E731
+    assert_refused(narrow, file="outputs", place="array", rule_mentions="280")
     y[1, layout.output_slice("joint_up")] = np.inf
-    with pytest.raises(InputError, match="y row 1, joint_up: inf; every value must be finite"):
+    with pytest.raises(InputError, match="y row 1, joint_up: inf"):
         clip_from_outputs(clip.skeleton, layout, y, np.zeros((3, 2)), np.zeros(3))

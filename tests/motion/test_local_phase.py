@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, mirror_clip
 from pfnn_jax.motion.datasets.labelled import load_clip
 from pfnn_jax.motion.datasets.sources import list_clips
@@ -29,6 +28,7 @@ from pfnn_jax.motion.labels.local_phase import (
     toe_contacts,
 )
 from pfnn_jax.motion.synthetic.walks import synthesise
+from tests.raising import assert_refused
 
 FPS = 60.0
 ROUNDING = 1e-6  # phase vectors of motion that is equal but for rounding: the fit stops at 1e-11 of a window's power
@@ -240,15 +240,14 @@ def test_tips_are_end_sites_where_there_are_any(walk):
     np.testing.assert_allclose(np.linalg.norm(one - other, axis=-1)[0], [0.1, 0, 0, 0], atol=1e-12)
 
 
-def test_unknown_roles_are_named(walk):
+def test_a_skeleton_without_roles_is_refused(walk):
     skeleton = dataclasses.replace(walk.skeleton, roles=None)
-    with pytest.raises(InputError, match="skeleton"):
-        clip_local_phases(dataclasses.replace(walk, skeleton=skeleton))
+    assert_refused(lambda: clip_local_phases(dataclasses.replace(walk, skeleton=skeleton)), place="skeleton")
 
 
 @pytest.mark.parametrize("setting", [{"max_height": 0.0}, {"max_speed": -1.0}, {"majority_seconds": -0.1}])
 def test_settings_are_checked(setting):
-    with pytest.raises(ValueError, match="positive"):
+    with pytest.raises(ValueError, match="LocalPhaseConfig"):
         LocalPhaseConfig(**setting)
 
 

@@ -20,6 +20,7 @@ from pfnn_jax.motion.paths import (
     resample_path,
     straight,
 )
+from tests.raising import assert_refused
 
 # Metres: a circle of 1440 chords lies this close to the true one, and its chords sum to this much less.
 CHORDS = 1e-4
@@ -116,20 +117,17 @@ def test_csv_that_returns_to_its_start_is_closed(tmp_path):
 def test_bad_csv_names_file_place_and_value(tmp_path, text, place, value):
     file = tmp_path / "bad.csv"
     file.write_text(text)
-    with pytest.raises(InputError) as error:
-        read_path(file)
-    assert str(error.value).startswith(f"{file}: {place}: {value}; ")
-    assert "\n" not in str(error.value)
+    error = assert_refused(lambda: read_path(file), file=file, place=place, value=value)
+    assert str(error).startswith(f"{file}: {place}: {value}; ") and "\n" not in str(error)
 
 
-def test_csv_that_is_no_text(tmp_path):
+def test_csv_must_be_utf_8_text(tmp_path):
     (tmp_path / "image.csv").write_bytes(b"0,0\n\xff\xfe\n")
-    with pytest.raises(InputError, match="byte 4"):
-        read_path(tmp_path / "image.csv")
+    assert_refused(lambda: read_path(tmp_path / "image.csv"), place="byte 4")
 
 
 @given(st.binary(max_size=60))
-def test_any_bytes_are_a_path_or_a_line_of_complaint(tmp_path_factory, data):
+def test_any_bytes_are_read_or_raise_input_error(tmp_path_factory, data):
     file = tmp_path_factory.mktemp("paths") / "any.csv"
     file.write_bytes(data)
     try:
@@ -139,9 +137,8 @@ def test_any_bytes_are_a_path_or_a_line_of_complaint(tmp_path_factory, data):
 
 
 @pytest.mark.parametrize(("shape", "size"), [("circle", 0.0), ("straight", -1.0), ("figure-eight", math.nan)])
-def test_bad_sizes(shape, size):
-    with pytest.raises(InputError, match="its size"):
-        make_path(shape, size)
+def test_sizes_must_be_positive(shape, size):
+    assert_refused(lambda: make_path(shape, size), file="path", place=shape, value=size)
 
 
 def test_make_path_by_name_or_file(tmp_path):
@@ -149,8 +146,7 @@ def test_make_path_by_name_or_file(tmp_path):
     assert make_path("straight").length == 10.0
     (tmp_path / "a.csv").write_text("0,0\n0,4\n")
     assert make_path(str(tmp_path / "a.csv")).length == 4.0
-    with pytest.raises(InputError, match="straight, circle, figure-eight or the name of a CSV file"):
-        make_path("spiral")
+    assert_refused(lambda: make_path("spiral"), place="shape", value="spiral", rule_mentions="figure-eight")
 
 
 @pytest.mark.parametrize("arguments", [{}, {"turn_rate": 0.0, "speed": 1.0}, {"radius": 1.0, "turn_rate": 1.0}])

@@ -27,6 +27,7 @@ from pfnn_jax.motion.labels.phase import (
     write_phase,
 )
 from pfnn_jax.motion.synthetic.walks import STYLES, mixed_schedule, synthesise
+from tests.raising import assert_refused
 
 FILE = 1e-6 * CYCLE  # radians; files hold six decimals of a cycle
 
@@ -108,7 +109,7 @@ def test_a_long_take_with_many_turns_is_labelled_within_its_cut(mocap):
 @pytest.mark.parametrize("name", ["depressed_18_000", "neutral_16_000"])
 def test_a_punch_and_a_jump_have_no_phase(mocap, name):
     path = mocap / "xia" / f"{name}.bvh"
-    with pytest.raises(NoGaitError, match=rf"{name}.bvh: phase: 0 foot contacts .* no steps: feet must come down"):
+    with pytest.raises(NoGaitError, match=rf"{name}.bvh: phase: 0 foot contacts"):
         label_phase(read_bvh(path))
 
 
@@ -180,12 +181,11 @@ def some_labels(draw) -> PhaseLabels:
 
 
 @given(labels=some_labels())
-def test_files_give_every_label_back(tmp_path_factory, labels):
+def test_reading_a_written_file_restores_every_label(tmp_path_factory, labels):
     path = tmp_path_factory.getbasetemp() / "a.phase"
     write_phase(path, labels, overwrite=True)
     if not labels.labelled.any():
-        with pytest.raises(InputError, match="some frame must have a phase"):
-            read_phase(path)
+        assert_refused(lambda: read_phase(path), file=path, value=f"{labels.num_frames} zeros")
         return
     back = read_phase(path, labels.num_frames)
     assert (back.labelled == labels.labelled).all()
@@ -194,14 +194,14 @@ def test_files_give_every_label_back(tmp_path_factory, labels):
     assert len(lines) == labels.num_frames and all(len(line.split(".")[1]) >= 5 for line in lines)
 
 
-def test_a_gap_of_one_frame_loses_a_label_and_invents_none(tmp_path):
+def test_a_gap_of_one_frame_is_widened_by_a_frame(tmp_path):
     labelled = np.arange(9) != 4
     empty = np.zeros(0, int)
     write_phase(tmp_path / "a.phase", PhaseLabels(np.where(labelled, 2.0, 0.0), labelled, empty, empty))
     assert np.flatnonzero(~read_phase(tmp_path / "a.phase").labelled).tolist() == [4, 5]
 
 
-def test_labels_survive_a_file(tmp_path):
+def test_reading_a_written_file_restores_contacts(tmp_path):
     clip, _ = synthesise("neutral", np.zeros(300), np.full(300, 1.2))
     labels = label_phase(_join(_still(clip, 0, 60), clip))
     write_phase(tmp_path / "a.phase", labels)
@@ -220,36 +220,34 @@ def test_hand_made_files_have_no_label_before_the_first_and_after_the_last_step(
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "place", "value"),
     [
-        ("0.1\n0.2\n", "lines: 2; must be 3, one for each frame of the BVH file"),
-        ("0.1\nhalf\n0.3\n", "line 2: half; must be a number"),
-        ("0.1\n0.2\n1.2\n", r"line 3: 1.2; must lie in \[0, 1\]"),
-        ("0.1\nnan\n0.3\n", r"line 2: nan; must lie in \[0, 1\]"),
-        ("0.1\n0.2 0.3\n0.3\n", "line 2: 2 values; must be 1"),
-        ("0.1\n\n0.3\n", "line 2: 0 values; must be 1"),
-        ("0\n0\n0\n", "3 zeros; some frame must have a phase"),
-        ("", "lines: 0; must be"),
+        ("0.1\n0.2\n", "lines", 2),
+        ("0.1\nhalf\n0.3\n", "line 2", "half"),
+        ("0.1\n0.2\n1.2\n", "line 3", 1.2),
+        ("0.1\nnan\n0.3\n", "line 2", np.nan),
+        ("0.1\n0.2 0.3\n0.3\n", "line 2", "2 values"),
+        ("0.1\n\n0.3\n", "line 2", "0 values"),
+        ("0\n0\n0\n", "file", "3 zeros"),
+        ("", "lines", 0),
     ],
 )
-def test_bad_files_are_refused_in_one_line(tmp_path, text, message):
+def test_bad_files_are_refused_in_one_line(tmp_path, text, place, value):
     path = tmp_path / "bad.phase"
     path.write_text(text)
-    with pytest.raises(InputError, match=message) as caught:
-        read_phase(path, 3)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    error = assert_refused(lambda: read_phase(path, 3), file=path, place=place, value=value)
+    assert "\n" not in str(error)
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match="must be a readable text file"):
-        read_phase(tmp_path / "none.phase")
+    assert_refused(lambda: read_phase(tmp_path / "none.phase"), file="none.phase", place="file")
 
 
-def test_a_file_is_only_replaced_when_asked(tmp_path):
+def test_an_existing_file_is_replaced_only_with_overwrite(tmp_path):
     path = tmp_path / "a.phase"
     path.write_text("kept")
     labels = PhaseLabels(np.array([0.1, 0.2]), np.array([True, True]), np.zeros(0, int), np.zeros(0, int))
-    with pytest.raises(InputError, match="exists; .*--overwrite"):
+    with pytest.raises(InputError, match="exists"):
         write_phase(path, labels)
     assert path.read_text() == "kept"
     write_phase(path, labels, overwrite=True)
@@ -291,11 +289,10 @@ def test_cutting_moves_the_contacts():
 def test_a_skeleton_without_roles_is_refused():
     clip, _ = synthesise("neutral", np.zeros(60), np.full(60, 1.2))
     bare = dataclasses.replace(clip, skeleton=dataclasses.replace(clip.skeleton, roles=None), source="a.bvh")
-    with pytest.raises(InputError, match="a.bvh: skeleton: .*hips, shoulders and feet"):
-        label_phase(bare)
+    assert_refused(lambda: label_phase(bare), file="a.bvh", place="skeleton")
 
 
-def test_labels_beside_a_file_need_every_frame(mocap, tmp_path):
+def test_a_phase_file_must_have_a_line_for_each_frame(mocap, tmp_path):
     """A `.phase` file of another length than the BVH file is refused when a clip is loaded with its labels."""
     from pfnn_jax.motion.datasets.labelled import load_labelled
 
@@ -303,5 +300,4 @@ def test_labels_beside_a_file_need_every_frame(mocap, tmp_path):
     path = tmp_path / source.name
     path.write_bytes(source.read_bytes())
     path.with_suffix(".phase").write_text("0.5\n")
-    with pytest.raises(InputError, match="lines: 1; must be 327"):
-        load_labelled(ClipFile(path, "neutral"))
+    assert_refused(lambda: load_labelled(ClipFile(path, "neutral")), place="lines", value=1, rule_mentions="327")

@@ -191,13 +191,13 @@ def test_bad_schedules_are_refused(turn, speed, message):
 
 
 def test_unknown_styles_and_bad_parameters_are_refused():
-    with pytest.raises(ValueError, match="Unknown synthetic style 'limp'; there are neutral, proud"):
+    with pytest.raises(ValueError, match="limp.*neutral, proud"):
         walk("limp")
-    with pytest.raises(ValueError, match="duty"):
+    with pytest.raises(ValueError, match="SyntheticStyle.duty"):
         synthetic.SyntheticStyle("hopping", duty=0.3)
-    with pytest.raises(ValueError, match="heel_off"):
+    with pytest.raises(ValueError, match="SyntheticStyle.heel_off"):
         synthetic.SyntheticStyle("flat", heel_off=1.0)
-    with pytest.raises(ValueError, match="cadence must be positive"):
+    with pytest.raises(ValueError, match="SyntheticStyle.cadence"):
         synthetic.SyntheticStyle("still", cadence=0.0)
 
 

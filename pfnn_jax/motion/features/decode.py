@@ -20,7 +20,7 @@ from pfnn_jax.motion.skeleton import Skeleton
 
 
 def root_steps(layout: FrameLayout, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How the root moves to the next frame, as outputs of any layout tell it.
+    """Returns the motion of the root to the next frame, read from the outputs of any layout.
 
     Under `next_frame` layouts the next root is the first trajectory sample.
 
@@ -29,7 +29,7 @@ def root_steps(layout: FrameLayout, y: np.ndarray) -> tuple[np.ndarray, np.ndarr
         y: [N, Dy] in layout units.
 
     Returns:
-        velocity [N, 2] metres per second (x, z) seen from the current root, and yaw rate [N] radians per second.
+        velocity [N, 2] metres per second (x, z) relative to the current root, and yaw rate [N] radians per second.
     """
 
     def block(name: str) -> np.ndarray:
@@ -46,8 +46,10 @@ def root_steps(layout: FrameLayout, y: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def median_speed(layout: FrameLayout, y: np.ndarray) -> float:
-    """Metres per second along the ground, the median over rows y [N, Dy] in layout units: of walks and a few runs, that
-    of a walk."""
+    """Returns the median speed along the ground in metres per second over rows y [N, Dy] in layout units.
+
+    The median of many walks and a few runs is the speed of a walk.
+    """
     velocity, _ = root_steps(layout, y)
     return float(np.median(np.linalg.norm(velocity, axis=1)))
 
@@ -60,22 +62,22 @@ def clip_from_outputs(
     root_yaw: np.ndarray,
     fps: float = 60.0,
 ) -> MotionClip:
-    """The motion that outputs describe, on roots that the caller has integrated (`root_steps`).
+    """Returns the motion that outputs describe, on roots that the caller has integrated (`root_steps`).
 
-    Joint rotations come from the output; joint 0 stands where the output has it; the other joints follow from the
-    skeleton's bones, so that bones are rigid whatever the output says.
+    Joint rotations and the position of joint 0 come from the outputs; the positions of the other joints follow from the
+    skeleton, so that bones are rigid whatever the network predicts.
 
     Args:
         skeleton: J joints.
-        layout: of J joints.
+        layout: of J joints; its units are those of `y`.
         y: [T, Dy] in layout units.
-        root_positions: [T, 2] metres on the ground: of the roots that the outputs are relative to, which under
-            `next_frame` layouts are those of the frame before.
-        root_yaw: [T] radians about +Y, likewise.
+        root_positions: [T, 2] metres on the ground, of the roots that the outputs are relative to; under `next_frame`
+            layouts these are the roots of the previous frames.
+        root_yaw: [T] radians about +Y, of the same roots.
         fps: frames per second.
 
     Raises:
-        InputError: for another width, or values that are not finite.
+        InputError: if the width is not the layout's, or a value is not finite.
     """
     y = np.asarray(y, np.float64)
     if y.ndim != 2 or y.shape[1] != layout.output_size or skeleton.num_joints != layout.num_joints:
@@ -98,7 +100,7 @@ def clip_from_outputs(
 
 
 def _output_rotations(layout: FrameLayout, y: np.ndarray) -> np.ndarray:
-    """[T, J, 4] rotations relative to the root."""
+    """Returns rotations [T, J, 4] relative to the root."""
 
     def block(name: str) -> np.ndarray:
         return y[:, layout.output_slice(name)].reshape(len(y), layout.num_joints, 3)

@@ -23,15 +23,15 @@ from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Rows of one clip, in layout units.
+    """Network rows of one clip, in layout units.
 
     Attributes:
         x: [N, Dx] float32.
         y: [N, Dy] float32.
-        phase: what the blending coefficients depend on, float32: [N] radians, or [N, G] for layouts of `phase_size` G:
-            local phases (left hand, right hand, left toe, right toe; sin and cos each), or velocities of the four in
-            metres per second.
-        frames: [N] index of each row's frame in the clip.
+        phase: the gating input, float32: [N] radians, or [N, G] for layouts of `phase_size` G: local phases (left
+            hand, right hand, left toe, right toe; sin and cos each), or the velocities of the four in metres per
+            second.
+        frames: [N] frame of the clip that each row describes.
     """
 
     x: np.ndarray
@@ -41,12 +41,12 @@ class Features:
 
 
 def select_rows(part: Features, rows: slice | np.ndarray) -> Features:
-    """Some rows of a part: a slice, indices or a mask."""
+    """Returns the rows that a slice, indices or a mask select."""
     return Features(part.x[rows], part.y[rows], part.phase[rows], part.frames[rows])
 
 
 def join_rows(parts: Sequence[Features]) -> Features:
-    """The rows of all parts, one after another."""
+    """Returns the rows of all parts, one after another."""
     return Features(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("x", "y", "phase", "frames")))
 
 
@@ -57,25 +57,25 @@ def clip_features(
     gait: np.ndarray | None = None,
     local_phases: np.ndarray | None = None,
 ) -> Features:
-    """Rows of every frame of a clip but the first and last, which lack a neighbour.
+    """Returns the rows of all frames of a clip except the first and the last, which lack a neighbour.
 
-    Layouts with a global phase use only frames i for which i and i+1 have one. Trajectories go on beyond the clip's
-    ends (`trajectory_windows`). Under `pfnn2017`, heights are above the ground of a flat clip: the mean height of the
-    feet in contact less `STANDING_HEIGHTS`; terrain is therefore 0, and contacts follow the authors' rule of speed
-    alone. Under the other layouts heights are the file's.
+    Layouts with a global phase use only frames i for which i and i+1 are labelled. Trajectories are extrapolated beyond
+    the clip's ends (`trajectory_windows`). Under `pfnn2017`, heights are above the ground of a flat clip: the mean
+    height of the feet in contact minus `STANDING_HEIGHTS`; terrain is therefore 0, and contacts follow the authors'
+    rule of speed alone. Under the other layouts heights are those of the file.
 
     Args:
-        clip: T frames at the layout's frame rate, of a skeleton with roles.
-        layout: of J joints; `layout_for` makes it.
-        labels: phase of the T frames, for layouts with a global phase; None finds them with `label_phase`.
+        clip: T frames at the layout's frame rate, of a skeleton with roles; a `WorldMotion` saves forward kinematics.
+        layout: of J joints, as `layout_for` returns it.
+        labels: phase of the T frames, for layouts with a global phase; None calls `label_phase`.
         gait: [T, 6] for `pfnn2017`; None estimates it from speed.
         local_phases: [T, 4, 2] as `clip_local_phases` returns them, for layouts with local phases; None computes them
-            with axes of this clip alone.
+            with principal axes of this clip alone.
 
     Raises:
         NoGaitError: for a clip shorter than half a second or, with a global phase, without steps or without two
             labelled frames in a row.
-        InputError: for another frame rate or number of joints or frames, or values that are not finite.
+        InputError: if the frame rate, the number of joints or a number of frames is wrong, or a value is not finite.
     """
     _check_clip(clip.clip if isinstance(clip, WorldMotion) else clip, layout)
     motion = world_motion(clip)
@@ -101,25 +101,29 @@ def clip_features(
 
 def _labelled_frames(clip: MotionClip, labels: PhaseLabels) -> np.ndarray:
     if labels.num_frames != clip.num_frames:
-        raise InputError(clip.source, "phase", f"{labels.num_frames} frames", f"the clip has {clip.num_frames}")
+        raise InputError(
+            clip.source, "phase", f"{labels.num_frames} frames", f"must have {clip.num_frames} like the clip"
+        )
     usable = labels.labelled[:-1] & labels.labelled[1:]
     usable[0] = False
     if not usable.any():
-        raise NoGaitError(clip.source, "phase", "no two frames in a row are labelled", "a clip must hold steps")
+        raise NoGaitError(clip.source, "phase", "no two labelled frames in a row", "a clip must contain steps")
     return np.flatnonzero(usable)
 
 
 def _flat_phases(clip: MotionClip, local_phases: np.ndarray) -> np.ndarray:
-    """[T, 8] of [T, 4, 2]."""
+    """Returns local phases [T, 4, 2] as [T, 8]."""
     if local_phases.shape != (clip.num_frames, 4, 2):
-        rule = f"the clip has {clip.num_frames} frames, of two numbers for each of four end effectors"
+        rule = f"must be ({clip.num_frames}, 4, 2): frames, end effectors, sin and cos"
         raise InputError(clip.source, "local phases", f"shape {local_phases.shape}", rule)
     return local_phases.reshape(clip.num_frames, 8)
 
 
 def _check_clip(clip: MotionClip, layout: FrameLayout) -> None:
     if abs(clip.fps - layout.fps) > 0.01:
-        raise InputError(clip.source, "frame rate", f"{clip.fps:g} fps", f"layout {layout.name} needs {layout.fps:g}")
+        raise InputError(
+            clip.source, "frame rate", f"{clip.fps:g} fps", f"layout {layout.name} needs {layout.fps:g} fps"
+        )
     if clip.skeleton.num_joints != layout.num_joints:
         raise InputError(
             clip.source,
@@ -129,7 +133,7 @@ def _check_clip(clip: MotionClip, layout: FrameLayout) -> None:
         )
     least = round(EXTRAPOLATION_SECONDS * layout.fps)
     if clip.num_frames < least:
-        raise NoGaitError(clip.source, "frames", clip.num_frames, f"one trajectory window needs at least {least}")
+        raise NoGaitError(clip.source, "frames", clip.num_frames, f"must be at least {least}, one trajectory window")
     for name, values in (("root position", clip.root_positions), ("rotation", clip.rotations)):
         bad = ~np.isfinite(values)
         if bad.any():

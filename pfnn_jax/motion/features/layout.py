@@ -1,21 +1,20 @@
-"""Frame layouts: which numbers a network reads and writes, where they stand and in which units.
+"""Frame layouts: which numbers a network reads and writes, at which columns and in which units.
 
-There are two frame rules. `mason2018` and `pfnn2017` follow that of Holden et al. 2017. For frame i,
+There are two frame rules. `mason2018` and `pfnn2017` follow Holden et al. 2017. For frame i,
 
 - x_i holds the trajectory around frame i relative to root i, and the joints of frame i-1 relative to root i-1;
 - y_i holds the joints of frame i relative to root i; root velocity, yaw rate and phase change from frame i to i+1;
-  and the trajectory from now on around frame i+1 relative to root i+1;
+  and the future trajectory of frame i+1 relative to root i+1;
 - velocities look forward, from i to i+1.
 
-So the joint blocks of x_{i+1} equal those of y_i. The `mason2022` layouts (`next_frame`) follow that of Mason et al.
-2022:
+So the joint blocks of x_{i+1} equal those of y_i. The `mason2022` layouts (`next_frame`) follow Mason et al. 2022:
 
 - x_i holds the trajectory and the joints of frame i relative to root i;
-- y_i holds the trajectory from now on and the joints of frame i+1, still relative to root i;
+- y_i holds the future trajectory and the joints of frame i+1, still relative to root i;
 - velocities look back, from i-1 to i.
 
-So the first trajectory sample of y_i is root i+1 seen from root i, and stands for a root velocity. No index arithmetic
-happens outside this file and `frame_layout`: blocks have names.
+So the first trajectory sample of y_i is root i+1 relative to root i, which serves as the root velocity. Blocks have
+names, so that index arithmetic is confined to this file.
 """
 
 from __future__ import annotations
@@ -34,18 +33,18 @@ Block = tuple[str, int]
 """Name and number of columns."""
 
 Columns = slice | np.ndarray
-"""Where a block stands: good for `y[:, columns]`, `y.at[columns].set` and `np.r_[columns]`."""
+"""The columns of a block: usable in `y[:, columns]`, `y.at[columns].set` and `np.r_[columns]`."""
 
 
 @dataclass(frozen=True)
 class Interleaved:
-    """Blocks that take turns: `parts` stand one after another, `count` times.
+    """Blocks that alternate: all `parts` in order, repeated `count` times.
 
     The block of a part has `count * size` columns. Interleaved joints read as `y[:, columns].reshape(N, J, 3)`.
 
     Attributes:
-        count: how often the parts are repeated.
-        parts: (block, size of one turn) in order.
+        count: number of repetitions.
+        parts: (block, columns in one repetition) in order.
     """
 
     count: int
@@ -58,13 +57,13 @@ Blocks = tuple[Block | Interleaved, ...]
 
 @lru_cache(maxsize=256)
 def column_names(blocks: Blocks) -> tuple[str, ...]:
-    """[D] name of the block of every column."""
+    """Returns the block name of each of D columns."""
     return tuple(name for name, size in _turns(blocks) for _ in range(size))
 
 
 @lru_cache(maxsize=256)
 def block_columns(blocks: Blocks) -> dict[str, Columns]:
-    """Columns of every block, by name in order of first appearance.
+    """Returns the columns of every block, by name in order of first appearance.
 
     Contiguous or regularly strided blocks are slices, others read-only arrays of indices.
 
@@ -74,7 +73,7 @@ def block_columns(blocks: Blocks) -> dict[str, Columns]:
     parts = [part for block in blocks for part in (block.parts if isinstance(block, Interleaved) else (block,))]
     names = [name for name, _ in parts]
     if len(set(names)) < len(names):
-        raise ValueError(f"A block's name must be its own, got {names}.")
+        raise ValueError(f"Block names must be unique, got {names}.")
     counts = [block.count for block in blocks if isinstance(block, Interleaved)]
     if min([size for _, size in parts] + counts, default=1) < 1:
         raise ValueError(f"A block must have at least one column, got {blocks}.")
@@ -94,8 +93,8 @@ def _columns(index: np.ndarray) -> Columns:
         return slice(first, last + 1)
     if len(steps) == 1:
         return slice(first, last + 1, steps.pop())
-    # Unsigned, so that JAX need not wrap them around: it remembers the width of signed constants from one program to
-    # the next, and refuses them where another precision is in force.
+    # Unsigned, so that JAX does not wrap negative indices: it caches the width of signed constants between programs,
+    # and fails where another precision is in force.
     index = index.astype(np.uint32)
     index.setflags(write=False)
     return index
@@ -103,7 +102,7 @@ def _columns(index: np.ndarray) -> Columns:
 
 PhaseKind = Literal["global", "local", "velocity"]
 PHASE_SIZES: dict[PhaseKind, int] = {"global": 0, "local": 8, "velocity": 12}
-"""Numbers that the blending coefficients depend on; 0 is the scalar phase of a gait cycle."""
+"""Size of the gating input; 0 for the scalar phase of a gait cycle."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,7 @@ class FrameLayout:
     - radians of phase per second = `y[phase_change] * phase_unit / time_unit`.
 
     Attributes:
-        name: of the layout.
+        name: key of `LAYOUTS`.
         num_joints: J.
         fps: frames per second of the motion it describes.
         length_unit: metres per unit of length.
@@ -126,15 +125,15 @@ class FrameLayout:
         phase_unit: radians per unit of `phase_change`.
         yaw_unit: radians about +Y per unit of `root_yaw_rate`, sign included.
         inputs: (block, size) or interleaved blocks, in order.
-        outputs: likewise.
-        phase_kind: what the blending coefficients depend on: `global`, the phase of the gait cycle in radians;
+        outputs: as `inputs`.
+        phase_kind: the gating input: `global`, the phase of the gait cycle in radians;
             `local`, (sin, cos) of four end effectors scaled by amplitude and speed; `velocity`, the velocities of
-            the four in metres per second, seen from the root.
-        next_frame: whether outputs are those of the next frame, seen from the current root.
-        hips_heading: whether the root faces where the hips alone do, without smoothing, rather than where hips and
-            shoulders do, smoothed.
+            the four in metres per second, relative to the root.
+        next_frame: whether outputs describe the next frame relative to the current root.
+        hips_heading: whether the root takes its facing from the hips alone, unsmoothed, rather than from hips and
+            shoulders, smoothed.
         ends: joints of left hand, right hand, left toe and right toe, the end effectors of `local` and `velocity`;
-            empty where they are not used, or not known yet (`layout.layout_for` finds them).
+            empty where they are unused or unknown (`layout_for` finds them).
     """
 
     name: str
@@ -161,69 +160,69 @@ class FrameLayout:
 
     @property
     def input_size(self) -> int:
-        """Numbers in x."""
+        """Dx, the size of x."""
         return len(self.input_names)
 
     @property
     def output_size(self) -> int:
-        """Numbers in y."""
+        """Dy, the size of y."""
         return len(self.output_names)
 
     @property
     def phase_size(self) -> int:
-        """Numbers that the blending coefficients depend on: 0 for a scalar phase, else the width of `phase`."""
+        """G, the size of the gating input; 0 for a scalar phase."""
         return PHASE_SIZES[self.phase_kind]
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """[Dx] block of every column of x."""
+        """Block names of the Dx columns of x."""
         return column_names(self.inputs)
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """[Dy] block of every column of y."""
+        """Block names of the Dy columns of y."""
         return column_names(self.outputs)
 
     @property
     def input_blocks(self) -> tuple[str, ...]:
-        """Blocks of x in order of first appearance, each once."""
+        """Blocks of x in order of first appearance."""
         return tuple(block_columns(self.inputs))
 
     @property
     def output_blocks(self) -> tuple[str, ...]:
-        """Blocks of y in order of first appearance, each once."""
+        """Blocks of y in order of first appearance."""
         return tuple(block_columns(self.outputs))
 
     def input_slice(self, name: str) -> Columns:
-        """Where a block stands in x: a slice where its columns are regular, else an array of indices.
+        """Returns the columns of a block of x: a slice where they are regular, else an array of indices.
 
         Raises:
-            KeyError: for an unknown block, listing those there are.
+            KeyError: for an unknown block, listing the known ones.
         """
         return self._find(name, self.inputs, "input")
 
     def output_slice(self, name: str) -> Columns:
-        """Where a block stands in y; as `input_slice`.
+        """Returns the columns of a block of y, as `input_slice` does.
 
         Raises:
-            KeyError: for an unknown block, listing those there are.
+            KeyError: for an unknown block, listing the known ones.
         """
         return self._find(name, self.outputs, "output")
 
     def input_width(self, name: str) -> int:
-        """Number of columns of a block of x; 0 where there is none of this name."""
+        """Returns the number of columns of a block of x; 0 if there is no such block."""
         return self.input_names.count(name)
 
     def output_width(self, name: str) -> int:
-        """Number of columns of a block of y; 0 where there is none of this name."""
+        """Returns the number of columns of a block of y; 0 if there is no such block."""
         return self.output_names.count(name)
 
     def has_input(self, name: str) -> bool:
-        """Whether x has a block of this name."""
+        """Returns whether x has a block of this name."""
         return name in self.input_blocks
 
     def has_output(self, name: str) -> bool:
-        """Whether y has a block of this name."""
+        """Returns whether y has a block of this name."""
         return name in self.output_blocks
 
     def _find(self, name: str, blocks: Blocks, side: str) -> Columns:
@@ -237,19 +236,19 @@ TRAJECTORY_OFFSETS = tuple(range(-60, 60, 10))
 """Frames at 60 fps, relative to now, at which the trajectory is sampled (paper: one second each way)."""
 
 NUM_SAMPLES = len(TRAJECTORY_OFFSETS)
-"""12 trajectory samples in every input."""
+"""Trajectory samples in every input: 12."""
 
 NOW = TRAJECTORY_OFFSETS.index(0)
 """Index of the present among the samples."""
 
 NUM_FUTURE = NUM_SAMPLES - NOW
-"""6 trajectory samples, now to +50 frames, in every output."""
+"""Trajectory samples in every output: 6, from now to +50 frames."""
 
 GAITS = ("stand", "walk", "jog", "crouch", "jump", "bump")
 """The gait labels of `pfnn2017`, in the order of its blocks of 12."""
 
 STYLE100_ENDS = (16, 11, 24, 20)
-"""Left hand end, right hand end, left toe, right toe among the 25 joints of 100STYLE."""
+"""End of left hand, end of right hand, left toe and right toe among the 25 joints of 100STYLE."""
 
 
 def _trajectory(samples: int) -> tuple[Block, ...]:
@@ -257,7 +256,7 @@ def _trajectory(samples: int) -> tuple[Block, ...]:
 
 
 def mason2018(num_joints: int = 31) -> FrameLayout:
-    """Layout of Mason et al. 2018 (section 4): 48 + 6J inputs and 28 + 12J outputs, 234 and 400 for 31 joints.
+    """Returns the layout of Mason et al. 2018 (section 4): 48 + 6J inputs, 28 + 12J outputs (234, 400 for 31 joints).
 
     Metres, seconds and radians; outputs in the order in which the paper lists them.
 
@@ -288,7 +287,7 @@ def mason2018(num_joints: int = 31) -> FrameLayout:
 
 
 def pfnn2017(num_joints: int = 31) -> FrameLayout:
-    """Layout of Holden et al. 2017 (section 5): 156 + 6J inputs and 32 + 9J outputs, 342 and 311 for 31 joints.
+    """Returns the layout of Holden et al. 2017 (section 5): 156 + 6J inputs, 32 + 9J outputs (342, 311 for 31 joints).
 
     Centimetres per frame at 60 fps, phase change in cycles per frame, yaw rate in radians per frame about -Y, as in
     the published weights. `gait` is six blocks of 12 samples in the order of `GAITS`; `terrain_height` three blocks
@@ -328,12 +327,14 @@ def pfnn2017(num_joints: int = 31) -> FrameLayout:
 
 
 def mason2022(num_joints: int = 25, ends: tuple[int, ...] | None = None) -> FrameLayout:
-    """Layout of Mason et al. 2022 (section 4.2): 48 + 12J inputs and 42 + 12J outputs, 348 and 342 for 25 joints.
+    """Returns the layout of Mason et al. 2022 (section 4.2): 48 + 12J inputs and 42 + 12J outputs.
+
+    For 25 joints these are 348 and 342.
 
     Metres, seconds and radians. Trajectory samples and joints are interleaved, in the order of the published weights:
     a sample is position x, z, direction x, z; a joint is position, forward, up, velocity. Outputs end with the local
-    phases of the next frame, their change, and the contacts of the right and of the left foot. Blending coefficients
-    depend on the eight numbers of the local phases.
+    phases of the next frame, their change, and the contacts of the right and the left foot. The gating input is the
+    eight numbers of the local phases.
 
     Args:
         num_joints: J.
@@ -345,15 +346,16 @@ def mason2022(num_joints: int = 25, ends: tuple[int, ...] | None = None) -> Fram
 
 
 def mason2022_mann(num_joints: int = 25, ends: tuple[int, ...] | None = None) -> FrameLayout:
-    """`mason2022` for mode-adaptive networks (Zhang et al. 2018): 48 + 12J inputs, 26 + 12J outputs, 326 for 25 joints.
+    """Returns `mason2022` for mode-adaptive networks (Zhang et al. 2018): 48 + 12J inputs, 26 + 12J outputs.
 
-    No phases; blending coefficients depend on the velocities of the four end effectors. Arguments as `mason2022`.
+    326 outputs for 25 joints. There are no phases: the gating input is the velocities of the four end effectors.
+    Arguments as `mason2022`.
     """
     return _mason2022("mason2022_mann", num_joints, (("foot_contacts", 2),), "velocity", ends)
 
 
 def mason2022_pfnn(num_joints: int = 25) -> FrameLayout:
-    """`mason2022` for phase-functioned networks: 48 + 12J inputs and 27 + 12J outputs, 327 for 25 joints.
+    """Returns `mason2022` for phase-functioned networks: 48 + 12J inputs, 27 + 12J outputs (327 for 25 joints).
 
     Outputs end with the contacts and `phase_change`, radians per second as in `mason2018`.
 
@@ -392,12 +394,11 @@ def _mason2022(
 LAYOUTS: dict[str, Callable[[int], FrameLayout]] = {
     layout.__name__: layout for layout in (mason2018, pfnn2017, mason2022, mason2022_mann, mason2022_pfnn)
 }
-"""Layouts by name; each takes the number of joints. Where a skeleton is at hand, `layout_for` knows its end effectors
-too."""
+"""Layouts by name; each takes the number of joints. For a given skeleton `layout_for` finds the end effectors too."""
 
 
 def layout_for(name: str, skeleton: Skeleton) -> FrameLayout:
-    """The layout of this name for a skeleton, with its end effectors where the layout uses them.
+    """Returns the layout of this name for a skeleton, with the end effectors if the layout uses them.
 
     Args:
         name: key of `LAYOUTS`.
@@ -412,7 +413,7 @@ def layout_for(name: str, skeleton: Skeleton) -> FrameLayout:
 
 
 def end_joints(skeleton: Skeleton) -> tuple[int, ...]:
-    """Joints of left hand, right hand, left toe and right toe, the order of local phases.
+    """Returns the joints of left hand, right hand, left toe and right toe, in the order of local phases.
 
     Raises:
         InputError: if the skeleton has no roles.

@@ -1,8 +1,9 @@
-"""A clip seen from its root: the quantities of every frame from which rows are made."""
+"""Joints, velocities and trajectory of every frame relative to the root: what rows are made of."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -13,20 +14,20 @@ from pfnn_jax.motion.trajectory import Root, layout_root, trajectory_windows
 from pfnn_jax.motion.world_motion import WorldMotion
 
 AXES = {"joint_forward": np.array([0.0, 0.0, 1.0]), "joint_up": np.array([0.0, 1.0, 0.0])}
-"""The joint's own axis that a block of directions holds."""
+"""The axis of a joint's own frame that each block of directions holds."""
 
 
 @dataclass(frozen=True, eq=False)
 class LocalMotion:
-    """T frames of a clip, each seen from its own root.
+    """T frames of a clip, each relative to its own root.
 
     Attributes:
         world: the same frames in the world.
-        root: of every frame.
+        root: position and facing of every frame.
         windows: trajectory around every frame, positions [T, 12, 2] metres and directions [T, 12, 2].
         positions: [T, J, 3] metres.
         velocities: metres per second: [T - 1, J, 3] from each frame to the next or, for `next_frame` layouts,
-            [T, J, 3] from each frame's predecessor to it (the first repeats the second).
+            [T, J, 3] from the previous frame (the first repeats the second).
         rotations: [T, J, 4] wxyz.
     """
 
@@ -37,13 +38,18 @@ class LocalMotion:
     velocities: np.ndarray
     rotations: np.ndarray
 
+    @cached_property
+    def axes(self) -> dict[str, np.ndarray]:
+        """[T, J, 3] directions of the joints' own +Z (`joint_forward`) and +Y (`joint_up`), seen from the root."""
+        return {block: quat_rotate(self.rotations, axis) for block, axis in AXES.items()}
+
 
 def localise(motion: WorldMotion, layout: FrameLayout) -> LocalMotion:
-    """A clip seen from the roots that a layout takes.
+    """Returns a motion relative to the roots that a layout defines.
 
     Args:
         motion: T frames at the layout's frame rate, of a skeleton with roles.
-        layout: decides the heading of the root and which way velocities look.
+        layout: defines the facing of the root, and whether velocities are forward or backward differences.
 
     Raises:
         InputError: if the skeleton has no roles.
@@ -65,23 +71,12 @@ def localise(motion: WorldMotion, layout: FrameLayout) -> LocalMotion:
     )
 
 
-def joint_axis(local: LocalMotion, block: str, frames: np.ndarray) -> np.ndarray:
-    """[N, J, 3] direction of the joints' own +Z (`joint_forward`) or +Y (`joint_up`), seen from the root.
-
-    Args:
-        local: T frames.
-        block: key of `AXES`.
-        frames: [N] indices.
-    """
-    return quat_rotate(local.rotations[frames], AXES[block])
-
-
 def trajectory_block(windows: tuple[np.ndarray, np.ndarray], block: str) -> np.ndarray:
-    """[N, samples] of one trajectory block, as `trajectory_position_x`, in metres.
+    """Returns one trajectory block [N, samples], such as `trajectory_position_x`, in metres.
 
     Args:
         windows: positions and directions, each [N, samples, 2] as (x, z).
-        block: name.
+        block: name of the block.
     """
     _, kind, axis = block.split("_")
     return windows[0 if kind == "position" else 1][..., "xz".index(axis)]

@@ -1,4 +1,4 @@
-"""Mean and standard deviation of network inputs and outputs: fitted once over all styles, reused by every later one."""
+"""Normalises network inputs and outputs by statistics that are fitted once over all styles and reused by later ones."""
 
 from __future__ import annotations
 
@@ -12,61 +12,17 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.features.layout import FrameLayout
 
-
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Of some rows of D columns.
-
-    Attributes:
-        count: rows.
-        mean: [D] float64.
-        squares: [D] float64, sum of squared deviations from the mean.
-    """
-
-    count: int
-    mean: np.ndarray
-    squares: np.ndarray
-
-    def merge(self, other: Moments) -> Moments:
-        """Of the rows of both (Chan, Golub and LeVeque 1979)."""
-        if not self.count or not other.count:
-            return other if not self.count else self
-        count = self.count + other.count
-        step = other.mean - self.mean
-        share = other.count / count
-        return Moments(
-            count, self.mean + share * step, self.squares + other.squares + step * step * (self.count * share)
-        )
-
-    def rows(self) -> np.ndarray:
-        """[2, D] float64 two rows of the same mean and deviation, to stand for all rows in `fit_normaliser`."""
-        std = np.sqrt(self.squares / max(self.count, 1))
-        return np.stack([self.mean - std, self.mean + std])
-
-
-NO_ROWS = Moments(0, np.zeros(1), np.zeros(1))
-"""Of no rows, of any number of columns."""
-
-
-def moments_of(rows: np.ndarray) -> Moments:
-    """Of rows [N, D]."""
-    values = rows.astype(np.float64)
-    mean = values.mean(axis=0) if len(values) else np.zeros(values.shape[1])
-    values -= mean
-    return Moments(len(values), mean, np.einsum("nd,nd->d", values, values))
-
-
 JOINT_INPUT_WEIGHT = 0.1
-"""Scale of normalised joint inputs under grouped statistics, as the authors' code has it."""
+"""Scale of normalised joint inputs under grouped statistics, as in the authors' code."""
 
 CONSTANT = 1e-6
-"""A deviation below this share of (1 + |mean|) is rounding of float32: the column is constant."""
+"""Below this share of (1 + |mean|) a std is only float32 rounding, and the column is treated as constant."""
 
-CHUNK = 16384  # rows per pass: bounds memory where the arrays are memory-mapped
+ROWS_PER_PASS = 16384  # bounds memory where the arrays are memory-mapped
 
 Arrays = np.ndarray | Sequence[np.ndarray]
 
-SIDES = ("x", "y", "p")  # first letters of the files
+FILE_PREFIXES = ("x", "y", "p")  # inputs, outputs, gating input
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +48,12 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Normaliser:
-    """Statistics of x, of y and, where it is no scalar, of what the blending coefficients depend on.
+    """Statistics of inputs, outputs and, where it is a vector, of the gating input.
 
     Attributes:
         inputs: of x.
         outputs: of y.
-        phases: of `phase` [N, G]; None for a scalar phase.
+        phases: of the gating input [N, G]; None for a scalar phase, which is not normalised.
     """
 
     inputs: Statistics
@@ -112,10 +68,10 @@ class Normaliser:
 def fit_normaliser(
     x: Arrays, y: Arrays, layout: FrameLayout, grouped: bool = False, phase: Arrays | None = None
 ) -> Normaliser:
-    """One normaliser over all rows of all styles.
+    """Fits one normaliser to all rows of all styles.
 
-    By default every column has its own deviation (the paper); constant columns get 1. With `grouped`, as the authors'
-    code does, deviations are averaged over each block (x and z of the outputs' trajectory together), and those of
+    By default every column has its own std (the paper); constant columns get 1. With `grouped`, as in the authors'
+    code, stds are averaged over each block (x and z of the outputs' trajectory together), and those of
     the input blocks `joint_position` and `joint_velocity` are divided by 0.1, so that joints weigh a tenth of the
     trajectory at the network's input. The 0.1 exists only with `grouped`, and only for inputs.
 
@@ -123,9 +79,9 @@ def fit_normaliser(
         x: [N, Dx] in layout units, or several such arrays (as one for each style).
         y: [N, Dy] likewise.
         layout: names the blocks.
-        grouped: average deviations over blocks.
+        grouped: whether to average stds over blocks.
         phase: [N, G] likewise, where the layout's `phase_size` is G > 0; None leaves its statistics out. Every column
-            has its own deviation. A scalar phase is not normalised.
+            has its own std. A scalar phase is not normalised.
 
     Raises:
         InputError: for no rows, another width than the layout's, or a value that is not finite.
@@ -142,25 +98,70 @@ def fit_normaliser(
 
 
 def save_normaliser(folder: Path, normaliser: Normaliser) -> None:
-    """Writes four `.npy` files, or six where phases have statistics, into a folder, made where it is absent."""
+    """Writes four `.npy` files, or six where the gating input has statistics, into a folder that is made if needed."""
     folder.mkdir(parents=True, exist_ok=True)
-    for side, statistics in zip(SIDES, (normaliser.inputs, normaliser.outputs, normaliser.phases), strict=True):
+    for prefix, statistics in zip(
+        FILE_PREFIXES, (normaliser.inputs, normaliser.outputs, normaliser.phases), strict=True
+    ):
         for name in ("mean", "std"):
-            path = folder / f"{side}_{name}.npy"
+            path = folder / f"{prefix}_{name}.npy"
             if statistics is None:
-                path.unlink(missing_ok=True)  # of a normaliser that stood here before
+                path.unlink(missing_ok=True)  # a file of a normaliser that was saved here before
             else:
                 np.save(path, getattr(statistics, name), allow_pickle=False)
 
 
 def load_normaliser(folder: Path) -> Normaliser:
-    """Inverse of `save_normaliser`, exact to the last bit.
+    """Loads what `save_normaliser` wrote, exact to the last bit.
 
     Raises:
-        InputError: if a file is missing, is no array of one axis, or holds a value that is not finite.
+        InputError: if a file is missing, is not an array of one axis, or holds a value that is not finite.
     """
     phases = any((folder / f"p_{name}.npy").exists() for name in ("mean", "std"))
-    return Normaliser(*(_load_side(folder, side) for side in (SIDES if phases else SIDES[:2])))
+    return Normaliser(*(_load_side(folder, side) for side in (FILE_PREFIXES if phases else FILE_PREFIXES[:2])))
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Count, mean and sum of squared deviations of rows of D columns, which can be merged with those of other rows.
+
+    Attributes:
+        count: rows.
+        mean: [D] float64.
+        squares: [D] float64, sum of squared deviations from the mean.
+    """
+
+    count: int
+    mean: np.ndarray
+    squares: np.ndarray
+
+    def merge(self, other: Moments) -> Moments:
+        """Returns the moments of both sets of rows together (Chan, Golub and LeVeque 1979)."""
+        if not self.count or not other.count:
+            return other if not self.count else self
+        count = self.count + other.count
+        step = other.mean - self.mean
+        share = other.count / count
+        return Moments(
+            count, self.mean + share * step, self.squares + other.squares + step * step * (self.count * share)
+        )
+
+    def rows(self) -> np.ndarray:
+        """Returns two rows [2, D] float64 of equal mean and std, which replace all rows in `fit_normaliser`."""
+        std = np.sqrt(self.squares / max(self.count, 1))
+        return np.stack([self.mean - std, self.mean + std])
+
+
+NO_ROWS = Moments(0, np.zeros(1), np.zeros(1))
+"""Moments of no rows, of any number of columns."""
+
+
+def moments_of(rows: np.ndarray) -> Moments:
+    """Returns the moments of rows [N, D]."""
+    values = rows.astype(np.float64)
+    mean = values.mean(axis=0) if len(values) else np.zeros(values.shape[1])
+    values -= mean
+    return Moments(len(values), mean, np.einsum("nd,nd->d", values, values))
 
 
 def require_finite(values: np.ndarray, names: Sequence[str], source: str | Path, name: str) -> None:
@@ -197,15 +198,15 @@ def _fit(arrays: Arrays, names: Sequence[str], name: str, layout: FrameLayout) -
         total += chunk.sum(axis=0, dtype=np.float64)
     mean, square = total / count, np.zeros(width)
     for chunk in _chunks(arrays):
-        deviation = chunk - mean
-        square += np.einsum("nd,nd->d", deviation, deviation)
+        centred = chunk - mean
+        square += np.einsum("nd,nd->d", centred, centred)
     return Statistics(mean, np.sqrt(square / count))
 
 
 def _chunks(arrays: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
     for array in arrays:
-        for start in range(0, len(array), CHUNK):
-            yield np.asarray(array[start : start + CHUNK])
+        for start in range(0, len(array), ROWS_PER_PASS):
+            yield np.asarray(array[start : start + ROWS_PER_PASS])
 
 
 def _input_group(block: str) -> tuple[str, float]:
@@ -237,7 +238,7 @@ def _load_side(folder: Path, side: str) -> Statistics:
             folder / f"{side}_std.npy",
             "array",
             f"shape {std.shape}, least {std.min(initial=np.inf)}",
-            f"deviations are positive, one for each of {len(mean)} means",
+            f"must hold {len(mean)} positive values, one for each mean",
         )
     return Statistics(mean, std)
 
@@ -246,7 +247,7 @@ def _load(path: Path) -> np.ndarray:
     try:
         value = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
-        raise InputError(path, "array", error, "statistics are written by save_normaliser") from error
+        raise InputError(path, "array", error, "must be a file that save_normaliser wrote") from error
     if value.ndim != 1 or not np.isfinite(value).all():
-        raise InputError(path, "array", f"shape {value.shape}", "one axis of finite values")
+        raise InputError(path, "array", f"shape {value.shape}", "must have one axis and finite values")
     return value

@@ -1,4 +1,4 @@
-"""Rows by the frame rule of Holden et al. 2017: layouts `pfnn2017` and `mason2018`. The rule is in `layout`."""
+"""Rows by the frame rule of Holden et al. 2017, for layouts `pfnn2017` and `mason2018`; `layout` states the rule."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.features.layout import NOW, FrameLayout
-from pfnn_jax.motion.features.local_motion import LocalMotion, joint_axis, trajectory_block
+from pfnn_jax.motion.features.local_motion import LocalMotion, trajectory_block
 from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.kinematics import quat_log
 from pfnn_jax.motion.labels.contacts import estimate_gait, foot_joints, measured_leg_length, slow_feet
@@ -19,21 +19,21 @@ CONTACT_SPEED = 0.01 * np.sqrt(0.02) * 60
 """Metres per second: a squared displacement of 0.02 cm² in a frame (Holden's `contacts`; no height test)."""
 
 STANDING_HEIGHTS = (0.05, 0.04, 0.05, 0.04)
-"""Metres from the ground to left heel, left toe, right heel and right toe of a standing foot, as Holden's terrain has
-them: the ground under a flat clip is the mean over contacts of a foot joint's height less this."""
+"""Metres from the ground to left heel, left toe, right heel and right toe of a standing foot, from Holden's terrain
+fitting. The ground under a flat clip is the mean, over contacts, of a foot joint's height minus this."""
 
 
 @dataclass(frozen=True, eq=False)
 class CurrentFrameRows:
-    """Blocks of the rows of some frames: y_i describes frame i, x_i the joints of the frame before.
+    """Blocks of the rows of some frames: y_i describes frame i, and x_i the joints of the previous frame.
 
     Attributes:
-        layout: one whose `next_frame` is false.
-        local: T frames seen from their roots.
+        layout: with `next_frame` false.
+        local: T frames relative to their roots.
         phases: [T] radians.
         gait: [T, 6], or None to estimate it from speed.
         frames: [N] indices, none of them the first or last frame.
-        ground: height of the ground in metres, taken off the joints' heights.
+        ground: height of the ground in metres, subtracted from the joints' heights.
     """
 
     layout: FrameLayout
@@ -44,18 +44,18 @@ class CurrentFrameRows:
     ground: float
 
     def input(self, block: str) -> np.ndarray:
-        """[N, ...] one block of x in layout units."""
+        """Returns one block [N, ...] of x in layout units."""
         if block.startswith("trajectory"):
             return self._trajectory(block, self.frames, 0)
         if block.startswith("joint"):
             return self._joints(block, self.frames - 1)
         if block == "gait":
             return self._gait_windows()
-        # terrain: a flat clip stands on its ground
+        # terrain heights: clips are taken to be on flat ground
         return np.zeros((len(self.frames), self.layout.input_width(block)))
 
     def output(self, block: str) -> np.ndarray:
-        """[N, ...] one block of y in layout units."""
+        """Returns one block [N, ...] of y in layout units."""
         layout, frames, local = self.layout, self.frames, self.local
         rate = layout.time_unit * local.world.fps
         if block.startswith("trajectory"):
@@ -83,16 +83,18 @@ class CurrentFrameRows:
             return local.velocities[frames] * (layout.time_unit / layout.length_unit)
         if block == "joint_rotation":
             return quat_log(local.rotations[frames])
-        return joint_axis(local, block, frames)
+        return local.axes[block][frames]
 
     def _gait_windows(self) -> np.ndarray:
-        """[N, 6, 12]: beyond the clip's ends the first and last label hold."""
+        """Returns gait windows [N, 6, 12]; beyond the clip's ends the first and the last label are repeated."""
         world, gait = self.local.world, self.gait
         if gait is None:
             leg = measured_leg_length(world.positions, world.roles)
             gait = estimate_gait(self.local.root.positions, leg, world.fps)
         if len(gait) != world.num_frames:
-            raise InputError(world.clip.source, "gait", f"{len(gait)} frames", f"the clip has {world.num_frames}")
+            raise InputError(
+                world.clip.source, "gait", f"{len(gait)} frames", f"must have {world.num_frames} like the clip"
+            )
         index = np.clip(self.frames[:, None] + sample_offsets(world.fps), 0, world.num_frames - 1)
         return np.moveaxis(gait[index], 2, 1)
 
@@ -104,7 +106,7 @@ def current_frame_rows(
     gait: np.ndarray | None,
     frames: np.ndarray,
 ) -> CurrentFrameRows:
-    """The blocks of a clip's rows; arguments as `CurrentFrameRows` has them."""
+    """Returns the blocks of a clip's rows; arguments are the attributes of `CurrentFrameRows`."""
     ground = _ground(local.world) if layout.has_input("terrain_height") else 0.0
     return CurrentFrameRows(layout, local, phases, gait, frames, ground)
 

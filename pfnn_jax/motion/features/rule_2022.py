@@ -1,6 +1,6 @@
-"""Rows by the frame rule of Mason et al. 2022: layouts `mason2022`, `mason2022_mann` and `mason2022_pfnn`.
+"""Rows by the frame rule of Mason et al. 2022, for layouts `mason2022`, `mason2022_mann` and `mason2022_pfnn`.
 
-The rule is in `layout`. What y_i holds of frame i+1 is what x_{i+1} holds of it, turned and moved from root i+1 into
+`layout` states the rule. y_i describes frame i+1 by the same quantities as x_{i+1}, transformed from root i+1 to
 root i.
 """
 
@@ -12,22 +12,22 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.features.layout import NOW, FrameLayout, end_joints
-from pfnn_jax.motion.features.local_motion import LocalMotion, joint_axis, trajectory_block
+from pfnn_jax.motion.features.local_motion import LocalMotion, trajectory_block
 from pfnn_jax.motion.ground import facing_of, to_local, to_world, wrap_angle
 from pfnn_jax.motion.labels.local_phase import toe_contacts
 
 
 @dataclass(frozen=True, eq=False)
 class NextFrameRows:
-    """Blocks of the rows of some frames: x_i describes frame i, y_i the frame after it, both seen from root i.
+    """Blocks of the rows of some frames: x_i describes frame i, y_i the next frame, both relative to root i.
 
     Attributes:
-        layout: one whose `next_frame` is true, in metres and seconds.
-        local: T frames seen from their roots.
-        phases: [T, G] what the blending coefficients depend on; [T] for a scalar phase.
+        layout: with `next_frame` true, in metres and seconds.
+        local: T frames relative to their roots.
+        phases: gating input [T, G]; [T] for a scalar phase.
         frames: [N] indices, none of them the first or last frame.
-        turn: [N] radians, yaw of root i+1 seen from root i.
-        step: [N, 2] metres, position of root i+1 seen from root i.
+        turn: [N] radians, yaw of root i+1 relative to root i.
+        step: [N, 2] metres, position of root i+1 relative to root i.
     """
 
     layout: FrameLayout
@@ -38,13 +38,13 @@ class NextFrameRows:
     step: np.ndarray
 
     def input(self, block: str) -> np.ndarray:
-        """[N, ...] one block of x."""
+        """Returns one block [N, ...] of x."""
         if block.startswith("trajectory"):
             return trajectory_block((self.local.windows[0][self.frames], self.local.windows[1][self.frames]), block)
         return self._joints(block, self.frames)
 
     def output(self, block: str) -> np.ndarray:
-        """[N, ...] one block of y."""
+        """Returns one block [N, ...] of y."""
         after = self.frames + 1
         if block.startswith("trajectory"):
             return self._trajectory_after(block)
@@ -64,7 +64,7 @@ class NextFrameRows:
             return self.local.positions[frames]
         if block == "joint_velocity":
             return self.local.velocities[frames]
-        return joint_axis(self.local, block, frames)
+        return self.local.axes[block][frames]
 
     def _joints_after(self, block: str) -> np.ndarray:
         joints = to_world(self._joints(block, self.frames + 1), facing_of(self.turn))
@@ -78,7 +78,7 @@ class NextFrameRows:
 
 
 def next_frame_rows(layout: FrameLayout, local: LocalMotion, phases: np.ndarray, frames: np.ndarray) -> NextFrameRows:
-    """The blocks of a clip's rows; arguments as `NextFrameRows` has them."""
+    """Returns the blocks of a clip's rows; arguments are the first attributes of `NextFrameRows`."""
     yaw, path = local.root.yaw, local.root.positions
     turn = yaw[frames + 1] - yaw[frames]
     step = to_local(path[frames + 1] - path[frames], local.root.facing[frames])
@@ -86,17 +86,17 @@ def next_frame_rows(layout: FrameLayout, local: LocalMotion, phases: np.ndarray,
 
 
 def end_velocities(layout: FrameLayout, local: LocalMotion) -> np.ndarray:
-    """[T, 12] velocities of left hand, right hand, left toe and right toe, metres per second seen from the root.
+    """Returns velocities [T, 12] of left hand, right hand, left toe and right toe in metres per second, root-relative.
 
     Args:
-        layout: whose `ends` must be the clip's.
-        local: T frames seen from their roots.
+        layout: its `ends` must be the clip's end effectors.
+        local: T frames relative to their roots.
 
     Raises:
         InputError: if the layout's end effectors are not the clip's.
     """
     ends = end_joints(local.world.skeleton)
     if layout.ends != ends:
-        rule = f"the clip's end effectors are joints {ends}; layout_for makes a skeleton's layout"
+        rule = f"must be joints {ends}, the clip's; make the layout with layout_for"
         raise InputError(local.world.clip.source, f"layout {layout.name}", f"end effectors {layout.ends}", rule)
     return local.velocities[:, list(ends)].reshape(local.world.num_frames, -1)

@@ -1,4 +1,8 @@
-"""Gait labels of layout `pfnn2017`: read from `.gait` files, or estimated from speed."""
+"""Which feet are on the ground, and which gait a character is in: labels that are read off speed and height.
+
+Contacts are measured from the motion. Gait labels, which only layout `pfnn2017` uses, are read from `.gait` files or
+estimated from speed.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +16,19 @@ from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.skeleton import Roles
 
 MAX_SPEED = 0.6
-"""Leg lengths per second below which a foot part stands still (about 0.5 m/s for a leg of 0.85 m)."""
+"""Leg lengths per second below which a foot part counts as still (about 0.5 m/s for a leg of 0.85 m)."""
 
 MAX_HEIGHT = 0.09
-"""Leg lengths above its own resting height up to which a foot part can stand on the ground."""
+"""Leg lengths above its own resting height up to which a foot part counts as on the ground."""
 
 SMOOTHING_SECONDS = 1 / 60
-"""Gaussian of one frame at 60 fps: takes the ripple off motion that was captured at 30 fps and resampled."""
+"""Gaussian of one frame at 60 fps: removes the ripple of motion that was captured at 30 fps and resampled."""
 
 GROUND_PERCENTILE = 5.0  # a foot part rests for far more than this share of any gait
 
 
 def measured_leg_length(positions: np.ndarray, roles: Roles) -> float:
-    """Longest distance from hip to ankle in the clip, metres: a leg is nearly straight once in every stride.
+    """Returns the longest distance from hip to ankle in a clip in metres: legs are nearly straight once a stride.
 
     Args:
         positions: [T, J, 3] metres.
@@ -35,12 +39,12 @@ def measured_leg_length(positions: np.ndarray, roles: Roles) -> float:
 
 
 def foot_joints(roles: Roles) -> list[int]:
-    """Joints in the order of contacts: left heel, left toe, right heel, right toe."""
+    """Returns the joints in the order of contacts: left heel, left toe, right heel, right toe."""
     return [*roles.left_foot, *roles.right_foot]
 
 
 def slow_feet(positions: np.ndarray, roles: Roles, fps: float, speed: float) -> np.ndarray:
-    """Feet that move less than `speed` to the next frame: the rule of Holden et al. 2017, without a height test.
+    """Returns which feet move slower than `speed` to the next frame (Holden et al. 2017, without a height test).
 
     Args:
         positions: [T, J, 3] metres.
@@ -63,10 +67,10 @@ def foot_contacts(
     max_speed: float = MAX_SPEED,
     max_height: float = MAX_HEIGHT,
 ) -> np.ndarray:
-    """Foot parts that are slow and low.
+    """Returns which parts of the feet are on the ground: those that are slow and low.
 
-    Speed is that of the smoothed central difference; height is measured above the lowest part of the clip for that
-    joint (5th percentile), so that ankles and toes of any skeleton, and a floor that is not at zero, need no setting.
+    Speeds are central differences of smoothed positions. Heights are measured above each joint's 5th percentile in the
+    clip, so that no setting depends on the skeleton or on the height of the floor.
 
     Args:
         positions: [T, J, 3] metres.
@@ -87,12 +91,12 @@ def foot_contacts(
 
 CROUCH = GAITS.index("crouch")
 
-FILE_COLUMNS = 8
-"""stand, walk, jog, run, crouch, jump, crawl, unknown."""
+GAIT_FILE_COLUMNS = 8
+"""Columns of a `.gait` file: stand, walk, jog, run, crouch, jump, crawl, unknown."""
 
 GRAVITY = 9.81  # metres per second squared
 STAND_SPEED = 0.1
-"""Speed over sqrt(gravity × leg length) below which the character stands."""
+"""Speed over sqrt(gravity × leg length) below which a character stands."""
 
 JOG_SPEED = 0.7
 """Speed over sqrt(gravity × leg length) above which it jogs: people change gait at a Froude number of about 0.5."""
@@ -102,46 +106,46 @@ GAIT_SMOOTHING_SECONDS = 1 / 3  # speed swings within a step
 
 
 def read_gait(path: Path, num_frames: int | None = None) -> np.ndarray:
-    """Gait of every frame of a BVH file from the `.gait` file beside it.
+    """Reads the gait of every frame of a BVH file from the `.gait` file next to it.
 
-    Eight columns become six: jog + run, and crouch + crawl, are merged.
+    Eight columns become six: jog and run are added, and so are crouch and crawl.
 
     Args:
         path: text file, one line of eight numbers for each frame.
-        num_frames: frames of the BVH file, where the count is to be checked.
+        num_frames: frames of the BVH file; None does not check the number of lines.
 
     Returns:
         [T, 6] in the order of `layout.GAITS`.
 
     Raises:
-        InputError: for another number of lines or columns, or a value outside [0, 1].
+        InputError: if the number of lines or columns is wrong, or a value lies outside [0, 1].
     """
-    stand, walk, jog, run, crouch, jump, crawl, unknown = read_rows(path, FILE_COLUMNS, num_frames).T
+    stand, walk, jog, run, crouch, jump, crawl, unknown = read_rows(path, GAIT_FILE_COLUMNS, num_frames).T
     return np.stack([stand, walk, jog + run, crouch + crawl, jump, unknown], axis=-1)
 
 
 def flat_crouch(gait: np.ndarray, head_height: np.ndarray) -> np.ndarray:
-    """Gait of motion on flat ground, where the authors measure crouching instead of labelling it.
+    """Replaces the label of crouching by a measurement, as the authors do on flat ground.
 
     Args:
         gait: [T, 6].
         head_height: [T] metres above the clip's origin.
 
     Returns:
-        [T, 6] whose crouch is `1 - clip((head height - 0.8 m) / 0.5 m, 0, 1)`.
+        [T, 6] in which crouch is `1 - clip((head height - 0.8 m) / 0.5 m, 0, 1)`.
     """
     crouch = 1.0 - np.clip((head_height - 0.8) / 0.5, 0.0, 1.0)
     return np.insert(np.delete(gait, CROUCH, axis=1), CROUCH, crouch, axis=1)
 
 
 def resample_gait(gait: np.ndarray, fps_from: float, fps_to: float, num_frames: int) -> np.ndarray:
-    """Gait [num_frames, 6] at another frame rate, linear between frames; frame k stands at k / fps_to seconds."""
+    """Resamples gait labels linearly to [num_frames, 6], where frame k is at k / fps_to seconds."""
     source = np.arange(num_frames) * (fps_from / fps_to)
     return np.stack([np.interp(source, np.arange(len(gait)), column) for column in gait.T], axis=-1)
 
 
 def estimate_gait(root_positions: np.ndarray, leg: float, fps: float) -> np.ndarray:
-    """Gait from speed alone: stand, walk or jog, cross-faded linearly around each limit.
+    """Estimates the gait from speed alone: stand, walk or jog, cross-faded linearly around each limit.
 
     Args:
         root_positions: [T, 2] metres on the ground.

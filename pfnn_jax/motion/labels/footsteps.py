@@ -1,11 +1,10 @@
-"""When each foot comes down: alternating steps found from the speeds of the feet.
+"""Times at which each foot comes down: alternating steps, found from the speeds of the feet.
 
-A swing is a stretch in which one foot is much faster than the other; swings that alternate between the feet are
-steps, whatever their direction, with or without a flight phase. After its swing a foot is flat where heel and toe are
-both slow. If the other foot stands as well, until it leaves for its own swing, then the contact is timed halfway
-between: where the weight passes over, as labels made by hand have it. (Against those, foot flat alone is early in slow
-steps, and touch-down earlier still.) The limits scale with the skeleton's legs and, in fast gaits, with the speed of
-the swing.
+A swing is an interval in which one foot is much faster than the other. Swings that alternate between the feet are
+steps, in any direction, with or without a flight phase. After its swing a foot is flat once heel and toe are both slow.
+If the other foot is on the ground too, the contact is timed halfway between foot flat and the other foot's toe-off:
+this is when the weight passes over, and agrees with labels made by hand. (Compared with these, foot flat is early in
+slow steps, and touch-down earlier still.) Thresholds scale with leg length and, in fast gaits, with the swing's speed.
 """
 
 from __future__ import annotations
@@ -20,53 +19,53 @@ from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.labels.contacts import foot_joints, measured_leg_length
 from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 
-# speeds in leg lengths per second
+# Speeds are in leg lengths per second.
 SWING = 0.6
-"""A foot this much faster than the other is swinging."""
+"""A foot that is faster than the other by this is swinging."""
 
 HEEL_DOWN, TOE_DOWN = 0.4, 0.2
-"""A foot is flat when its heel and toe are slower than this."""
+"""A foot is flat while its heel and toe are slower than these."""
 
 SWING_SHARE = 0.08
-"""... or than this share of its swing's greatest speed."""
+"""... or slower than this share of the peak speed of its swing."""
 
 PASSING = 0.5
-"""Share of the double support after which the weight passes over: the best on clips with labels made by hand."""
+"""Share of the double support after which the weight passes over; tuned on clips with labels made by hand."""
 
 TOE_OFF = 0.6
 """A foot leaves the ground when its toe becomes faster than this."""
 
 MOVING = 0.25
-"""Below this speed of hips and feet the character stands."""
+"""While hips and feet are all slower than this the character stands."""
 
 MAX_HALF_CYCLE = 1.3
 """Seconds between two contacts beyond which the character has paused."""
 
 MIN_CONTACTS = 3
-"""Contacts of the shortest run that is a gait whatever the hips do: one whole cycle."""
+"""Contacts that make a run of steps a gait even where the hips do not travel: one whole cycle."""
 
 MIN_TRAVEL = 0.5
-"""Leg lengths that the hips travel between two contacts where these are all there is, as in takes of one cycle."""
+"""Leg lengths that the hips must travel in a run of only two contacts, as in takes of a single cycle."""
 
 EXTENSION = 1.2
-"""Half cycles by which a run may go on beyond its first and last contact."""
+"""Half cycles by which a run may extend beyond its first and last contact."""
 
-SPEED_SMOOTHING = 1 / 60  # seconds; the onset's sharpness
-SWING_SMOOTHING = 0.05  # seconds; bridges ripple within a swing
+SPEED_SMOOTHING = 1 / 60  # seconds; more would blur the onset of a contact
+SWING_SMOOTHING = 0.05  # seconds; enough to bridge ripples within a swing
 
 
 class NoGaitError(InputError):
-    """A clip that is sound but has no gait to learn from: no steps, or too short. One such in many is left out."""
+    """A valid clip without a gait cycle: it has no steps or is too short. `prepare` skips such clips."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepRun:
-    """Alternating contacts without a pause.
+    """An uninterrupted run of alternating contacts.
 
     Attributes:
         times: [n] contacts in frames, fractional, increasing.
-        left_first: whether the first is the left foot's.
-        start, stop: frames over which the character moves, around the contacts.
+        left_first: whether the first contact is of the left foot.
+        start, stop: range of frames around the contacts in which the character moves.
     """
 
     times: np.ndarray
@@ -76,14 +75,14 @@ class StepRun:
 
 
 def find_steps(clip: MotionClip | WorldMotion) -> list[StepRun]:
-    """Runs of alternating steps.
+    """Finds the runs of alternating steps in a clip.
 
     Args:
         clip: of a skeleton with roles.
 
     Raises:
-        NoGaitError: where there are no runs.
-        InputError: where the skeleton has no roles.
+        NoGaitError: if there are none.
+        InputError: if the skeleton has no roles.
     """
     motion = world_motion(clip)
     clip, positions, roles = motion.clip, motion.positions, motion.roles
@@ -102,29 +101,29 @@ def find_steps(clip: MotionClip | WorldMotion) -> list[StepRun]:
             clip.source,
             "phase",
             f"{len(contacts)} foot contacts in {clip.num_frames} frames",
-            "no steps: feet must come down in turn while the character travels",
+            "no steps: feet must come down alternately while the character travels",
         )
     return _bound(runs, moving)
 
 
 def half_cycles(times: np.ndarray) -> tuple[float, float]:
-    """Frames of the half cycle before the first contact and of the one after the last.
+    """Returns the lengths in frames of the half cycle before the first contact and of the one after the last.
 
-    A step with the left foot may last longer than one with the right: each is taken as long as the nearest half cycle
-    of the same foot, which is the second from that end; the only one, where there are but two contacts.
+    Left and right steps may differ in length, so each is taken to be as long as the nearest half cycle of the same
+    foot, the second from that end, or as the only one if there are two contacts.
     """
     lengths = np.diff(times)
     return (lengths[1], lengths[-2]) if len(lengths) > 1 else (lengths[0], lengths[0])
 
 
 def _contacts(speed: np.ndarray, fps: float) -> list[tuple[float, int]]:
-    """(frame, foot) of every contact in time order; foot 0 is the left. speed is [T, foot, (heel, toe)]."""
+    """Returns (frame, foot) of every contact in time order; foot 0 is the left. `speed` is [T, foot, (heel, toe)]."""
     mean = gaussian_filter(speed.mean(axis=-1), SWING_SMOOTHING * fps)
     swings = _swings(mean[:, 0] - mean[:, 1])
     peaks = [start + int(np.argmax(mean[start:stop, foot])) for foot, start, stop in swings]
     found = []
     for index, (foot, _, _) in enumerate(swings):
-        # swings alternate: the next is the other foot's, the one after this foot's again
+        # swings alternate: the next one is of the other foot, the one after that of this foot again
         end = swings[index + 2][1] if index + 2 < len(swings) else len(speed)
         flat = _foot_flat(speed[peaks[index] : end, foot])
         if flat is None:
@@ -137,19 +136,19 @@ def _contacts(speed: np.ndarray, fps: float) -> list[tuple[float, int]]:
 
 
 def _foot_flat(speed: np.ndarray) -> float | None:
-    """Fractional frame at which heel and toe [T, 2] are first slow after the peak of a swing, at frame 0."""
+    """Returns the fractional frame at which heel and toe [T, 2] are first slow; frame 0 is the peak of the swing."""
     allowed = np.maximum([HEEL_DOWN, TOE_DOWN], SWING_SHARE * speed[0])
     return _first_below((speed / allowed).max(axis=-1), 1.0)
 
 
 def _toe_off(speed: np.ndarray) -> float:
-    """Last frame before the peak of a swing, at the end of the array, at which the toe [T] is slow."""
+    """Returns the last frame at which the toe [T] is slow; the array ends at the peak of the swing."""
     slow = np.flatnonzero(speed < TOE_OFF)
     return float(slow[-1]) if len(slow) else 0.0
 
 
 def _swings(lead: np.ndarray) -> list[tuple[int, int, int]]:
-    """(foot, start, stop) of every stretch in which one foot leads; stretches of the same foot in a row are joined."""
+    """Returns (foot, start, stop) of every interval in which one foot is faster; adjacent ones of a foot are merged."""
     side = np.where(lead > SWING, 1, np.where(lead < -SWING, 2, 0))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], side, [0]])))
     swings: list[tuple[int, int, int]] = []
@@ -165,7 +164,7 @@ def _swings(lead: np.ndarray) -> list[tuple[int, int, int]]:
 
 
 def _first_below(values: np.ndarray, limit: float) -> float | None:
-    """Fractional index at which values first fall below the limit."""
+    """Returns the fractional index at which values first fall below the limit."""
     below = np.flatnonzero(values < limit)
     if not len(below):
         return None
@@ -176,7 +175,7 @@ def _first_below(values: np.ndarray, limit: float) -> float | None:
 
 
 def _split(contacts: list[tuple[float, int]], fps: float) -> list[tuple[np.ndarray, bool]]:
-    """Runs (times, left first) of alternating contacts without a pause between two of them."""
+    """Splits contacts into runs (times, left first) that alternate without a pause."""
     runs: list[list[tuple[float, int]]] = []
     for time, foot in contacts:
         last = runs[-1][-1] if runs else None
@@ -194,7 +193,7 @@ def _is_gait(times: np.ndarray, hips: np.ndarray) -> bool:
 
 
 def _bound(runs: list[tuple[np.ndarray, bool]], moving: np.ndarray) -> list[StepRun]:
-    """How far each run goes on beyond its contacts: while the character moves, and clear of its neighbours."""
+    """Extends each run beyond its contacts for as long as the character moves, up to halfway to the next run."""
     bounded = []
     for index, (times, left_first) in enumerate(runs):
         before, after = half_cycles(times)

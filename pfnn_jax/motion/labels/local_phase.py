@@ -1,9 +1,9 @@
-"""Local phases: for each hand and foot, where it is in its own cycle of movement (Mason et al. 2022, section 4.1).
+"""Local phases: the phase of each hand and foot in its own cycle of movement (Mason et al. 2022, section 4.1).
 
-A source function per bone says how the cycle goes: its contacts with the ground where it has some, else its way along
-the first principal axis of its movement. The source is normalised in a window of one second and smoothed, a sinusoid is
-fitted around every frame, and the sinusoid's phase at that frame is written as a vector (sin, cos) whose length is the
-fitted amplitude times the speed of the bone: a bone that hardly moves has no phase, and says so.
+Each bone has a source function: its contacts with the ground if it has any, otherwise its displacement along the first
+principal axis of its movement. The source is normalised in a window of one second and smoothed, and a sinusoid is
+fitted around every frame. The sinusoid's phase at that frame is written as a vector (sin, cos) whose length is the
+fitted amplitude times the speed of the bone, so that it vanishes for bones that hardly move.
 """
 
 from __future__ import annotations
@@ -26,12 +26,11 @@ END_EFFECTORS = ("left hand", "right hand", "left toe", "right toe")
 
 @dataclass(frozen=True, eq=False)
 class EndEffectors:
-    """Tips of hands and feet, in the order of `END_EFFECTORS`.
+    """Positions of the tips of hands and feet, in the order of `END_EFFECTORS`.
 
     Attributes:
         world: [T, 4, 3] metres.
-        local: [T, 4, 3] metres from the hips, in axes that turn with the heading of the hips: x to the left, y up, z
-            forward.
+        local: [T, 4, 3] metres from the hips, in axes that turn with the facing of the hips: x left, y up, z forward.
         fps: frames per second.
     """
 
@@ -41,11 +40,11 @@ class EndEffectors:
 
 
 def end_effectors(clip: MotionClip | WorldMotion) -> EndEffectors:
-    """Tips of a clip's hands and feet: the End Site beyond the joint where it has one, else the joint.
+    """Returns the tips of a clip's hands and feet: the joint's End Site if it has one, otherwise the joint.
 
-    The local frame stands at the hips and turns about the vertical with the line between the hip joints. The rig's own
-    hip frame would do for one skeleton, but its axes mean something else in every rig (in the Bandai-Namco files z is
-    not forward), and the axes of movement are directed by what is forward.
+    The local frame is at the hips and turns about the vertical with the line between the hip joints. The hip joint's
+    own frame would not do: its axes differ between rigs (in the Bandai-Namco files z is not forward), and principal
+    axes are oriented by the forward direction.
 
     Raises:
         InputError: if the skeleton's roles are not known.
@@ -68,25 +67,25 @@ def _tip(motion: WorldMotion, joint: int) -> np.ndarray:
 
 
 WINDOW_SECONDS = 1.0
-"""Window of the normalisation and of the speed."""
+"""Window in which sources are normalised and speeds averaged."""
 
 FIT_SECONDS = 0.5
-"""Window of the fit: 31 frames at 60 fps."""
+"""Window of the sinusoid fit: 31 frames at 60 fps."""
 
-REST_PERCENTILE = 25.0  # height of a toe at rest, among the frames in which it is slow
-FLAT = 1e-6  # share of a source's range below which its deviation in a window is rounding
-MOST = 0.98  # of the frames in contact, or out of it: such a foot has no cycle of contacts
+REST_PERCENTILE = 25.0  # of the heights of a toe in the frames in which it is slow: its height at rest
+CONSTANT_SOURCE = 1e-6  # share of a source's range below which its std in a window is only rounding
+ALWAYS = 0.98  # share of frames in contact, or out of it, from which on a foot has no cycle of contacts
 
 
 @dataclass(frozen=True)
 class LocalPhaseConfig:
-    """How local phases are extracted.
+    """Settings of the extraction of local phases.
 
     Attributes:
-        max_height: metres above its resting height up to which a toe touches the ground.
-        max_speed: metres per second below which a toe touches the ground.
-        majority_seconds: each frame's contact becomes that of most frames this near to it (5 frames at 60 fps in the
-            published code, absent from the paper); 0 for none.
+        max_height: metres above its resting height up to which a toe counts as on the ground.
+        max_speed: metres per second below which a toe counts as on the ground.
+        majority_seconds: half-width of a majority filter of the contacts (5 frames at 60 fps in the published code,
+            absent from the paper); 0 for none.
     """
 
     max_height: float = 0.01
@@ -95,7 +94,10 @@ class LocalPhaseConfig:
 
     def __post_init__(self) -> None:
         if not (self.max_height > 0 and self.max_speed > 0 and self.majority_seconds >= 0):
-            raise ValueError("max_height and max_speed must be positive, and majority_seconds not negative.")
+            raise ValueError(
+                "LocalPhaseConfig.max_height and max_speed must be positive, majority_seconds not negative, "
+                f"got {self.max_height:g}, {self.max_speed:g} and {self.majority_seconds:g}."
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,7 @@ class PrincipalAxes:
     """First principal axis of each bone's movement, in the order of `END_EFFECTORS`.
 
     Attributes:
-        directions: [4, 3] unit, directed forward.
+        directions: [4, 3] unit vectors, oriented forward.
         means: [4, 3] metres, mean positions from the hips.
     """
 
@@ -112,9 +114,10 @@ class PrincipalAxes:
 
 
 def principal_axis(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Direction of greatest variance of points [N, 3], directed to positive z (to positive x where z is 0), and mean.
+    """Returns the direction of greatest variance of points [N, 3], and their mean.
 
-    Directed, so that bones that move forward together have equal phases, and bones that take turns opposite ones.
+    The direction is oriented towards positive z (positive x if z is 0), so that bones that move forward together have
+    equal phases, and bones that alternate have opposite ones.
     """
     mean = points.mean(axis=0)
     centred = points - mean
@@ -123,16 +126,16 @@ def principal_axis(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fit_axes(clips: Sequence[MotionClip | WorldMotion | EndEffectors]) -> PrincipalAxes:
-    """Principal axes of the bones over all takes of one style and gait."""
+    """Fits the principal axes of the bones over all takes of one style and gait."""
     local = np.concatenate([_ends(clip).local for clip in clips])
     axes = [principal_axis(local[:, bone]) for bone in range(local.shape[1])]
     return PrincipalAxes(np.stack([axis for axis, _ in axes]), np.stack([mean for _, mean in axes]))
 
 
 def contact_source(points: np.ndarray, fps: float, config: LocalPhaseConfig | None = None) -> np.ndarray:
-    """[T] bool: frames in which points [T, 3] of the world stand on the ground: low and slow.
+    """Returns in which frames [T] bool a point with world positions [T, 3] is on the ground: low and slow.
 
-    Height counts from the point's own resting height in the clip: floors of recorded files are not at zero.
+    Height is measured from the point's own resting height in the clip, as floors of recorded files are not at zero.
     """
     config = config or LocalPhaseConfig()
     speed = speeds(points, fps)
@@ -146,36 +149,36 @@ def contact_source(points: np.ndarray, fps: float, config: LocalPhaseConfig | No
 
 
 def toe_contacts(clip: MotionClip | WorldMotion | EndEffectors, config: LocalPhaseConfig | None = None) -> np.ndarray:
-    """[T, 2] bool: right and left toe on the ground."""
+    """Returns contacts [T, 2] bool of the right and the left toe with the ground."""
     ends = _ends(clip)
     return np.stack([contact_source(ends.world[:, bone], ends.fps, config) for bone in (3, 2)], axis=1)
 
 
 def speeds(points: np.ndarray, fps: float) -> np.ndarray:
-    """[T, ...] metres per second of points [T, ..., 3] by central differences."""
+    """Returns speeds [T, ...] in metres per second of points [T, ..., 3] by central differences."""
     if len(points) < 2:
         return np.zeros(points.shape[:-1])
     return np.linalg.norm(np.gradient(points, 1 / fps, axis=0), axis=-1)
 
 
 def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarray:
-    """Phase vectors of bones: amplitude times speed times (sin φ, cos φ) (Mason et al. 2022, Eq. 1).
+    """Returns phase vectors: amplitude times speed times (sin φ, cos φ) (Mason et al. 2022, Eq. 1).
 
     The speed is the root mean square over a window of one second. The paper writes the norm of the velocity over that
-    window; of mean, root mean square and maximum, the root mean square gives the spread of the published statistics and
-    the lengths that the authors' network predicts for real walks.
+    window; of mean, root mean square and maximum, the root mean square reproduces the spread of the published
+    statistics and the lengths that the authors' network predicts for real walks.
 
-    The vectors are smoothed like the source. Where two fits beside each other disagree their vectors cancel, so the
-    phase turns without a jump and the length says that it is uncertain. Frames within a quarter of a second of an end
-    take the phase that the outermost whole window's sinusoid has there.
+    The vectors are smoothed like the source. Where neighbouring fits disagree, their vectors cancel: the phase changes
+    without a jump, and a short vector marks it as uncertain. Frames within a quarter of a second of an end take their
+    phase from the sinusoid of the outermost whole window.
 
     Args:
-        source: [T] or [T, B] source functions in any unit; neither their scales nor their offsets matter.
-        speed: of the same shape, metres per second of the bones seen from the hips.
+        source: [T] or [T, B] source functions; scale and offset do not matter.
+        speed: of the same shape, metres per second of the bones relative to the hips.
         fps: frames per second.
 
     Returns:
-        [T, 2] or [T, B, 2] metres per second, φ growing with time; zero for clips shorter than five frames.
+        [T, 2] or [T, B, 2] metres per second, with φ increasing in time; zero for clips shorter than five frames.
     """
     if source.ndim == 1:
         return local_phases(source[:, None], speed[:, None], fps)[:, 0]
@@ -192,7 +195,7 @@ def local_phases(source: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarra
     )
     phase = phase + 2 * np.pi * frequency * ((np.arange(frames) - nearest) / fps)[:, None]
     around = 2 * round(WINDOW_SECONDS * fps / 2) + 1
-    square = moving_average(speed**2, around)  # a running sum: zero may come out below it
+    square = moving_average(speed**2, around)  # a running sum, which may round zero to below zero
     length = amplitude * np.sqrt(np.maximum(square, 0.0))
     return _smooth(length[..., None] * np.stack([np.sin(phase), np.cos(phase)], axis=-1), fps)
 
@@ -203,12 +206,12 @@ def clip_local_phases(
     axes: PrincipalAxes | None = None,
     config: LocalPhaseConfig | None = None,
 ) -> np.ndarray:
-    """Local phases of a clip: [T, 4, 2] as (sin, cos), in the order left hand, right hand, left toe, right toe.
+    """Returns the local phases [T, 4, 2] of a clip as (sin, cos), for left hand, right hand, left toe, right toe.
 
     Args:
-        clip: the motion, or its `end_effectors` where they are known already.
+        clip: the motion, or its `WorldMotion` or `end_effectors` if these are known already.
         axes: principal axes of the clip's style and gait; fitted on this clip by default.
-        config: contacts' thresholds.
+        config: thresholds of the contacts.
 
     Raises:
         InputError: if the skeleton's roles are not known.
@@ -220,7 +223,7 @@ def clip_local_phases(
 
 
 def source_functions(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhaseConfig | None = None) -> np.ndarray:
-    """[T, 4] source of each bone: its contact (0 or 1) for toes that have any, else metres along its principal axis."""
+    """Returns sources [T, 4]: contacts (0 or 1) of toes that have any, else metres along the bone's principal axis."""
     sources = np.einsum("tbi,bi->tb", ends.local - axes.means, axes.directions)
     contacts = toe_contacts(ends, config)
     stepping = np.flatnonzero(goes_by_contacts(contacts))
@@ -229,22 +232,25 @@ def source_functions(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhase
 
 
 def goes_by_contacts(contacts: np.ndarray) -> np.ndarray:
-    """[4] bool: whose source is their contact with the ground: toes that now and then touch it.
+    """Returns which of the four bones use contacts as their source: toes that are sometimes, but not always, down.
 
     Args:
-        contacts: [T, 2] right and left toe, as `toe_contacts` returns them.
+        contacts: [T, 2] of right and left toe, as `toe_contacts` returns them.
+
+    Returns:
+        [4] bool.
     """
     share = contacts[:, ::-1].mean(axis=0)
-    return np.concatenate([[False, False], (share > 1 - MOST) & (share < MOST)])
+    return np.concatenate([[False, False], (share > 1 - ALWAYS) & (share < ALWAYS)])
 
 
 def smooth_sources(ends: EndEffectors, axes: PrincipalAxes, config: LocalPhaseConfig | None = None) -> np.ndarray:
-    """[T, 4] sources as sinusoids are fitted to them: normalised in a window of a second, and smoothed."""
+    """Returns the sources [T, 4] to which sinusoids are fitted: normalised in a window of a second, and smoothed."""
     return _smooth(normalise_source(source_functions(ends, axes, config), ends.fps), ends.fps)
 
 
 def mirror_local_phases(phases: np.ndarray) -> np.ndarray:
-    """Local phases [..., 4, 2] of the mirrored clip: left and right exchanged."""
+    """Returns the local phases [..., 4, 2] of the mirrored clip: left and right are exchanged."""
     return phases[..., [1, 0, 3, 2], :]
 
 
@@ -253,9 +259,9 @@ def _ends(clip: MotionClip | WorldMotion | EndEffectors) -> EndEffectors:
 
 
 def normalise_source(source: np.ndarray, fps: float) -> np.ndarray:
-    """Sources [T, ...] less their mean and over their deviation in the second around each frame; zero if constant.
+    """Normalises sources [T, ...] by their mean and std in the second around each frame; constant ones become zero.
 
-    At the ends of the clip the window holds what there is of that second.
+    At the ends of the clip the window is shorter.
     """
     source = source - source.mean(axis=0)
     largest = np.abs(source).max(axis=0)
@@ -266,8 +272,8 @@ def normalise_source(source: np.ndarray, fps: float) -> np.ndarray:
     zero = np.zeros_like(source[:1])
     sums, squares = (np.cumsum(np.concatenate([zero, values]), axis=0) for values in (source, source**2))
     mean = (sums[last] - sums[first]) / count
-    deviation = np.sqrt(np.maximum((squares[last] - squares[first]) / count - mean**2, 0.0))
-    return (source - mean) / np.where(deviation > FLAT, deviation, 1.0)
+    std = np.sqrt(np.maximum((squares[last] - squares[first]) / count - mean**2, 0.0))
+    return (source - mean) / np.where(std > CONSTANT_SOURCE, std, 1.0)
 
 
 def _smooth(values: np.ndarray, fps: float) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""The phase of the gait: 0 where the right foot comes down, π where the left foot does, linear in time between.
+"""Gait phase: 0 where the right foot comes down, π where the left foot does, and linear in time in between.
 
-Labels are found from the motion (`label_phase`) or read from `.phase` files that a person has corrected.
+Labels are computed from the motion (`label_phase`) or read from `.phase` files, which can be corrected by hand.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pfnn_jax.motion.labels.footsteps import find_steps, half_cycles
 from pfnn_jax.motion.world_motion import WorldMotion
 
 CYCLE = 2 * np.pi
-ROUNDING = 1e-9  # radians; whole cycles stay exactly 0 through wrapping
+ROUNDING = 1e-9  # radians; keeps whole cycles at exactly 0 when they are wrapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +26,10 @@ class PhaseLabels:
     """Phase of every frame of a clip.
 
     Attributes:
-        phase: [T] radians in [0, 2π); 0 in frames that have no label.
-        labelled: [T] bool.
-        contacts_right: frame indices at which the right foot comes down (phase 0).
-        contacts_left: frame indices at which the left foot comes down (phase π).
+        phase: [T] radians in [0, 2π); 0 in frames without a label.
+        labelled: [T] bool, whether a frame has a label.
+        contacts_right: indices of frames at which the right foot comes down (phase 0).
+        contacts_left: indices of frames at which the left foot comes down (phase π).
     """
 
     phase: np.ndarray
@@ -44,19 +44,19 @@ class PhaseLabels:
 
 
 def label_phase(clip: MotionClip | WorldMotion) -> PhaseLabels:
-    """Phase of a clip from its foot contacts.
+    """Labels the phase of a clip from its foot contacts.
 
     Steps are found by `footsteps.find_steps`. Between two contacts the phase is linear in time. Before the first and
-    after the last contact it goes on at the rate of the nearest half cycle of the same foot, for as long as the
-    character moves and over about half a cycle at most: cutting there would lose a quarter of a short walk, and more
-    than half of a short run. Standing has no label.
+    after the last contact it is extrapolated at the rate of the nearest half cycle of the same foot, for as long as the
+    character moves and by about half a cycle at most: without this a short walk would lose a quarter of its frames, and
+    a short run more than half. Frames in which the character stands have no label.
 
     Args:
-        clip: with roles on its skeleton.
+        clip: of a skeleton with roles; a `WorldMotion` saves forward kinematics.
 
     Raises:
-        NoGaitError: where there are no alternating steps.
-        InputError: where the skeleton has no roles.
+        NoGaitError: if there are no alternating steps.
+        InputError: if the skeleton has no roles.
     """
     runs = find_steps(clip)
     unwrapped = np.full(clip.num_frames, np.nan)
@@ -70,35 +70,35 @@ def label_phase(clip: MotionClip | WorldMotion) -> PhaseLabels:
 
 
 def mirror_phase(labels: PhaseLabels) -> PhaseLabels:
-    """Labels of the mirrored clip: left and right exchanged, the phase half a cycle on."""
+    """Returns the labels of the mirrored clip: contacts exchanged, and the phase shifted by half a cycle."""
     phase = np.where(labels.labelled, (labels.phase + np.pi) % CYCLE, 0.0)
     return replace(labels, phase=phase, contacts_right=labels.contacts_left, contacts_left=labels.contacts_right)
 
 
 def cut_phase(labels: PhaseLabels, start: int, stop: int) -> PhaseLabels:
-    """Labels of frames start to stop, counted from 0 again."""
+    """Returns the labels of frames start to stop (exclusive), with frame `start` as frame 0."""
     right, left = ((c[(c >= start) & (c < stop)] - start) for c in (labels.contacts_right, labels.contacts_left))
     return PhaseLabels(labels.phase[start:stop], labels.labelled[start:stop], right, left)
 
 
 def read_phase(path: Path, num_frames: int | None = None) -> PhaseLabels:
-    """Labels from a `.phase` file: one number in cycles [0, 1] for each frame of the BVH file; 1 is the same as 0.
+    """Reads a `.phase` file: one number in cycles [0, 1] for each frame of the BVH file, where 1 equals 0.
 
-    A frame has no label where the file holds two or more zeros in a row, or a zero at either end of the file: files
-    labelled by hand hold 0 before their first and after their last step.
+    Frames in a run of two or more zeros, or with a zero at either end of the file, have no label: files labelled by
+    hand hold 0 before the first and after the last step.
 
     Args:
         path: text file.
-        num_frames: frames of the BVH file, where the count is to be checked.
+        num_frames: frames of the BVH file; None does not check the number of lines.
 
     Raises:
-        InputError: for another number of lines, a value that is no number or lies outside [0, 1], or no label at all.
+        InputError: if the number of lines is wrong, a value is not a number in [0, 1], or no frame has a label.
     """
     cycles = read_rows(path, 1, num_frames)[:, 0]
     zero = np.concatenate([[True], cycles == 0, [True]])
     labelled = ~(zero[1:-1] & (zero[:-2] | zero[2:]))
     if not labelled.any():
-        raise InputError(path, "file", f"{len(cycles)} zeros", "some frame must have a phase")
+        raise InputError(path, "file", f"{len(cycles)} zeros", "at least one frame must have a phase")
     unwrapped = np.full(len(cycles), np.nan)
     for start, stop in _runs(labelled):
         unwrapped[start:stop] = np.unwrap(cycles[start:stop] * CYCLE)
@@ -106,18 +106,18 @@ def read_phase(path: Path, num_frames: int | None = None) -> PhaseLabels:
 
 
 def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> None:
-    """Writes a `.phase` file, six decimals of a cycle to a line; frames without a label are 0.
+    """Writes a `.phase` file: one line per frame, in cycles with six decimals; frames without a label are 0.
 
-    A labelled 0 beside a frame without a label, or at an end of the file, is written as 1: reading gives every label
-    back. Only a gap of a single frame cannot be told from a contact, and is widened by a frame.
+    A labelled 0 next to a frame without a label, or at an end of the file, is written as 1, so that reading restores
+    every label. Only a gap of a single frame would be read as a contact; it is widened by a frame.
 
     Args:
         path: text file.
         labels: at the frame rate of the BVH file.
-        overwrite: replace an existing file.
+        overwrite: whether to replace an existing file.
 
     Raises:
-        InputError: if the file exists and is not to be replaced, or cannot be written.
+        InputError: if the file exists and `overwrite` is false, or it cannot be written.
     """
     path = Path(path)
     refuse_existing(path, overwrite)
@@ -130,15 +130,15 @@ def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> Non
 
 
 def resample_phase(labels: PhaseLabels, fps_from: float, fps_to: float, num_frames: int) -> PhaseLabels:
-    """Labels at another frame rate; frame k stands at k / fps_to seconds.
+    """Resamples labels to another frame rate, at which frame k is at k / fps_to seconds.
 
-    A frame has a label where both of its neighbours in the source have one.
+    A new frame has a label if both neighbouring frames of the source have one.
 
     Args:
         labels: at `fps_from`.
         fps_from: frames per second of the labels.
-        fps_to: frames per second wanted.
-        num_frames: frames wanted.
+        fps_to: frames per second of the result.
+        num_frames: frames of the result.
     """
     source = np.arange(num_frames) * (fps_from / fps_to)
     source = np.where(np.abs(source - np.round(source)) < 1e-6, np.round(source), source)
@@ -148,7 +148,7 @@ def resample_phase(labels: PhaseLabels, fps_from: float, fps_to: float, num_fram
     for start, stop in _runs(labels.labelled):
         unwrapped[start:stop] = np.unwrap(labels.phase[start:stop])
     between = source - below
-    # runs are unwrapped apart: a NaN lies between two of them, so that no frame mixes two runs
+    # runs are unwrapped separately; the NaN between two runs keeps a frame from mixing both
     values = unwrapped[below] + between * wrap_angle(unwrapped[above] - unwrapped[below])
     continuous = np.full(num_frames, np.nan)
     for start, stop in _runs(np.isfinite(values)):
@@ -157,7 +157,7 @@ def resample_phase(labels: PhaseLabels, fps_from: float, fps_to: float, num_fram
 
 
 def _extend(frames: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Linear interpolation that goes on beyond both ends at the rate of `half_cycles`."""
+    """Interpolates linearly, and extrapolates beyond both ends at the rates of `half_cycles`."""
     before, after = half_cycles(times)
     first, last = 1 / before, 1 / after
     inside = np.interp(frames, times, values)
@@ -166,7 +166,7 @@ def _extend(frames: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.nda
 
 
 def _labels(unwrapped: np.ndarray) -> PhaseLabels:
-    """Labels from the continuous phase [T] radians, NaN where there is none."""
+    """Returns labels from an unwrapped phase [T] in radians, NaN in frames without a label."""
     labelled = np.isfinite(unwrapped)
     phase = np.where(labelled, unwrapped, 0.0) % CYCLE
     phase = np.where(np.minimum(phase, CYCLE - phase) < ROUNDING, 0.0, phase)
@@ -179,13 +179,13 @@ def _labels(unwrapped: np.ndarray) -> PhaseLabels:
 
 
 def _crossings(unwrapped: np.ndarray) -> np.ndarray:
-    """Frames nearest to each whole cycle that the phase reaches or passes."""
+    """Returns the frame nearest to each whole cycle that the phase reaches or passes."""
     cycles = unwrapped / CYCLE
     nearest = np.round(cycles)
     if len(cycles) < 2:
         return np.flatnonzero(np.abs(cycles - nearest) < 1e-6)
     away = np.abs(cycles - nearest)
-    # a crossing's nearest frame lies less than half a frame's advance from the whole cycle
+    # the frame nearest to a crossing is less than half a frame's advance from the whole cycle
     step = np.abs(np.gradient(cycles))
     near = away <= np.maximum(0.5 * step, 1e-6)
     frames = np.flatnonzero(near)
@@ -194,6 +194,6 @@ def _crossings(unwrapped: np.ndarray) -> np.ndarray:
 
 
 def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """(start, stop) of every stretch of True."""
+    """Returns (start, stop) of every run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -1,9 +1,9 @@
-"""The sinusoid that fits each of many short windows best: a search over frequency with the rest solved exactly.
+"""Fits the best sinusoid to each of many short windows: a search over frequency, with the rest solved exactly.
 
 The model of a window is A sin(2π F t + φ) + B with t = 0 at the window's centre. For a given frequency it is linear in
-a = A cos φ, b = A sin φ and B. Around a centred time axis the sine is orthogonal to the cosine and to the constant, so
-the least squares separate into numbers, and bounds on A and B leave a convex problem with one unknown multiplier.
-What remains is one frequency per window: a grid, then a root of the derivative.
+a = A cos φ, b = A sin φ and B. On a centred time axis the sine is orthogonal to the cosine and to the constant, so that
+the least-squares problem separates into scalar ones, and the bounds on A and B leave a convex problem with a single
+multiplier. What remains is one frequency per window: a grid search, then a root of the derivative.
 
 Source: the model and its bounds are those of Mason et al. 2022, section 4.1.4, after Starke et al. 2020, section 5.2.
 """
@@ -15,15 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 LOWEST, HIGHEST = 0.25, 4.0
-"""Hz: bounds of the frequency."""
+"""Bounds of the frequency in Hz."""
 
-GRID = 48  # frequencies: 0.08 Hz apart, where the error over half a second varies over about 1 Hz
-NEAR = 0.01  # share of a window's power: minima this near to the best of the grid are refined too
-REFINEMENTS = 24  # most steps of the frequency; few windows need more than four
-ENOUGH = 1e-11  # share of a window's power that a step must be able to gain
-FEWER = 0.7  # windows still going are set apart when they are fewer than this share
-NEWTON_STEPS = 5  # of the multiplier: each doubles its digits
-BLOCK = 2048  # windows at a time, so that what they need stays in the processor's cache
+GRID = 48  # frequencies, 0.08 Hz apart: the error over half a second varies on a scale of about 1 Hz
+NEAR = 0.01  # share of a window's power: minima within this of the best on the grid are refined too
+REFINEMENTS = 24  # maximum number of steps of the frequency; few windows need more than four
+ENOUGH = 1e-11  # share of a window's power: a window is done when a step could gain less
+FEWER = 0.7  # unfinished windows are copied out when they are fewer than this share
+NEWTON_STEPS = 5  # of the multiplier; each doubles the number of correct digits
+BLOCK = 2048  # windows at a time, so that their data stays in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Sinusoids:
         frequency: [N] F in Hz.
         phase: [N] φ in radians, in [0, 2π).
         offset: [N] B, between the window's lowest and highest value.
-        error: [N] root mean square of what is left.
+        error: [N] root mean square of the residual.
     """
 
     amplitude: np.ndarray
@@ -47,14 +47,14 @@ class Sinusoids:
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """What the fit reads of windows [N, W] with W = 2h + 1, less their means: halves folded around the centre."""
+    """Data of windows [N, W] with W = 2h + 1, minus their means: the halves are folded around the centre."""
 
-    odd: np.ndarray  # [h, N] y(t) - y(-t): all that a sine sees
-    even: np.ndarray  # [h, N] y(t) + y(-t): all that a cosine sees
+    odd: np.ndarray  # [h, N] y(t) - y(-t): the part that a sine can fit
+    even: np.ndarray  # [h, N] y(t) + y(-t): the part that a cosine can fit
     centre: np.ndarray  # [N] y(0)
     mean: np.ndarray  # [N]
-    low: np.ndarray  # [N] lowest value, less the mean
-    high: np.ndarray  # [N]
+    low: np.ndarray  # [N] lowest value, minus the mean
+    high: np.ndarray  # [N] highest value, minus the mean
     power: np.ndarray  # [N] sum of squares
 
     def take(self, index: np.ndarray) -> _Windows:
@@ -63,7 +63,7 @@ class _Windows:
 
 @dataclass(frozen=True, eq=False)
 class _Bounds:
-    """What limits a fit, for each of N."""
+    """Bounds of N fits: the fields of `_Windows` that `_solve` reads."""
 
     low: np.ndarray
     high: np.ndarray
@@ -72,16 +72,16 @@ class _Bounds:
 
 @dataclass(frozen=True, eq=False)
 class _Gram:
-    """Sums over a window of the three functions' products, at one angular frequency per sample."""
+    """Sums over a window of products of sine, cosine and constant, at an angular frequency in radians per sample."""
 
     sin: np.ndarray  # of sin²
     cos: np.ndarray  # of cos²
-    total: np.ndarray  # of cos; those of sin, and of sin cos, are zero
+    total: np.ndarray  # of cos; the sums of sin and of sin cos are zero
     count: int
 
     @property
     def free(self) -> np.ndarray:
-        """Sum of squares of the cosine less its mean."""
+        """Sum of squares of the cosine minus its mean."""
         return self.cos - self.total**2 / self.count
 
     def take(self, index: np.ndarray) -> _Gram:
@@ -89,12 +89,12 @@ class _Gram:
 
 
 def fit_sinusoids(windows: np.ndarray, fps: float, lowest: float = LOWEST, highest: float = HIGHEST) -> Sinusoids:
-    """Best sinusoid of every window within the bounds: 0 <= A <= max - min, min <= B <= max, lowest <= F <= highest.
+    """Fits the best sinusoid to every window, with 0 <= A <= max - min, min <= B <= max and lowest <= F <= highest.
 
     Deterministic. A constant window has amplitude and phase 0.
 
     Args:
-        windows: [N, W] values at equal times, W odd and at least 5.
+        windows: [N, W] values at equal intervals, W odd and at least 5.
         fps: values per second.
         lowest, highest: Hz, below half of fps.
 
@@ -114,12 +114,12 @@ def fit_sinusoids(windows: np.ndarray, fps: float, lowest: float = LOWEST, highe
 
 
 def _fit_block(windows: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """[5, N]: a, b, offset, squared error, and angular frequency per sample."""
+    """Returns [5, N]: a, b, offset, squared error, and angular frequency in radians per sample."""
     data = _read(windows)
     errors = _grid_errors(data, grid)
     window, start = _minima(errors, NEAR * data.power)
     fit = _refine(data.take(window), grid, start, _curvature(errors, window, start, grid[1] - grid[0]))
-    # candidates of one window stand together: the first after sorting by error is its best
+    # sorting puts the candidates of a window together, the best one first
     order = np.lexsort((fit[3], window))
     best = fit[:, order[np.flatnonzero(np.diff(window[order], prepend=-1))]]
     best[2] += data.mean
@@ -139,7 +139,7 @@ def _read(windows: np.ndarray) -> _Windows:
 
 
 def _gram(x: np.ndarray, count: int) -> tuple[_Gram, np.ndarray, np.ndarray]:
-    """Sums at angular frequencies x, and the derivatives of `total` and of `cos` (of `sin`: the same, negative).
+    """Returns the sums at angular frequencies x, and the derivatives of `total` and `cos` (`sin` has minus the latter).
 
     The sum of cos(k x) over a window is Dirichlet's kernel D(x) = sin(count x / 2) / sin(x / 2), and
     cos² = (1 + cos 2x) / 2.
@@ -153,10 +153,10 @@ def _gram(x: np.ndarray, count: int) -> tuple[_Gram, np.ndarray, np.ndarray]:
 
 
 def _grid_errors(data: _Windows, grid: np.ndarray) -> np.ndarray:
-    """[G, N] squared error of every window at every frequency; infinite where it cannot be near the best.
+    """Returns the squared error [G, N] of every window at every frequency; infinite where it cannot be near the best.
 
-    Without bounds the error is two projections. Bounds can only add to it, so frequencies whose unbounded error is
-    above the best error within bounds need no exact solution.
+    Without bounds the error takes two projections. Bounds can only increase it, so that frequencies with an unbounded
+    error above the best error within bounds need no exact solution.
     """
     half = len(data.odd)
     angles = grid[:, None] * np.arange(1, half + 1)
@@ -164,7 +164,7 @@ def _grid_errors(data: _Windows, grid: np.ndarray) -> np.ndarray:
     p, q = np.sin(angles) @ data.odd, np.cos(angles) @ data.even + data.centre
     a, b = p / gram.sin[:, None], q / gram.free[:, None]
     error = data.power - a * p - b * q
-    # the mean is zero, so the best offset is minus the cosine's share of it
+    # the data have zero mean, so that the best offset cancels the mean of the cosine
     offset = b * (-gram.total / gram.count)[:, None]
     reach = data.high - data.low
     outside = (a * a + b * b > reach * reach) | (offset < data.low) | (offset > data.high)
@@ -177,10 +177,10 @@ def _grid_errors(data: _Windows, grid: np.ndarray) -> np.ndarray:
 
 
 def _solve(bounds: _Windows | _Bounds, p: np.ndarray, q: np.ndarray, gram: _Gram) -> np.ndarray:
-    """[4, N]: a, b, offset and squared error of the best sinusoid of a given frequency within the bounds.
+    """Returns [4, N]: a, b, offset and squared error of the best sinusoid of a given frequency within the bounds.
 
-    The best error as a function of the offset is convex, so where the best offset lies outside its bounds, the nearest
-    bound is best.
+    The best error is a convex function of the offset, so that if the best offset lies outside its bounds, the nearest
+    bound is optimal.
     """
     reach = bounds.high - bounds.low
     a, b = _within(p, q, gram.sin, gram.free, reach)
@@ -195,10 +195,10 @@ def _solve(bounds: _Windows | _Bounds, p: np.ndarray, q: np.ndarray, gram: _Gram
 
 
 def _within(p: np.ndarray, q: np.ndarray, g: np.ndarray, h: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, ...]:
-    """(a, b) minimising g a² - 2 p a + h b² - 2 q b inside the circle a² + b² <= reach².
+    """Returns (a, b) that minimise g a² - 2 p a + h b² - 2 q b inside the circle a² + b² <= reach².
 
     On the circle a = p / (g + m), b = q / (h + m) with one multiplier m > 0, found by Newton's method on
-    1 / radius(m), which rises from below the solution without passing it.
+    1 / radius(m), which approaches the solution from below without overshooting.
     """
     a, b = p / g, q / h
     out = np.flatnonzero(a * a + b * b > reach * reach)
@@ -219,7 +219,7 @@ def _on_circle(p: np.ndarray, q: np.ndarray, g: np.ndarray, h: np.ndarray, reach
 
 
 def _minima(errors: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(window, grid index) of each local minimum over the grid that may hold its window's best."""
+    """Returns (window, grid index) of each local minimum over the grid that may be near its window's best."""
     low = errors <= errors.min(axis=0) + margin
     low[1:] &= errors[1:] <= errors[:-1]
     low[:-1] &= errors[:-1] < errors[1:]
@@ -228,17 +228,17 @@ def _minima(errors: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _curvature(errors: np.ndarray, window: np.ndarray, start: np.ndarray, step: float) -> np.ndarray:
-    """Second derivative of the error at grid points, infinite or less where their neighbours do not give it."""
+    """Returns the second derivative of the error at grid points; not positive and finite where neighbours lack it."""
     inner = np.clip(start, 1, len(errors) - 2)
     return (errors[inner - 1, window] - 2 * errors[inner, window] + errors[inner + 1, window]) / step**2
 
 
 def _refine(data: _Windows, grid: np.ndarray, start: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-    """[5, N]: what `_solve` returns at the frequency of least error between a grid point's neighbours, and that.
+    """Returns [5, N]: the values of `_solve` at the frequency of least error near a grid point, and that frequency.
 
-    One step of Newton's method from the grid point, then the secant rule, both inside a bracket that closes. Where a
-    bound begins to hold the slope has a corner, on which the secant rule is slow: every third step halves the bracket.
-    Windows leave when their next step would gain nothing more.
+    One Newton step from the grid point is followed by secant steps, all inside a shrinking bracket between the grid
+    point's neighbours. Where a bound becomes active the slope has a corner, at which secant steps converge slowly:
+    every third step therefore halves the bracket. Windows are dropped once their next step could gain nothing more.
     """
     low, x, high = grid[np.maximum(start - 1, 0)], grid[start], grid[np.minimum(start + 1, len(grid) - 1)]
     best = np.full((5, len(x)), np.inf)
@@ -250,9 +250,9 @@ def _refine(data: _Windows, grid: np.ndarray, start: np.ndarray, curvature: np.n
         with np.errstate(divide="ignore", invalid="ignore"):
             following = x - slope / (curvature if step == 0 else (slope - last_slope) / (x - last_x))
         inside = (following > low) & (following < high)
-        way = np.where(inside, np.abs(following - x), high - low)
+        length = np.where(inside, np.abs(following - x), high - low)
         following = np.where(inside & (step % 3 != 2), following, 0.5 * (low + high))
-        going = np.flatnonzero(np.abs(slope) * way > ENOUGH * data.power)
+        going = np.flatnonzero(np.abs(slope) * length > ENOUGH * data.power)
         if not len(going):
             break
         last_x, last_slope, x = x, slope, following
@@ -263,9 +263,9 @@ def _refine(data: _Windows, grid: np.ndarray, start: np.ndarray, curvature: np.n
 
 
 def _evaluate(data: _Windows, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `_solve` returns at angular frequencies x [N], and the derivative of the error.
+    """Returns the values of `_solve` at angular frequencies x [N], and the derivative of the error.
 
-    The bounds do not depend on frequency, so the derivative of the best error is that at fixed a, b and offset.
+    The bounds do not depend on frequency, so that the derivative of the best error is the one at fixed a, b and offset.
     """
     half = len(data.odd)
     (gram, total_rise, cos_rise), (sin, cos) = _gram(x, 2 * half + 1), _powers(x, half)
@@ -279,7 +279,7 @@ def _evaluate(data: _Windows, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _powers(x: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray]:
-    """sin(k x) and cos(k x), [h, N], for k = 1 to h."""
+    """Returns sin(k x) and cos(k x), each [h, N], for k = 1 to h."""
     sin, cos = np.empty((half, len(x))), np.empty((half, len(x)))
     sin[0], cos[0] = np.sin(x), np.cos(x)
     for k in range(1, half):

@@ -1,4 +1,4 @@
-"""The body over the planted feet: trunk, arms and head as functions of the phase, legs by exact inverse kinematics."""
+"""Poses the body over planted feet: trunk, arms and head by functions of phase, legs by exact inverse kinematics."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from pfnn_jax.motion.synthetic.skeleton import ANKLE_HEIGHT, SHIN, THIGH
 from pfnn_jax.motion.synthetic.styles import SyntheticStyle
 
 STRAIGHTEST = 0.996
-"""Longest distance from hip to ankle over the leg's length: about 10° of knee bend remain."""
+"""Maximum distance from hip to ankle as a share of the leg's length; leaves about 10° of knee bend."""
 STANDING = ANKLE_HEIGHT + THIGH + SHIN + 0.03  # height of the hips over straight legs, metres
-GIVE = 0.18  # seconds over which knees give way where a leg would come to its end: nobody falls on stiff legs
-SOFTNESS = 0.02  # metres over which the hips' own height gives way to what the legs can reach
+LOWERING = 0.18  # seconds over which the hips are lowered where a leg would be overstretched
+SOFTNESS = 0.02  # metres; softness of the minimum of the hips' own height and what the legs can reach
 GRAVITY = 9.81
 X, Y, Z = np.eye(3)
 
 
 class Wobble:
-    """Slow, smooth, seeded irregularity, so that no two cycles are quite alike."""
+    """Slow, smooth, seeded noise, so that no two cycles are equal."""
 
     def __init__(self, num_frames: int, fps: float, rng: np.random.Generator):
         self._time = np.arange(num_frames) / fps
         self._rng = rng
 
     def __call__(self, amplitude: float) -> np.ndarray:
-        """[T] values with standard deviation `amplitude`: four sinusoids of 0.1 to 0.8 Hz."""
+        """Returns [T] values with standard deviation `amplitude`: four sinusoids of 0.1 to 0.8 Hz."""
         frequency = self._rng.uniform(0.1, 0.8, (4, 1))
         offset = self._rng.uniform(0, 2 * np.pi, (4, 1))
         return amplitude * np.sin(2 * np.pi * frequency * self._time + offset).sum(axis=0) / np.sqrt(2)
@@ -45,14 +45,14 @@ class Wobble:
 def pose_body(
     skeleton: Skeleton, style: SyntheticStyle, walk: Walk, feet: tuple[Foot, Foot], wobble: Wobble
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Everything from the hips up, then the legs that join the hips to the planted feet.
+    """Poses everything from the hips up, then the legs that join the hips to the planted feet.
 
     Args:
-        skeleton: the walkers' skeleton.
-        style: the way of walking.
+        skeleton: of all walkers.
+        style: parameters of the walk.
         walk: root path and phase, T frames.
         feet: left and right foot.
-        wobble: irregularity.
+        wobble: noise.
 
     Returns:
         (hips [T, 3] metres, local rotations [T, J, 4] wxyz).
@@ -76,7 +76,7 @@ def pose_body(
 
 
 def _turn(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """Quaternion of yaw (degrees, to the left), then pitch (forward), then roll (left side up)."""
+    """Returns the quaternion of yaw (to the left), then pitch (forward), then roll (left side up), in degrees."""
     return quat_from_euler(np.deg2rad(np.stack(np.broadcast_arrays(yaw, pitch, roll), axis=-1)), "YXZ")
 
 
@@ -104,7 +104,7 @@ def _trunk(style: SyntheticStyle, walk: Walk, lean_in: np.ndarray, wobble: Wobbl
 
 
 def _arms(style: SyntheticStyle, walk: Walk, wobble: Wobble) -> dict[str, np.ndarray]:
-    """Both arms; the right one is the left one's mirror image, half a cycle later."""
+    """Returns both arms; the right one is the mirror image of the left one, half a cycle later."""
     pose = {}
     vigour = np.clip(walk.vigour, 0.2, 1.35)
     for side, delay in (("Left", 0.0), ("Right", np.pi)):
@@ -139,7 +139,7 @@ def _hips(
     lean_in: np.ndarray,
     wobble: Wobble,
 ) -> np.ndarray:
-    """[T, 3] hips: over the root, swaying and bobbing, never higher than both legs can reach."""
+    """Returns the hips [T, 3]: over the root, swaying and bobbing, never higher than both legs can reach."""
     over = np.cos(walk.phase - np.pi * style.duty)  # 1 when the right leg carries the body
     aside = -style.sway * over + 0.25 * np.tan(lean_in) + wobble(0.004)
     back = -0.14 * np.sin(np.deg2rad(style.lean + style.pelvis_pitch))  # the trunk's weight stays over the feet
@@ -160,17 +160,17 @@ def _hips(
 
 
 def _rounded_below(limit: np.ndarray, fps: float) -> np.ndarray:
-    """A curve without corners that nowhere exceeds `limit` [T]: its running minimum, averaged over as long a window."""
-    width = max(3, round(GIVE * fps) | 1)
+    """Returns a smooth curve that nowhere exceeds `limit` [T]: its running minimum, averaged over an equal window."""
+    width = max(3, round(LOWERING * fps) | 1)
     window = np.hanning(width + 2)[1:-1]
     lowest = np.pad(moving_minimum(limit, width), width // 2, mode="edge")
     return np.convolve(lowest, window / window.sum(), mode="valid")
 
 
 def _leg(pelvis: np.ndarray, socket: np.ndarray, foot: Foot, yaw: np.ndarray, outward: float) -> np.ndarray:
-    """Local rotations [T, 4, 4] of upper leg, lower leg, foot and toes that carry the ankle exactly to its place.
+    """Returns local rotations [T, 4, 4] of upper leg, lower leg, foot and toes that put the ankle at its target.
 
-    The knee is a hinge: thigh and shin share their sideways axis, and the knee points between body and foot.
+    The knee is a hinge: thigh and shin share their sideways axis, and it points midway between body and foot.
     """
     line = foot.ankle - socket
     distance = np.linalg.norm(line, axis=-1, keepdims=True)
@@ -190,7 +190,7 @@ def _leg(pelvis: np.ndarray, socket: np.ndarray, foot: Foot, yaw: np.ndarray, ou
 
 
 def _bone(up: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Rotation whose local +Y is `up` [T, 3] and whose local +X is `across` [T, 3]."""
+    """Returns the rotation whose +Y is `up` [T, 3] and whose +X is `across` [T, 3]."""
     return quat_from_matrix(np.stack([across, up, np.cross(across, up)], axis=-1))
 
 

@@ -1,8 +1,8 @@
-"""Where a procedural walker is at each moment, and where its feet stand: everything on the ground.
+"""Plans the root path of a procedural walk, and plants the feet along it.
 
-A walk is fixed by its root path and its phase. Each foot is planted where the root passes in the middle of that foot's
-stance, and stays there exactly: the ankle from contact until the heel rises, the toe joint from the moment the sole is
-down until it leaves. In between the foot moves along a smooth curve.
+A walk is defined by its root path and its phase. Each foot is planted where the root passes in the middle of that
+foot's stance, and stays there exactly: the ankle from contact until the heel rises, the toe joint from when the sole is
+down until it leaves the ground. In between the foot moves along a smooth curve.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from pfnn_jax.motion.synthetic.skeleton import ANKLE_HEIGHT
 from pfnn_jax.motion.synthetic.styles import SyntheticStyle
 
 ROLL = 0.12
-"""Fraction of the stance that the sole takes to come down after contact."""
+"""Share of the stance that the sole takes to come down after contact."""
 LONGEST_STANCE = 0.86
-"""Metres the body travels over a standing foot; a faster walk raises its cadence, so that no leg is overstretched."""
+"""Maximum distance in metres that the body travels over a planted foot; cadence rises with speed to respect it."""
 SET_BACK = 0.06
-"""Metres by which a plant lies behind the middle of its stance: the ankle of a foot that rolls off comes forward."""
+"""Metres by which a foot is planted behind the middle of its stance, as the ankle comes forward at push-off."""
 TOE = np.array([0.0, -0.065, 0.14])  # from ankle to toe joint, as in the skeleton
-PLANT_SCATTER = 0.008  # metres: people do not step on a line
+PLANT_SCATTER = 0.008  # metres, standard deviation: people do not step exactly on a line
 
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """The plan of a walk, one entry per frame.
+    """The plan of a walk, with one entry per frame.
 
     Attributes:
         fps: frames per second.
@@ -36,7 +36,7 @@ class Walk:
         speed: [T] m/s.
         turn_rate: [T] rad/s.
         phase: [T] radians, continuous: right contacts at multiples of 2π, left ones half a cycle later.
-        vigour: [T] stride length over that of the style's natural walk.
+        vigour: [T] stride length relative to that of the style's natural walk.
     """
 
     fps: float
@@ -50,13 +50,13 @@ class Walk:
 
 @dataclass(frozen=True, eq=False)
 class Foot:
-    """One foot over time.
+    """The motion of one foot.
 
     Attributes:
         ankle: [T, 3] metres, world position of the ankle joint.
         yaw: [T] radians.
-        pitch: [T] radians of the foot, toes down positive.
-        toe_pitch: [T] radians of the toes, in the world.
+        pitch: [T] radians of the foot, positive with toes down.
+        toe_pitch: [T] radians of the toes in the world.
     """
 
     ankle: np.ndarray
@@ -66,10 +66,11 @@ class Foot:
 
 
 def plan_walk(style: SyntheticStyle, turn_rate: np.ndarray, speed: np.ndarray, fps: float, start: float) -> Walk:
-    """Integrate turn rate [T] (rad/s) and speed [T] (m/s) to a path, and the cadence they ask for to a phase.
+    """Integrates turn rate [T] (rad/s) and speed [T] (m/s) to a path, and the resulting cadence to a phase.
 
-    Cadence grows with the square root of speed, as people's does, never below 0.45 of the natural one, and faster
-    where the body would travel further than `LONGEST_STANCE` over one foot. `start`: phase of the first frame, radians.
+    Cadence grows with the square root of speed, as it does in people. It is at least 0.45 times the natural cadence,
+    and high enough that the body travels no further than `LONGEST_STANCE` over one foot. `start` is the phase of the
+    first frame in radians.
     """
     ratio = np.maximum(speed, 0.0) / style.speed
     cadence = style.cadence * np.maximum(np.sqrt(ratio), 0.45)
@@ -87,21 +88,21 @@ def _integrate(rate: np.ndarray, fps: float) -> np.ndarray:
 
 
 def smoothstep(u: np.ndarray) -> np.ndarray:
-    """0 to 1 over [0, 1], level at both ends."""
+    """Rises from 0 to 1 over [0, 1], with slope 0 at both ends."""
     u = np.clip(u, 0.0, 1.0)
     return u * u * (3.0 - 2.0 * u)
 
 
 def cycle_of(phase: np.ndarray, left: bool) -> np.ndarray:
-    """Cycles since a foot's contact, from phase in radians: the integer part counts contacts."""
+    """Returns the cycles since a foot's first contact, from phase in radians: the integer part counts contacts."""
     return phase / (2 * np.pi) - (0.5 if left else 0.0)
 
 
 def stance_contacts(style: SyntheticStyle, phase: np.ndarray) -> np.ndarray:
-    """Which joints of the feet stand still, exactly.
+    """Returns which joints of the feet are exactly still.
 
     Args:
-        style: the style that was synthesised.
+        style: of the synthesised walk.
         phase: [T] radians.
 
     Returns:
@@ -115,7 +116,7 @@ def stance_contacts(style: SyntheticStyle, phase: np.ndarray) -> np.ndarray:
 
 
 def place_foot(style: SyntheticStyle, walk: Walk, left: bool, rng: np.random.Generator) -> Foot:
-    """The foot's movement along the walk. `rng` scatters the plants by some millimetres."""
+    """Returns the motion of a foot along a walk; `rng` scatters where it is planted by some millimetres."""
     side = 1.0 if left else -1.0
     cycle = cycle_of(walk.phase, left)
     number = np.floor(cycle).astype(int)
@@ -140,7 +141,7 @@ def place_foot(style: SyntheticStyle, walk: Walk, left: bool, rng: np.random.Gen
 def _plants(
     style: SyntheticStyle, walk: Walk, numbers: np.ndarray, left: bool, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ground position [N, 2] and yaw [N] of each numbered stance: under the root in the stance's middle."""
+    """Returns ground position [N, 2] and yaw [N] of each numbered stance: under the root in its middle."""
     middle = 2 * np.pi * (numbers + style.duty / 2 + (0.5 if left else 0.0))
     frames = np.interp(middle, walk.phase, np.arange(len(walk.phase)))
     when = np.arange(len(walk.phase))
@@ -154,10 +155,10 @@ def _plants(
 
 
 def foot_pitch(style: SyntheticStyle, stance: np.ndarray, swing: np.ndarray) -> np.ndarray:
-    """Pitch of the foot in degrees, toes down positive, from progress in stance [0, 1] and swing [0, 1].
+    """Returns the pitch of the foot in degrees, positive with toes down, from progress in stance and swing (0 to 1).
 
-    Toes up at contact, level once the sole is down, heel up at push-off; a cubic joins push-off to the next contact
-    with the same rate of change, so that the foot never jerks.
+    Toes are up at contact, the foot is level once the sole is down, and the heel is up at push-off. A cubic joins
+    push-off to the next contact with matching slope, so that the pitch is smooth.
     """
     landing = -style.strike * (1 - smoothstep(stance / ROLL))
     push = np.clip((stance - style.heel_off) / (1 - style.heel_off), 0.0, 1.0)
@@ -167,12 +168,12 @@ def foot_pitch(style: SyntheticStyle, stance: np.ndarray, swing: np.ndarray) -> 
     flying = (
         style.push_off * (1 - smoothstep(u))
         - style.strike * smoothstep(u)
-        + rate * u * (1 - u) ** 2  # Hermite's tangent at the start
+        + rate * u * (1 - u) ** 2  # Hermite tangent at the start
     )
     return np.where(swing > 0, flying, landing + pushing)
 
 
 def _pitched(vector: np.ndarray, pitch: np.ndarray) -> np.ndarray:
-    """`vector` [3] turned about +X by each of `pitch` [T]."""
+    """Rotates a vector [3] about +X by each angle of `pitch` [T]."""
     c, s = np.cos(pitch), np.sin(pitch)
     return np.stack([vector[0] + 0 * c, c * vector[1] - s * vector[2], s * vector[1] + c * vector[2]], axis=-1)

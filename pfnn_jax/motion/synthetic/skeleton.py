@@ -1,4 +1,4 @@
-"""The body of the procedural walkers: 21 joints with the proportions of a person 1.73 m tall."""
+"""The skeleton of procedural walkers: 21 joints with the proportions of a person 1.73 m tall."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import numpy as np
 from pfnn_jax.motion.skeleton import Roles, Skeleton
 
 THIGH, SHIN = 0.42, 0.41
-"""Lengths of the upper and lower leg, metres."""
+"""Lengths of the upper and lower leg in metres."""
 ANKLE_HEIGHT = 0.085
-"""Height of the ankle joint over the sole, metres."""
+"""Height of the ankle joint above the sole in metres."""
 
-# One row per joint of the midline and of the left side: name, parent, offset in metres. The rest pose is a T.
-# The joints come in the order of a BVH file (depth first), so that a clip is the same after writing and reading.
+# One row per joint of the midline and of the left side: name, parent, offset in metres. The rest pose is a T pose.
 _MIDLINE = (
     ("Hips", "", (0.0, 0.0, 0.0)),
     ("Spine", "Hips", (0.0, 0.09, -0.01)),
@@ -48,7 +47,7 @@ def _rows() -> list[tuple[str, str, np.ndarray]]:
 
 
 def _depth_first(rows: list[tuple[str, str, np.ndarray]], parent: str) -> list[tuple[str, str, np.ndarray]]:
-    """The order in which a BVH file lists joints, so that one written and read again has the same skeleton."""
+    """Sorts joints into the order of a BVH file, so that a clip has the same skeleton after writing and reading."""
     return [found for row in rows if row[1] == parent for found in (row, *_depth_first(rows, row[0]))]
 
 
@@ -68,10 +67,10 @@ def _partner(name: str) -> str:
 
 
 def synthetic_skeleton() -> Skeleton:
-    """The skeleton of every procedural walker.
+    """Returns the skeleton of every procedural walker.
 
     Returns:
-        Skeleton of 21 joints, offsets in metres, in a T pose facing +Z with left at +X, with roles and mirror filled.
+        Skeleton of 21 joints in a T pose that faces +Z, with left at +X, with roles and mirror.
     """
     rows = _rows()
     names = tuple(row[0] for row in rows)

@@ -1,4 +1,4 @@
-"""How procedural walkers differ: the numbers of eight pretraining styles and of a ninth that is never pretrained."""
+"""Parameters of procedural walking styles: eight for pretraining, and a ninth that is held out."""
 
 from __future__ import annotations
 
@@ -7,48 +7,48 @@ from dataclasses import dataclass, fields
 
 @dataclass(frozen=True)
 class SyntheticStyle:
-    """One way of walking, the same on both sides of the body. Angles in degrees, lengths in metres, times in seconds.
+    """Parameters of one style of walking, symmetric between left and right.
 
-    An `_swing` is the amplitude of something that follows the stride (one period per cycle); a `_bob` that of something
-    that follows the steps (two periods per cycle). The defaults describe an ordinary walk.
+    Angles are in degrees, lengths in metres, times in seconds. `_swing` is the amplitude of a motion with one period
+    per cycle, `_bob` of one with two periods per cycle. The defaults describe an ordinary walk.
 
     Attributes:
-        name: what the style is called.
+        name: of the style.
         speed: natural speed, m/s.
         cadence: cycles per second at the natural speed.
-        duty: fraction of the cycle that a foot stands, in (0.5, 0.8).
-        step_width: distance between the feet's lines.
+        duty: share of the cycle that a foot is on the ground, in (0.5, 0.8).
+        step_width: distance between the lines of left and right steps.
         toe_out: yaw of the planted foot, outward.
-        swing_height: highest lift of the swinging foot.
-        circumduction: how far outward the swinging foot arcs.
+        swing_height: maximum height of the swinging foot.
+        circumduction: how far the swinging foot arcs outward.
         strike: pitch of the foot at contact, toes up.
         push_off: pitch of the foot when the toes leave the ground.
-        heel_off: fraction of the stance after which the heel rises.
+        heel_off: share of the stance after which the heel rises.
         knee_out: how far the knees point outward of the feet.
-        crouch: how far the hips stay under standing height.
+        crouch: how far the hips stay below standing height.
         hip_bob: vertical amplitude of the hips.
-        bob_delay: delay of that movement, degrees of phase.
-        sway: sideways amplitude of the hips, towards the standing foot.
+        bob_delay: delay of that motion in degrees of phase.
+        sway: sideways amplitude of the hips, towards the planted foot.
         hip_roll: amplitude by which the hip of the swinging leg drops.
         hip_yaw: amplitude by which the hip of the leading leg comes forward.
         lean: forward pitch of the trunk.
-        lean_bob: its amplitude.
+        lean_bob: amplitude of the lean.
         pelvis_pitch: forward pitch of the pelvis.
-        twist: amplitude of the shoulders against the hips.
-        trunk_roll: amplitude of the trunk leaning over the standing foot.
+        twist: amplitude of the rotation of the shoulders against the hips.
+        trunk_roll: amplitude of the trunk leaning over the planted foot.
         head_pitch: pitch of the head in the world, downward.
-        head_bob, head_roll: amplitudes of the head's nodding and tilting.
+        head_bob, head_roll: amplitudes of nodding and tilting.
         arm_raise: forward angle of the upper arm.
-        arm_swing: its amplitude.
-        arm_lag: delay of the arms behind the legs, degrees of phase.
+        arm_swing: amplitude of that angle.
+        arm_lag: delay of the arms relative to the legs in degrees of phase.
         arm_out: angle of the upper arm away from the body.
-        arm_in: turn of the arm about its own axis, bringing the hands before the body.
+        arm_in: rotation of the arm about its own axis, which brings the hands in front of the body.
         elbow: bend of the elbow.
-        elbow_swing: its amplitude, most bent in front.
-        shrug, hunch: raise and forward angle of the shoulders.
+        elbow_swing: amplitude of the bend, greatest in front.
+        shrug, hunch: upward and forward angle of the shoulders.
         wrist: droop of the hands.
-        bank: inclination into a turn, as a multiple of the balanced angle.
-        look: seconds that the head looks ahead into a turn.
+        bank: lean into a turn, as a multiple of the angle of balance.
+        look: time by which the head looks ahead into a turn.
     """
 
     name: str
@@ -154,8 +154,8 @@ _UNSEEN = SyntheticStyle(
 )  # fmt: skip
 
 STYLES: dict[str, SyntheticStyle] = {style.name: style for style in (*_PRETRAINING, _UNSEEN)}
-"""All nine styles by name, in the order of pretraining; the last is kept unseen."""
+"""All nine styles by name, in the order of pretraining; the last one is held out."""
 PRETRAINING_STYLES: tuple[str, ...] = tuple(style.name for style in _PRETRAINING)
-"""The eight styles a shared network is pretrained on."""
+"""Names of the eight styles on which a shared network is pretrained."""
 UNSEEN_STYLE: str = _UNSEEN.name
-"""The ninth style: raised arms, wide steps and a rolling trunk reach outside what the other eight span."""
+"""Name of the ninth style: raised arms, wide steps and a rolling trunk lie outside the span of the other eight."""

@@ -1,10 +1,10 @@
-"""Procedural stylised walking with exact ground truth: the data that needs no download.
+"""Synthesises stylised walking with exact ground truth: data that need no download.
 
-Every clip is made by rotations on one rigid skeleton, so bones keep their lengths to rounding; feet are planted along
-the path before the body is posed over them, so they do not slide; phase is the gait's own clock, so it needs no
-labelling. Turning and speed are inputs, so the error of a network on turns that a style never showed can be measured.
+Clips are rotations on one rigid skeleton, so that bones keep their lengths up to rounding. Feet are planted along the
+path before the body is posed over them, so that they do not slide. Phase is the clock of the gait, so that it needs no
+labelling. Turning and speed are inputs, so that a network can be tested on turns that its data lack.
 
-The walkers are described in `synthetic_styles`, their feet in `synthetic_feet`, the rest of them in `synthetic_body`.
+`styles` holds the parameters of walkers; `feet` moves their feet, and `body` all other joints.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 FASTEST_TURN = np.deg2rad(60.0)
-"""rad/s: the sharpest turn of `mixed_schedule`."""
+"""Fastest turn of `mixed_schedule` in rad/s."""
 
 
 def synthesise(
@@ -46,28 +46,28 @@ def synthesise(
     seed: int = 0,
     content: str = "walk",
 ) -> tuple[MotionClip, PhaseLabels]:
-    """Walk along a commanded path.
+    """Synthesises a walk along a commanded path.
 
-    The root starts at the origin facing +Z. Its path follows the commands exactly; the hips move about it.
+    The root starts at the origin facing +Z. It follows the commands exactly, and the hips move around it.
 
     Args:
         style: a style, or the name of one in `STYLES`.
         turn_rate: [T] rad/s about +Y, positive to the left.
         speed: [T] m/s along the facing direction; 0.4 to 1.9 looks natural.
         fps: frames per second.
-        seed: of the irregularities, and of the phase of the first frame.
-        content: name of what is done, kept with the clip.
+        seed: of the noise and of the phase of the first frame.
+        content: what the character does, stored in the clip.
 
     Returns:
-        The clip, and its exact phase, labelled on every frame.
+        The clip and its exact phase, with a label on every frame.
 
     Raises:
-        ValueError: unknown style, or schedules that are not equally long, finite and non-negative in speed.
+        ValueError: if the style is unknown, or the schedules are not of equal length, finite and non-negative in speed.
     """
     style = _style(style)
     turn_rate, speed = _schedules(turn_rate, speed)
     rng = np.random.default_rng(seed)
-    pad = int(np.ceil(2.5 * fps / (0.45 * style.cadence)))  # every step in view has a whole one before and after
+    pad = int(np.ceil(2.5 * fps / (0.45 * style.cadence)))  # every visible step needs a whole one before and after it
     plan = plan_walk(style, _padded(turn_rate, pad), _padded(speed, pad), fps, rng.uniform(0, 2 * np.pi))
     plan = _from_origin(plan, pad)
     wobble = Wobble(len(plan.phase), fps, rng)
@@ -106,7 +106,7 @@ def _padded(schedule: np.ndarray, pad: int) -> np.ndarray:
 
 
 def _from_origin(plan: Walk, frame: int) -> Walk:
-    """The same walk with the root at the origin and facing +Z in `frame`."""
+    """Moves a walk so that the root is at the origin and faces +Z in `frame`."""
     yaw = plan.yaw[frame]
     c, s = np.cos(yaw), np.sin(yaw)
     position = (plan.position - plan.position[frame]) @ np.array([[c, s], [-s, c]])
@@ -129,10 +129,10 @@ def _labels(phase: np.ndarray) -> PhaseLabels:
 def mixed_schedule(
     style: SyntheticStyle | str, seconds: float, seed: int, fps: float = 60.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A walk of everything: straight, left, right, tight and wide turns, slower and faster.
+    """Returns schedules of a varied walk: straight, tight and wide turns to both sides, slower and faster.
 
-    Each 1.5 to 4 s a new turn rate is drawn (a third of the time straight ahead, else up to 60°/s) and a new speed
-    (0.7 to 1.25 times the style's, at most 1.8 m/s), and reached smoothly.
+    Every 1.5 to 4 s a new turn rate (0 in a third of the draws, otherwise up to 60°/s either way) and a new speed (0.7
+    to 1.25 times the style's, at most 1.8 m/s) are drawn and approached smoothly.
 
     Returns:
         (turn_rate [T] rad/s, speed [T] m/s).
@@ -151,7 +151,7 @@ def mixed_schedule(
 
 
 def _smooth(schedule: np.ndarray, fps: float) -> np.ndarray:
-    """A raised-cosine average over 0.8 s: people need about a step to change their way."""
+    """Averages over a raised cosine of 0.8 s: people need about a step to change speed or direction."""
     width = max(3, round(0.8 * fps) | 1)
     window = np.hanning(width + 2)[1:-1]
     return np.convolve(np.pad(schedule, width // 2, mode="edge"), window / window.sum(), mode="valid")
