@@ -321,7 +321,7 @@ Frame Time: 0.016667
 def test_a_skeleton_without_feet_is_one_line(refused, tmp_path):
     (tmp_path / "snake.bvh").write_text(SNAKE)
     line = refused("label-phase", tmp_path / "snake.bvh", "--out", tmp_path / "snake.phase")
-    assert "snake.bvh" in line and "feet must be found or named" in line
+    assert "snake.bvh" in line and "feet must be found, or named" in line
 
 
 def test_a_role_of_an_unknown_joint_is_one_line(refused, folder, tmp_path):

@@ -137,7 +137,7 @@ def test_clips_without_steps_are_left_out_and_named(takes, tmp_path):
 def test_a_clip_too_short_for_a_window_is_left_out(takes, tmp_path):
     short = dataclasses.replace(takes[0], clip=dataclasses.replace(cut(takes[0].clip, 0, 20), source="short"))
     dataset = prepare([*takes, short], tmp_path / "set", PrepareConfig())
-    assert dataset.skipped[0]["reason"] == "20; one trajectory window needs at least 30"
+    assert dataset.skipped[0]["reason"] == "20; must be at least 30, one trajectory window"
 
 
 def test_a_style_of_which_nothing_remains_is_refused(takes, tmp_path):
