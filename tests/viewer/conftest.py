@@ -1,4 +1,4 @@
-"""A run made in seconds, a page that serves it, and a real browser to look at it."""
+"""A run that is trained in seconds, a page that serves it, and a browser that opens the page."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.workflows.pretrain import pretrain_run
 
 STYLES = ("depressed", "neutral", "proud")
-PATIENCE = 60.0  # seconds: a browser that draws without a graphics card, on a busy machine of two cores
-WINDOW = {"width": 760, "height": 440}  # small: every point of it is computed
+PATIENCE = 60.0  # seconds, for a browser that draws in software on a loaded machine
+WINDOW = {"width": 760, "height": 440}  # small, because it is drawn in software
 FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage")
 
 
 @pytest.fixture(scope="session")
 def played_run(tmp_path_factory) -> Path:
-    """A small PFNN with three styles; made once, written to by no test but those of the page."""
+    """A small PFNN with three styles; only the tests of the page write to it."""
     folder = tmp_path_factory.mktemp("played")
     clips = [clip for style in STYLES for clip in synthetic_clips(style, 10)]
     dataset = prepare(clips, folder / "data", PrepareConfig(layout="mason2018"))
@@ -36,7 +36,7 @@ def played_run(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def zombie_bvh(tmp_path_factory) -> Path:
-    """A walk of 2.5 seconds in a style that the run has not seen."""
+    """A walk of 2.5 seconds in a style that the run was not trained on."""
     path = tmp_path_factory.mktemp("clips") / "zombie walk.bvh"
     write_bvh(path, synthesise("zombie", np.zeros(150), np.full(150, 0.9))[0])
     return path
@@ -44,7 +44,7 @@ def zombie_bvh(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def second_run(played_run, tmp_path_factory) -> Path:
-    """The same with two of its styles: another run, for which nothing has to be compiled."""
+    """A copy with two of the styles: another run for which nothing must be compiled."""
     path = tmp_path_factory.mktemp("second") / "two"
     shutil.copytree(played_run, path)
     shutil.rmtree(path / "styles" / "depressed")
@@ -53,7 +53,7 @@ def second_run(played_run, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def served(played_run, second_run) -> Iterator[Any]:
-    """The page of the small run and of a second one, on a free port."""
+    """The page of both runs, on a free port."""
     pytest.importorskip("viser", reason="viser is not installed")
     from pfnn_jax.viewer.page.play import Page
     from pfnn_jax.viewer.page.run_library import RunLibrary
@@ -66,7 +66,7 @@ def served(played_run, second_run) -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Chromium without a window, closed with its module: it draws as long as it lives. Skips where there is none."""
+    """Headless Chromium, closed at the end of the module because it keeps drawing. Skips if it is not installed."""
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
@@ -78,7 +78,7 @@ def browser() -> Iterator[Any]:
 
 
 class Visitor:
-    """A person at a tab: sees the readouts, presses keys, clicks."""
+    """A user of a tab: reads the readouts, presses keys, clicks."""
 
     def __init__(self, browser: Any, url: str) -> None:
         self.errors: list[str] = []
@@ -91,23 +91,23 @@ class Visitor:
         self.page.wait_for_selector("[data-readout=root]")
 
     def read(self, name: str) -> str:
-        """One line of the readout."""
+        """Returns one line of the readout."""
         return self.page.inner_text(f"[data-readout={name}]")
 
     def root(self) -> np.ndarray:
-        """[2] metres, as the page says."""
+        """Returns the root [2] in metres from the readout."""
         words = self.read("root").split()
         return np.array([float(words[1]), float(words[4])])
 
     def wait(self, what: Callable[[], Any], message: str) -> None:
-        """Until something is so."""
+        """Waits until a condition holds."""
         end = time.monotonic() + PATIENCE
         while not what():
             assert time.monotonic() < end, f"{message}: {self.page.locator('[data-readout]').all_inner_texts()}"
             self.page.wait_for_timeout(100)
 
     def walk(self, metres: float, keys: str = "w") -> None:
-        """Holds keys until the root has moved this far, then waits until it stands."""
+        """Holds keys until the root has moved this far."""
         start = self.root()
         for key in keys:
             self.page.keyboard.down(key)
@@ -116,15 +116,15 @@ class Visitor:
             self.page.keyboard.up(key)
 
     def touch(self, **fingers: tuple[float, float]) -> None:
-        """Puts fingers onto the screen, each at a point in pixels."""
+        """Puts fingers on the screen, each at a point in pixels."""
         self._touched.update(fingers)
-        self._tell_touch("touchStart", self._touched)
+        self._send_touch("touchStart", self._touched)
 
     def lift(self, finger: str) -> None:
-        """Takes a finger off it."""
-        self._tell_touch("touchEnd", {finger: self._touched.pop(finger)})
+        """Lifts a finger."""
+        self._send_touch("touchEnd", {finger: self._touched.pop(finger)})
 
-    def _tell_touch(self, kind: str, fingers: dict[str, tuple[float, float]]) -> None:
+    def _send_touch(self, kind: str, fingers: dict[str, tuple[float, float]]) -> None:
         if self._devtools is None:
             self._devtools = self.page.context.new_cdp_session(self.page)
         points = [{"id": ord(finger), "x": x, "y": y} for finger, (x, y) in fingers.items()]
@@ -135,17 +135,17 @@ class Visitor:
         self.page.get_by_role("button", name=label).first.click()
 
     def field(self, label: str) -> Any:
-        """The input beside a label."""
+        """Returns the input field of a label."""
         xpath = f"xpath=//label[normalize-space()='{label}']/ancestor::div[.//input][1]//input"
         return self.page.locator(xpath).first
 
     def choose(self, label: str, option: str) -> None:
-        """Picks from a list."""
+        """Chooses an option of a list."""
         self.field(label).click()
         self.page.get_by_role("option", name=option, exact=True).first.click()
 
     def options(self, label: str) -> list[str]:
-        """What a list offers."""
+        """Returns the options of a list."""
         self.field(label).click()
         found = self.page.get_by_role("option")
         found.first.wait_for()
@@ -160,7 +160,7 @@ class Visitor:
 
 @pytest.fixture(scope="module")
 def visitor(browser, served) -> Iterator[Visitor]:
-    """One tab that most tests share: loading it takes longest."""
+    """One tab that most tests share, because loading it takes long."""
     person = Visitor(browser, served.url)
     yield person
     person.close()

@@ -1,4 +1,4 @@
-"""A clip to show, and what every page must keep."""
+"""A clip to show, and checks of the HTML that shows it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def make_annotated(name: str = "zombie", frames: int = 120, extras: bool = True)
 
 
 class Balanced(HTMLParser):
-    """Checks that every tag closes, and collects what the page would load."""
+    """Checks that every tag is closed, and collects the resources that the page would load."""
 
     def __init__(self):
         super().__init__()
@@ -58,11 +58,11 @@ def payload(page: str) -> dict:
 
 
 def captions(page: str) -> list[str]:
-    """What stands above the clips of a page."""
+    """Returns the captions of a page."""
     return [html.unescape(name) for name in re.findall(r"<figcaption>([^<]*)<", page)]
 
 
 def decoded(annotated: dict, of: str = "points") -> np.ndarray:
-    """[T, P, 3] metres of a annotated's points, or of what the camera looks at."""
+    """Returns the points [T, P, 3] of a clip in metres, or the camera's target [T, 1, 3]."""
     values = np.frombuffer(base64.b64decode(annotated[of]), "<i2").astype(float) * annotated["unit"]
     return values.reshape(-1, annotated["count"] if of == "points" else 1, 3)

@@ -1,4 +1,4 @@
-"""When steps fall due: the laws of a clock, without a character that would take them."""
+"""Laws of the clock that says which steps of a simulation are due."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pfnn_jax.viewer.page.clock import CATCH_UP, Clock
+from pfnn_jax.viewer.page.character import CATCH_UP, Clock
 
 FPS = 60.0
 STEP = 1.0 / FPS
@@ -19,14 +19,14 @@ def read(clock: Clock, times: list[float]) -> list[float]:
     return [moment for now in times for moment in clock.due(now)]
 
 
-def test_the_first_reading_is_the_beginning():
+def test_the_first_call_starts_the_clock():
     clock = Clock(FPS)
     assert clock.due(1234.5) == [] and clock.rate == 0.0
     np.testing.assert_allclose(clock.due(1234.5 + 3 * STEP), 1234.5 + STEP * np.arange(1, 4), atol=EXACT)
 
 
 @given(st.floats(0.0, 1e4), st.lists(st.floats(0.0, CATCH_UP * STEP), max_size=60))
-def test_steps_are_equal_and_depend_on_no_reading(begin, pauses):
+def test_steps_are_equal_whenever_the_clock_is_read(begin, pauses):
     times = [float(time) for time in begin + np.cumsum([0.0, *pauses])]
     clock = Clock(FPS)
     moments = []
@@ -34,11 +34,11 @@ def test_steps_are_equal_and_depend_on_no_reading(begin, pauses):
         new = clock.due(now)
         assert len(new) <= CATCH_UP and all(moment <= now + ROUNDED for moment in new)
         moments += new
-        assert now - (moments[-1] if moments else begin) < STEP + ROUNDED  # nothing that is due is left out
+        assert now - (moments[-1] if moments else begin) < STEP + ROUNDED  # no step that is due is omitted
     np.testing.assert_allclose(moments, begin + STEP * np.arange(1, len(moments) + 1), atol=EXACT * 10)
 
 
-def test_of_a_long_pause_the_last_steps_alone_are_made():
+def test_after_a_long_pause_only_the_last_steps_are_due():
     clock = Clock(FPS)
     clock.due(0.0)
     moments = clock.due(100.0)
@@ -46,7 +46,7 @@ def test_of_a_long_pause_the_last_steps_alone_are_made():
     np.testing.assert_allclose(clock.due(100.0 + STEP), [100.0 + STEP], atol=EXACT)
 
 
-def test_time_that_goes_back_makes_no_step_twice():
+def test_time_that_goes_backwards_repeats_no_step():
     clock = Clock(FPS)
     before = read(clock, [0.0, 0.05, 0.1])
     assert read(clock, [0.02, 0.0, 0.1]) == []
@@ -55,7 +55,7 @@ def test_time_that_goes_back_makes_no_step_twice():
 
 
 @pytest.mark.parametrize("every", [1, 2, 5])
-def test_the_rate_is_that_of_the_last_second(every):
+def test_the_rate_counts_the_steps_of_the_last_second(every):
     clock = Clock(FPS)
     read(clock, [every * frame * STEP for frame in range(240 // every)])
     assert clock.rate == FPS

@@ -1,4 +1,4 @@
-"""The end of the page's program: at once, whatever is compiled, without a word of complaint, with its code."""
+"""The end of `play`: at once, even while something is compiled, without error output, with the right exit code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pfnn_jax.cli import main
 from pfnn_jax.errors import InputError
 from pfnn_jax.viewer.page import background, play
 
-AT_ONCE = 15.0  # seconds: on a machine with other work; what is compiled then takes longer
+AT_ONCE = 15.0  # seconds, on a loaded machine; compiling takes longer
 PATIENCE = 120.0  # seconds until it compiles
 PROGRAM = "from pfnn_jax.cli import main; main()"
 FAILING = """
@@ -35,7 +35,7 @@ with background.ends_with():
 """
 
 
-@pytest.mark.skipif(os.name != "posix", reason="other systems have no such signals")
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 def test_a_signal_ends_the_page_while_it_compiles(played_run, tmp_path: Path):
     pytest.importorskip("viser", reason="viser is not installed")
     told = tmp_path / "told.json"
@@ -47,7 +47,7 @@ def test_a_signal_ends_the_page_while_it_compiles(played_run, tmp_path: Path):
         too_late = threading.Timer(PATIENCE, program.kill)
         too_late.start()
         assert program.stdout is not None
-        assert any("compiling" in line for line in iter(program.stdout.readline, "")), "it says that it compiles"
+        assert any("compiling" in line for line in iter(program.stdout.readline, "")), "it announces compiling"
         too_late.cancel()
         time.sleep(0.5)
         program.send_signal(signal.SIGTERM)
@@ -61,14 +61,14 @@ def test_a_signal_ends_the_page_while_it_compiles(played_run, tmp_path: Path):
 
 @pytest.mark.parametrize(("left", "ended"), [(2, 2), (0, 2), (0, 0)])
 def test_a_failure_keeps_its_code_while_something_compiles(left, ended):
-    """That of the page, or of what comes after it: a result that cannot be written."""
+    """The code of the page, or of a later failure such as a result that cannot be written."""
     program = [sys.executable, "-c", FAILING.format(left=left, ended=ended)]
     process = subprocess.run(program, capture_output=True, text=True, timeout=PATIENCE)
     assert (process.returncode, process.stderr) == (ended, "")
 
 
-def test_a_result_that_cannot_be_written_is_no_clean_end(monkeypatch, played_run, tmp_path: Path):
-    """A page that was ended while it compiled, and then a file in a folder that does not exist."""
+def test_a_result_that_cannot_be_written_sets_the_exit_code(monkeypatch, played_run, tmp_path: Path):
+    """The page ends while it compiles, and the file of the result is in a folder that does not exist."""
     codes = []
     monkeypatch.setattr(background, "leave_work", codes.append)
     monkeypatch.setattr(background, "_left", True)
@@ -78,8 +78,8 @@ def test_a_result_that_cannot_be_written_is_no_clean_end(monkeypatch, played_run
     assert codes == [0, 2]
 
 
-def test_a_port_is_held_before_anything_is_loaded(monkeypatch, capsys):
-    """Another program cannot take it meanwhile, and the address is told with what is going on."""
+def test_the_port_is_taken_before_anything_is_loaded(monkeypatch, capsys):
+    """No other program can take it meanwhile, and the address is printed with the progress."""
     pytest.importorskip("viser", reason="viser is not installed")
     monkeypatch.setattr(background, "leave_work", lambda code: None)
     answers = []
@@ -94,14 +94,15 @@ def test_a_port_is_held_before_anything_is_loaded(monkeypatch, capsys):
         raise InputError("run", "config", "none", "must be there")
 
     monkeypatch.setattr(play, "RunLibrary", load)
+    monkeypatch.setattr(play, "check_finished", lambda _: None)
     with pytest.raises(InputError, match="config"):
         play.play(["run"], port=0)
     assert len(answers) == 1
 
 
 @pytest.mark.parametrize(("error", "code"), [(InputError("page", "port", 1, "is taken"), 2), (MemoryError(), 1)])
-def test_a_page_that_cannot_begin_leaves_its_work(monkeypatch, error, code):
-    """A port that is taken while a step is compiled, or a step that cannot be."""
+def test_a_page_that_cannot_start_lets_the_program_end(monkeypatch, error, code):
+    """A port that is taken, or a failure while a step is compiled."""
     pytest.importorskip("viser", reason="viser is not installed")
     codes = []
 
@@ -110,6 +111,7 @@ def test_a_page_that_cannot_begin_leaves_its_work(monkeypatch, error, code):
 
     monkeypatch.setattr(play, "RunLibrary", lambda _: SimpleNamespace(runs=(), styles=(), warm_up=lambda: None))
     monkeypatch.setattr(play, "Page", fail)
+    monkeypatch.setattr(play, "check_finished", lambda _: None)
     monkeypatch.setattr(background, "leave_work", codes.append)
     with pytest.raises(type(error)):
         play.play(["run"], port=0)
@@ -121,3 +123,12 @@ def test_without_viser_nothing_is_loaded(monkeypatch):
     monkeypatch.setattr(background, "leave_work", lambda code: None)
     with pytest.raises(InputError, match=r"viser: not installed; .*pfnn-jax\[viewer\]"):
         play.play(["no such run"], port=0)
+
+
+def test_a_folder_that_is_not_a_run_is_refused_before_anything_is_announced(monkeypatch, tmp_path: Path, capsys):
+    pytest.importorskip("viser", reason="viser is not installed")
+    monkeypatch.setattr(background, "leave_work", lambda code: None)
+    with pytest.raises(InputError) as caught:
+        play.play([tmp_path], port=0)
+    assert str(tmp_path) in caught.value.file
+    assert capsys.readouterr().out == ""

@@ -1,4 +1,4 @@
-"""The page in a real browser: what a person presses happens, to that person's character and to nothing else."""
+"""The page in a real browser: input acts on the tab's own character only."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ import pytest
 
 from pfnn_jax.motion.bvh import read_bvh
 
-# A tab may close while its picture is being sent; a served page ignores it, but each test has filters of its own.
+# A tab can close while its picture is being sent; `play` ignores the warning, but each test has its own filters.
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning")
 
-AT_HOME = 0.05  # metres from the middle that still count as not having moved: the start shifts its weight
-NEAR = 0.2  # metres: of a step that ends and one that does not begin
-CORNER = 0.9  # share of a style near whose corner the point was put
+AT_HOME = 0.05  # metres from the middle that count as not having moved: the character shifts its weight at the start
+NEAR = 0.2  # metres: a step that is completed
+CORNER = 0.9  # weight of a style near whose corner the point was put
 
 
 def files_of(run: Path) -> dict[str, bytes]:
-    """Everything in a run's folder."""
+    """Returns the content of every file in a run's folder."""
     return {str(path.relative_to(run)): path.read_bytes() for path in run.rglob("*") if path.is_file()}
 
 
 def home(visitor) -> None:
-    """Back to the middle."""
+    """Resets the character."""
     visitor.press("Reset")
     visitor.wait(lambda: np.linalg.norm(visitor.root()) < AT_HOME, "reset returns to the middle")
 
 
-def test_keys_move_the_root_and_letting_go_stops_it(visitor):
+def test_keys_move_the_root_and_releasing_them_stops_it(visitor):
     assert np.linalg.norm(visitor.root()) < AT_HOME
     visitor.walk(0.7)
-    assert visitor.root()[1] > 0.5, "W leads along +Z, where the character faces at first"
-    visitor.wait(lambda: "of 0.00 wanted" in visitor.read("speed"), "nothing is wanted after keys are let go")
+    assert visitor.root()[1] > 0.5, "W walks along +Z, the initial facing direction"
+    visitor.wait(lambda: "of 0.00 wanted" in visitor.read("speed"), "no speed is commanded after keys are released")
     assert not visitor.errors
 
 
-def test_shift_runs_and_keys_work_together(visitor):
+def test_shift_runs_and_keys_combine(visitor):
     visitor.page.keyboard.down("Shift")
     visitor.page.keyboard.down("w")
     visitor.wait(lambda: wanted(visitor) > 0.0, "W asks for a speed")
@@ -54,7 +54,7 @@ def test_shift_runs_and_keys_work_together(visitor):
     visitor.wait(lambda: wanted(visitor) == 0.0, "it stands again")
 
 
-def test_stick_on_the_screen(visitor):
+def test_the_on_screen_stick_moves_the_root(visitor):
     home(visitor)
     stick = visitor.page.locator("[data-stick]")
     stick.scroll_into_view_if_needed()
@@ -68,8 +68,8 @@ def test_stick_on_the_screen(visitor):
     visitor.wait(lambda: wanted(visitor) == 0.0, "the stick springs back")
 
 
-def test_every_finger_holds_what_it_is_on(visitor):
-    """The stick stays held while a second finger presses a key, taps Shift, and leaves; it is let go with its own."""
+def test_fingers_are_independent(visitor):
+    """The stick stays held while a second finger presses a key and taps Shift; only its own finger releases it."""
     home(visitor)
     for key in ("shift", "q"):
         visitor.page.locator(f".pfnn-key[data-drive={key}]").scroll_into_view_if_needed()
@@ -92,27 +92,27 @@ def test_every_finger_holds_what_it_is_on(visitor):
     visitor.wait(lambda: wanted(visitor) == 0.0, "the stick springs back while Q is held")
     visitor.page.keyboard.down("w")
     yaw = heading(visitor)
-    visitor.wait(lambda: turned(heading(visitor), yaw) > 0.2, "which goes on turning who walks by key")
+    visitor.wait(lambda: turned(heading(visitor), yaw) > 0.2, "which still turns a character that walks by key")
     visitor.lift("b")
     visitor.page.keyboard.up("w")
     visitor.wait(lambda: wanted(visitor) == 0.0, "it stands again")
 
 
-def test_reset(visitor):
+def test_reset_returns_to_the_middle(visitor):
     visitor.walk(0.3)
     home(visitor)
 
 
-def test_style_is_changed_by_the_list(visitor):
+def test_the_list_changes_the_style(visitor):
     for style in ("proud", "neutral"):
         visitor.choose("Style", style)
         visitor.wait(lambda style=style: visitor.read("style") == style, f"the character is in {style}")
 
 
-def test_three_styles_are_mixed_by_a_point_in_a_triangle(visitor):
+def test_the_triangle_mixes_three_styles(visitor):
     triangle = visitor.page.locator("[data-triangle]")
     triangle.scroll_into_view_if_needed()
-    visitor.page.wait_for_timeout(300)  # a panel scrolls smoothly; no assertion rests on it
+    visitor.page.wait_for_timeout(300)  # the panel scrolls smoothly; no assertion depends on it
     x, y, width, height = (triangle.bounding_box()[key] for key in ("x", "y", "width", "height"))
     visitor.page.mouse.move(x + 0.5 * width, y + 0.6 * height)
     visitor.page.mouse.down()
@@ -131,7 +131,7 @@ def test_three_styles_are_mixed_by_a_point_in_a_triangle(visitor):
     visitor.wait(lambda: share(visitor, corner) > CORNER, f"numbers work as well: {corner}")
 
 
-def test_recording_is_downloaded_as_bvh(visitor, tmp_path):
+def test_a_recording_is_downloaded_as_bvh(visitor, tmp_path):
     visitor.press("Record")
     visitor.wait(lambda: visitor.page.get_by_role("button", name="Stop and download").count(), "it records")
     visitor.walk(0.4)
@@ -146,7 +146,7 @@ def test_recording_is_downloaded_as_bvh(visitor, tmp_path):
     assert moved > 0.3
 
 
-def test_a_bad_clip_says_what_is_wrong_and_changes_nothing(visitor, served, played_run, tmp_path):
+def test_a_bad_clip_is_refused_and_changes_nothing(visitor, served, played_run, tmp_path):
     before, styles, style = files_of(played_run), visitor.options("Style"), visitor.read("style")
     bad = tmp_path / "walk.bvh"
     bad.write_text("HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 nought\n}\n")
@@ -168,11 +168,11 @@ def test_a_good_clip_becomes_a_style_that_moves(visitor, played_run, zombie_bvh)
     visitor.walk(0.3)
 
 
-def test_another_run_takes_the_character_over(visitor):
+def test_the_run_can_be_changed(visitor):
     home(visitor)
     styles, root = visitor.options("Style"), visitor.root()
     visitor.choose("Run", "two")
-    visitor.wait(lambda: visitor.read("style") == "neutral", "the other run begins in its first style")
+    visitor.wait(lambda: visitor.read("style") == "neutral", "the other run starts in its first style")
     assert "neutral" in visitor.options("Style") and "depressed" not in visitor.options("Style")
     assert np.linalg.norm(visitor.root() - root) < NEAR
     visitor.walk(0.3)
@@ -183,13 +183,13 @@ def test_another_run_takes_the_character_over(visitor):
     assert not visitor.errors
 
 
-def test_a_camera_that_does_not_turn_along_leads(visitor):
+def test_a_camera_that_does_not_turn_along_sets_the_heading(visitor):
     home(visitor)
     visitor.page.get_by_text("Camera", exact=True).first.click()
     box = visitor.field("Turn along")
     box.click()
     visitor.page.keyboard.down("w")
-    visitor.wait(lambda: turned(heading(visitor), 0.0) > 0.1, "W leads where the camera looks, a little aside")
+    visitor.wait(lambda: turned(heading(visitor), 0.0) > 0.1, "W walks where the camera looks, a little to the side")
     before = heading(visitor)
     size = visitor.page.viewport_size
     x, y = 0.5 * size["width"], 0.85 * size["height"]
@@ -197,14 +197,14 @@ def test_a_camera_that_does_not_turn_along_leads(visitor):
     visitor.page.mouse.down()
     visitor.page.mouse.move(x - 80, y, steps=4)
     visitor.page.mouse.up()
-    visitor.wait(lambda: turned(heading(visitor), before) > 0.2, "the heading goes where the camera looks")
+    visitor.wait(lambda: turned(heading(visitor), before) > 0.2, "the heading follows the camera")
     visitor.page.keyboard.up("w")
     box.click()
     visitor.press("Behind the character")
     home(visitor)
 
 
-def test_tabs_have_characters_of_their_own_and_leave_nothing_behind(visitor, another_visitor, served):
+def test_tabs_have_their_own_characters_and_end_their_threads(visitor, another_visitor, served):
     home(visitor)
     second = another_visitor()
     visitor.wait(lambda: len(served.tabs) == 2, "two tabs are served")
@@ -215,14 +215,14 @@ def test_tabs_have_characters_of_their_own_and_leave_nothing_behind(visitor, ano
     second.wait(lambda: second.read("style") == "proud", "the second is proud")
     assert visitor.read("style") != "proud"
     second.close()
-    visitor.wait(lambda: len(served.tabs) == 1, "a closed tab is forgotten")
+    visitor.wait(lambda: len(served.tabs) == 1, "a closed tab is removed")
     visitor.wait(lambda: sum(tab.alive for tab in threads) == 1, "its thread has ended")
     visitor.walk(0.3)
     assert not visitor.errors and not second.errors
 
 
 def test_only_this_machine_can_connect(served):
-    """A server at all addresses would answer at 127.0.0.2 too."""
+    """A server at all addresses would answer at 127.0.0.2 as well."""
     with socket.create_connection(("127.0.0.1", served.port), timeout=10.0):
         pass
     with pytest.raises(OSError), socket.create_connection(("127.0.0.2", served.port), timeout=2.0):
@@ -230,16 +230,16 @@ def test_only_this_machine_can_connect(served):
 
 
 def handshake(port: int, *headers: str) -> str:
-    """The first line of what a server answers to one who asks for a websocket."""
+    """Returns the first line of the server's answer to a request for a websocket."""
     key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=="
     lines = ("GET / HTTP/1.1", "Connection: Upgrade", "Upgrade: websocket", key, "Sec-WebSocket-Version: 13", *headers)
     with socket.create_connection(("127.0.0.1", port), timeout=10.0) as connection:
         connection.sendall("\r\n".join((*lines, "", "")).encode())
-        answer = connection.recv(4096)  # the first frames may come in the same packet: those are no text
+        answer = connection.recv(4096)  # the first frames, which are not text, may be in the same packet
     return answer.split(b"\r\n")[0].decode("ascii")
 
 
-def test_pages_of_other_sites_are_refused(served, visitor):
+def test_requests_of_other_sites_are_refused(served, visitor):
     host = f"127.0.0.1:{served.port}"
     assert " 101 " in handshake(served.port, f"Host: {host}", f"Origin: http://{host}")
     for headers in (
@@ -250,7 +250,7 @@ def test_pages_of_other_sites_are_refused(served, visitor):
     ):
         assert " 403 " in handshake(served.port, *headers), headers
     answer = visitor.page.evaluate(
-        """(url) => new Promise((done) => {  // another name of this machine is another site
+        """(url) => new Promise((done) => {  // another name of this machine counts as another site
             const socket = new WebSocket(url, "viser-v");
             socket.onopen = () => done("open");
             socket.onerror = () => done("refused");
@@ -260,11 +260,11 @@ def test_pages_of_other_sites_are_refused(served, visitor):
     assert answer == "refused"
 
 
-def test_a_page_that_was_cut_off_comes_back_whole(visitor, served):
+def test_a_page_reconnects_after_an_interruption(visitor, served):
     before = served.tabs
     served._server._websock_server.disconnect_all_clients()
-    visitor.wait(lambda: served.tabs and not set(served.tabs) & set(before), "the page connects anew")
-    visitor.wait(lambda: not any(tab.alive for tab in before), "nothing is left of what there was")
+    visitor.wait(lambda: served.tabs and not set(served.tabs) & set(before), "the page reconnects")
+    visitor.wait(lambda: not any(tab.alive for tab in before), "the old threads have ended")
     visitor.wait(lambda: np.linalg.norm(visitor.root()) < AT_HOME, "a new character stands in the middle")
     visitor.walk(0.3)
     wire = visitor.page.get_by_text("Stick and keys", exact=True)
@@ -273,7 +273,7 @@ def test_a_page_that_was_cut_off_comes_back_whole(visitor, served):
 
 
 def middle(visitor, what: str) -> tuple[float, float]:
-    """Of an element, in pixels of the window."""
+    """Returns the centre of an element in pixels of the window."""
     box = visitor.page.locator(what).first.bounding_box()
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
@@ -289,12 +289,12 @@ def heading(visitor) -> float:
 
 
 def turned(yaw: float, before: float) -> float:
-    """Radians between two headings."""
+    """Returns the angle between two headings in radians."""
     return abs(np.angle(np.exp(1j * (yaw - before))))
 
 
 def share(visitor, style: str) -> float:
-    """Of a style, by the readout."""
+    """Returns a style's weight according to the readout."""
     for part in visitor.read("style").split(", "):
         if part == style:
             return 1.0

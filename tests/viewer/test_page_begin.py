@@ -1,4 +1,4 @@
-"""Who comes to a page and when: before it has compiled, and gone again before the character is there."""
+"""Browsers that connect before the runs are loaded, or disconnect before their character appears."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from pfnn_jax.viewer.page import play as play_module  # noqa: E402
 
 
 class Tab:
-    """Notes that it has begun, and ends when it is closed."""
+    """Notes that it was started."""
 
-    begun: list[int] = []
+    started: list[int] = []
 
     def __init__(self, client: Any, library: Any) -> None:
         self._number = client.client_id
 
     def start(self) -> None:
-        Tab.begun.append(self._number)
+        Tab.started.append(self._number)
 
     def close(self, wait: float = 0.0) -> None:
         pass
 
 
 class Gui:
-    """Keeps what is shown."""
+    """Keeps the content that is shown."""
 
     def __init__(self) -> None:
         self.shown: list[str] = []
@@ -41,36 +41,36 @@ class Gui:
 
 
 def any_of(stand_in: object) -> Any:
-    """A stand-in where the real thing is asked for."""
+    """Returns a stand-in as any type."""
     return stand_in
 
 
-def come(page: Any, client: Any, *, go: bool = False) -> None:
-    """What the server does when a browser connects, and when it leaves."""
+def connect(page: Any, client: Any, *, disconnect: bool = False) -> None:
+    """Does what the server does when a browser connects and, if wanted, disconnects."""
 
-    async def coming() -> None:
-        await page._server._dispatch_client_callbacks(tuple(page._server._client_connect_cb), client)
-        if go:
-            await page._server._dispatch_client_callbacks(tuple(page._server._client_disconnect_cb), client)
+    async def run() -> None:
+        await page._open(client)
+        if disconnect:
+            await page._close(client)
 
-    asyncio.run(coming())
+    asyncio.run(run())
 
 
-def test_who_comes_before_the_runs_are_ready_waits_and_is_told(monkeypatch):
+def test_early_client_waits_with_message(monkeypatch):
     monkeypatch.setattr(play_module, "Tab", Tab)
-    monkeypatch.setattr(Tab, "begun", [])
+    monkeypatch.setattr(Tab, "started", [])
     clients = [any_of(SimpleNamespace(client_id=number, gui=Gui())) for number in range(3)]
     with play_module.Page(port=0) as page:
-        come(page, clients[0])
-        come(page, clients[1], go=True)
-        assert page.tabs == () and "Compiling: your character comes in about" in clients[0].gui.shown[0]
+        connect(page, clients[0])
+        connect(page, clients[1], disconnect=True)
+        assert page.tabs == () and "Compiling: your character appears in about" in clients[0].gui.shown[0]
         page.begin(any_of(SimpleNamespace()))
-        assert Tab.begun == [0] and clients[0].gui.shown == [], "none is begun for who has left"
-        come(page, clients[2])
-        assert Tab.begun == [0, 2] and clients[2].gui.shown == [] and len(page.tabs) == 2
+        assert Tab.started == [0] and clients[0].gui.shown == [], "no tab is started for a client that has left"
+        connect(page, clients[2])
+        assert Tab.started == [0, 2] and clients[2].gui.shown == [] and len(page.tabs) == 2
 
 
-def test_a_tab_that_closes_while_it_opens_leaves_nothing(monkeypatch):
+def test_a_tab_that_closes_while_it_opens_is_removed(monkeypatch):
     class Slow:
         def __init__(self, *_: Any) -> None:
             time.sleep(0.2)
@@ -83,6 +83,6 @@ def test_a_tab_that_closes_while_it_opens_leaves_nothing(monkeypatch):
 
     monkeypatch.setattr(play_module, "Tab", Slow)
     with play_module.Page(any_of(SimpleNamespace()), port=0) as page:
-        come(page, any_of(SimpleNamespace(client_id=7)), go=True)
+        connect(page, any_of(SimpleNamespace(client_id=7)), disconnect=True)
         time.sleep(0.4)
         assert page.tabs == ()

@@ -1,4 +1,4 @@
-"""What a visitor finds without looking for it: in a window of usual size, and when the program has ended."""
+"""The page as it looks: what is visible in a window of common size, and when the program has ended."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ pytest.importorskip("viser", reason="viser is not installed")
 from pfnn_jax.viewer.page import widgets  # noqa: E402
 from pfnn_jax.viewer.page.play import Page  # noqa: E402
 
-# A tab may close while its picture is being sent; a served page ignores it, but each test has filters of its own.
+# A tab can close while its picture is being sent; `play` ignores the warning, but each test has its own filters.
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning")
 
-USUAL = {"width": 1280, "height": 720}
-REACHED = """(element) => {  // whether a click in its middle would meet it, without scrolling
+COMMON = {"width": 1280, "height": 720}
+REACHED = """(element) => {  // whether a click at its centre would reach it without scrolling
     const box = element.getBoundingClientRect();
     const met = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
     return met !== null && element.contains(met);
@@ -25,8 +25,8 @@ COVERED = """([over, under]) => {  // whether two elements overlap
 NOTICES = ".mantine-Notifications-root[data-position=top-left]"
 
 
-def test_what_is_needed_first_is_in_sight_and_under_no_notice(visitor, served):
-    visitor.page.set_viewport_size(USUAL)
+def test_the_main_controls_are_visible_and_not_covered_by_notices(visitor, served):
+    visitor.page.set_viewport_size(COMMON)
     try:
         found = {
             "stick": visitor.page.locator("[data-stick]"),
@@ -35,7 +35,7 @@ def test_what_is_needed_first_is_in_sight_and_under_no_notice(visitor, served):
             "record": visitor.page.get_by_role("button", name="Record").first,
             "upload": visitor.page.get_by_role("button", name="Upload a BVH file").first,
         }
-        visitor.wait(lambda: all(what.evaluate(REACHED) for what in found.values()), f"all of {list(found)} in sight")
+        visitor.wait(lambda: all(what.evaluate(REACHED) for what in found.values()), f"{list(found)} are visible")
         tab = next(iter(served.tabs))
         tab._client.add_notification("A notice", "of some words")
         visitor.page.get_by_text("of some words").wait_for()
@@ -45,18 +45,18 @@ def test_what_is_needed_first_is_in_sight_and_under_no_notice(visitor, served):
         visitor.page.set_viewport_size({"width": 760, "height": 440})
 
 
-def test_a_style_of_the_list_or_the_triangle_says_how_to_see_it(visitor):
+def test_a_style_chosen_while_standing_has_a_hint(visitor):
     hint = visitor.page.locator("[data-hint]")
     assert hint.count() == 0
     visitor.choose("Style", "proud")
     hint.wait_for()
     assert widgets.UNSEEN in hint.inner_text()
     visitor.walk(0.2)
-    visitor.wait(lambda: hint.count() == 0, "who has walked has seen it")
+    visitor.wait(lambda: hint.count() == 0, "the hint disappears once the character walks")
 
 
-def test_a_page_says_that_its_program_has_ended_and_comes_back(browser, served):
-    """A browser that comes before the runs are ready, sees the program end, and finds it again at its address."""
+def test_a_page_shows_that_its_program_has_ended_and_reconnects(browser, served):
+    """A browser connects before the runs are loaded, sees the program end, and reconnects to the next one."""
     words = ".pfnn-ended"
     with Page(port=0) as page:
         tab = browser.new_page()
@@ -70,7 +70,7 @@ def test_a_page_says_that_its_program_has_ended_and_comes_back(browser, served):
     tab.locator(words).wait_for()
     assert "has ended" in tab.locator(words).inner_text()
     with Page(served._library, port=port):
-        tab.bring_to_front()  # viser connects anew where somebody looks
+        tab.bring_to_front()  # viser reconnects in a visible tab only
         tab.locator(words).wait_for(state="hidden")
         tab.wait_for_selector("[data-readout=root]")
         tab.close()

@@ -1,37 +1,37 @@
-"""The page's parts that need no browser: solids, pictures, what a browser may say, and where a server may listen."""
+"""Parts of the page that need no browser: meshes, widgets, messages, and the addresses of a server."""
 
 from __future__ import annotations
 
 import socket
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from pfnn_jax.errors import InputError
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer.draw.body import capsule_ends
 from pfnn_jax.viewer.page import background, widgets
+from pfnn_jax.viewer.page.drive_input import parse_message
 from pfnn_jax.viewer.page.guard import names_of, objection
 from pfnn_jax.viewer.page.meshes import TAPER, BodyMeshes, Mesh, frustum, sphere
-from pfnn_jax.viewer.page.play import check_address, play
+from pfnn_jax.viewer.page.play import check_address
 from pfnn_jax.viewer.page.scene import camera_yaw
-from pfnn_jax.viewer.page.timeline import SAMPLES, Timeline
 from pfnn_jax.viewer.page.view import Dial
-from pfnn_jax.viewer.page.words import FieldChanges, parse_message
+from tests.raising import assert_refused
 
 EXACT = 1e-9  # float64 over a few products
-ROUND = 0.05  # share of a sphere's volume that its flat faces cut off
+ROUND = 0.05  # fraction of a sphere's volume that its flat faces cut off
 
 
 def volume(mesh: Mesh) -> float:
-    """Signed volume of a closed surface; positive where faces look outwards."""
+    """Returns the signed volume of a closed surface; positive if the faces point outwards."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     return float(np.sum(np.cross(a, b) * c)) / 6.0
 
 
-def test_solids_are_round_and_look_outwards():
+def test_meshes_are_round_and_face_outwards():
     ball = sphere()
     assert np.allclose(np.linalg.norm(ball.vertices, axis=1), 1.0, atol=EXACT)
     assert (1.0 - ROUND) * 4.0 / 3.0 * np.pi < volume(ball) < 4.0 / 3.0 * np.pi
@@ -41,7 +41,7 @@ def test_solids_are_round_and_look_outwards():
     assert (np.sum(np.cross(b - a, c - a) * outwards, axis=1) > 0.0).all()
 
 
-def test_a_body_of_instances_lies_on_the_bones():
+def test_mesh_instances_lie_on_the_bones():
     clip, _ = synthesise("zombie", np.full(40, 0.5), np.ones(40))
     positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     body = BodyMeshes(clip.skeleton)
@@ -55,7 +55,7 @@ def test_a_body_of_instances_lies_on_the_bones():
     points = np.concatenate([positions[-1], np.array(ends).reshape(-1, 3)])
     expected = [capsule_ends(points, capsule) for capsule in body.capsules]
     assert np.allclose(starts, [start for start, _ in expected], atol=EXACT)
-    assert np.allclose(tips, [end for _, end in expected], atol=1e-6)  # lengths are those of the rest pose
+    assert np.allclose(tips, [end for _, end in expected], atol=1e-6)  # lengths of the rest pose
     assert np.allclose(balls, np.concatenate([starts, tips]), atol=1e-6)
     sides = {side: sum(capsule.side == side for capsule in body.capsules) for side in ("left", "right", "middle")}
     assert sides["left"] == sides["right"] > 3 and sides["middle"] > 0
@@ -68,23 +68,23 @@ def test_a_body_of_instances_lies_on_the_bones():
         *("x" * 200, "1 __import__('os') 0 0 0 0", "1 0 0 0 0 60 7"),
     ],
 )
-def test_what_a_browser_says_is_numbers_or_nothing(text):
+def test_malformed_messages_are_ignored(text):
     assert parse_message(text) is None
 
 
-def test_a_word_of_the_script():
+def test_a_message_of_the_script_is_parsed():
     message = parse_message("17 0.5 -1 1 1 59.9")
     assert message is not None and message.stick == (0.5, -1.0, 1.0, True) and message.rate == 59.9
 
 
-def test_shares_sum_to_one_whatever_is_typed():
+def test_typed_shares_sum_to_one_or_are_ignored():
     assert widgets.shares_of("50, 30 20 %") == pytest.approx((0.5, 0.3, 0.2))
     assert widgets.shares_of("2 0 2") == (0.5, 0.0, 0.5)
     for text in ("", "1 2", "1 2 x", "0 0 0", "-1 1 1", "nan 1 1", "1e400 1 1", "1 2 3 4"):
         assert widgets.shares_of(text) is None, text
 
 
-def test_percents_are_told_alike_by_picture_and_field():
+def test_triangle_and_field_show_the_same_percents():
     assert widgets.percents((1 / 3, 1 / 3, 1 / 3)) == [34, 33, 33]
     assert widgets.percents((0.005, 0.005, 0.99)) == [0, 0, 100]
     assert widgets.percents((0.0, 1.0, 0.0)) == [0, 100, 0]
@@ -92,7 +92,7 @@ def test_percents_are_told_alike_by_picture_and_field():
     assert [text in shown for text in ("a 34%", "b 33%", "c 33%")] == [True] * 3
 
 
-def test_names_cannot_break_out_of_pictures():
+def test_names_are_escaped():
     evil = '</svg><img src=x onerror="alert(1)">'
     for name in (evil, f"&deg;{evil}", "<img>&deg;"):
         shown = widgets.triangle([name, "b", "c"], (0.2, 0.3, 0.5), True)
@@ -102,7 +102,7 @@ def test_names_cannot_break_out_of_pictures():
         assert "<img" not in shown and "&lt;" in shown
 
 
-def test_dials_of_every_kind_of_phase():
+def test_every_kind_of_phase_has_dials():
     assert "velocities" in widgets.phase_dial(())
     assert "90°" in widgets.phase_dial((Dial("gait", np.pi / 2),))
     local = widgets.phase_dial(
@@ -111,36 +111,32 @@ def test_dials_of_every_kind_of_phase():
     assert local.count("<line") == 4 and "right toe" in local
 
 
-def test_the_timeline_keeps_the_last_seconds_in_lanes():
+def test_the_contact_chart_shows_the_last_seconds():
     chart = SimpleNamespace(data=None)
     gui = SimpleNamespace(add_uplot=lambda data, **_: setattr(chart, "data", data) or chart)
-    timeline = Timeline(gui)  # type: ignore[arg-type]
+    timeline = widgets.Timeline(gui)  # type: ignore[arg-type]
     for step in range(1200):
         timeline.add(step / 60.0, np.array([1.0, 0.0, 0.5, 0.0]))
     timeline.show(1200 / 60.0)
     assert chart.data is not None
     times, *lanes = chart.data
     heights = [float(np.mean(lanes[2 * i + 1] - lanes[2 * i])) for i in range(4)]
-    assert len(times) == SAMPLES and heights[3] > heights[1] > 0.0 and heights[0] == heights[2] == 0.0
+    assert len(times) == widgets.CONTACT_SAMPLES and heights[3] > heights[1] > 0.0 and heights[0] == heights[2] == 0.0
 
 
-def test_an_address_that_cannot_be_used_is_named():
+def test_unusable_addresses_are_refused():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(InputError, match=rf"port at 127.0.0.1: {port}; .*--port"):
-            check_address("127.0.0.1", port)
-        with pytest.raises(InputError, match=str(port)):  # before anything is loaded
-            play(["no such run"], port=port)
-    for host, port, message in (
-        ("127.0.0.1", 70000, "between 0 and 65535"),
-        ("no.such.host.invalid", 0, "address"),
-        ("a" * 70, 0, "address"),  # no name of the internet's: beyond 63 letters
-        ("a..b", 0, "address"),
+        assert_refused(lambda: check_address("127.0.0.1", port), place="port at 127.0.0.1", value=port)
+    for host, port, place in (
+        ("127.0.0.1", 70000, "port"),
+        ("no.such.host.invalid", 0, "host"),
+        ("a" * 70, 0, "host"),  # labels of host names have at most 63 letters
+        ("a..b", 0, "host"),
     ):
-        with pytest.raises(InputError, match=message):
-            check_address(host, port)
+        assert_refused(partial(check_address, host, port), place=place)
     check_address("127.0.0.1", 0)
 
 
@@ -151,44 +147,44 @@ def test_an_address_that_cannot_be_used_is_named():
         ("http://localhost:8080", "LOCALHOST:8080", True),
         ("http://[::1]:8080", "[::1]:8080", True),
         ("http://192.168.1.7:8080", "192.168.1.7:8080", True),
-        (None, "localhost:8080", True),  # no browser
+        (None, "localhost:8080", True),  # not a browser
         ("https://evil.example", "127.0.0.1:8080", False),
         ("http://127.0.0.1:9000", "127.0.0.1:8080", False),  # another server of this machine
         ("http://127.0.0.1", "127.0.0.1:8080", False),
-        ("null", "127.0.0.1:8080", False),  # a file, or a frame shut in
+        ("null", "127.0.0.1:8080", False),  # a local file or a sandboxed iframe
         ("", "127.0.0.1:8080", False),
-        ("http://evil.example:8080", "evil.example:8080", False),  # a name that was made to lead here
+        ("http://evil.example:8080", "evil.example:8080", False),  # DNS rebinding
         ("http://127.0.0.1.evil.example", "127.0.0.1.evil.example", False),
         (None, "2130706433", False),
         (None, "[", False),
         (None, None, False),
     ],
 )
-def test_only_its_own_page_may_talk_to_a_server(origin, host, fine):
+def test_only_the_page_itself_is_accepted(origin, host, fine):
     assert (objection(origin, host, names_of("127.0.0.1")) is None) == fine
 
 
-def test_a_server_for_others_goes_by_its_names():
+def test_a_public_server_is_accepted_by_its_names():
     machine = socket.gethostname()
     assert objection(None, f"{machine}:8080", names_of("0.0.0.0")) is None
     assert objection(None, "walks.example", names_of("walks.example")) is None
     assert names_of("127.0.0.1") == {"127.0.0.1"} and names_of("localhost") == {"localhost"}
 
 
-def test_a_camera_looks_along_a_yaw():
+def test_the_yaw_of_a_camera():
     assert camera_yaw([0.0, 1.0, -4.0], [0.0, 0.0, 0.0]) == 0.0
     assert camera_yaw([-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]) == pytest.approx(np.pi / 2)
     assert camera_yaw([0.0, 3.0, 0.0], [0.0, 0.0, 0.0]) is None
 
 
-def test_values_given_here_are_no_changes():
-    values = FieldChanges()
+def test_values_set_by_the_server_are_not_changes():
+    values = widgets.FieldChanges()
     assert not values.changed("style", "proud") and values.changed("style", "neutral")
     values.set(style="angry")
     assert not values.changed("style", "angry") and values.changed("style", "neutral")
 
 
-def test_work_beside_a_page_returns_or_raises():
+def test_background_work_returns_or_raises():
     assert background.do(lambda: 7, niceness=1) == 7
     with pytest.raises(ZeroDivisionError):
         background.do(lambda: 1 // 0)

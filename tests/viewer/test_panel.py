@@ -1,4 +1,4 @@
-"""The panel without a browser: what is chosen, learned, recorded and uploaded, on a server that nobody looks at."""
+"""The panels without a browser: choices, learning, recordings and uploads."""
 
 from __future__ import annotations
 
@@ -17,17 +17,15 @@ from pfnn_jax.motion.synthetic.walks import synthesise
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
-from viser import _messages as messages  # noqa: E402
-
 from pfnn_jax.viewer.page import panel as panel_module  # noqa: E402
 from pfnn_jax.viewer.page import tab as tab_module  # noqa: E402
 from pfnn_jax.viewer.page import widgets  # noqa: E402
 from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
 from pfnn_jax.viewer.page.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
 from pfnn_jax.viewer.page.tab import Tab  # noqa: E402
-from pfnn_jax.viewer.page.uploads import MOST_GATHERED, drop_large  # noqa: E402
+from pfnn_jax.viewer.page.uploads import MOST_BUFFERED, drop_large  # noqa: E402
 
-SOON = 20.0  # seconds: a thread's beginning and end, on a machine with other work
+SOON = 20.0  # seconds for a thread to start or end on a loaded machine
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +35,8 @@ def server() -> Iterator[Any]:
     served.stop()
 
 
-class LoadedRun:
-    """A library of names alone."""
+class Library:
+    """A run library that has names only."""
 
     def __init__(self) -> None:
         self.styles = {"run": ("angry", "neutral", "proud"), "two": ("neutral", "old")}
@@ -54,8 +52,8 @@ class LoadedRun:
         self.version += 1
 
 
-class Puppet:
-    """A character that only notes what it is asked for."""
+class StubCharacter:
+    """A character that only notes its input."""
 
     def __init__(self) -> None:
         self.run, self.shares = "run", {"angry": 1.0}
@@ -80,7 +78,7 @@ class Puppet:
 
 
 class Client:
-    """What a tab needs of a browser; downloads and notifications are kept."""
+    """The part of a client that a tab needs; downloads and notifications are kept."""
 
     client_id = 7
 
@@ -103,11 +101,11 @@ def client(server) -> Iterator[Client]:
 
 @pytest.fixture
 def panel(client) -> Any:
-    return Panel(client, any_of(LoadedRun()), any_of(Puppet()), any_of(SimpleNamespace(yaw=0.0)))
+    return Panel(client, any_of(Library()), any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0)))
 
 
 def any_of(stand_in: object) -> Any:
-    """A stand-in where the real thing is asked for."""
+    """Returns a stand-in as any type."""
     return stand_in
 
 
@@ -119,53 +117,53 @@ def soon(what: Callable[[], Any]) -> Any:
     return found
 
 
-def test_no_style_can_be_called_as_the_mixture_is():
+def test_no_style_can_have_the_name_of_the_mixture():
     with pytest.raises(InputError, match="style name"):
         check_style_name(MIXTURE)
 
 
-def test_a_choice_beside_a_style_that_arrives_is_heard(server):
-    library, character = any_of(LoadedRun()), any_of(Puppet())
+def test_a_choice_made_while_a_style_arrives_is_applied(server):
+    library, character = any_of(Library()), any_of(StubCharacter())
     picker = StylePicker(server.gui, library, character)
-    picker.hear(0.0)
+    picker.apply_changes(0.0)
     library.join("run", "zombie")
     picker._style.value = "proud"
     picker.refresh()
     assert picker._style.options == ("angry", "neutral", "proud", "zombie", MIXTURE)
-    picker.hear(0.1)
+    picker.apply_changes(0.1)
     assert character.shares == {"proud": 1.0}
     library.join("run", "weary")
     picker._corners[0].value = "zombie"
     picker.refresh()
-    picker.hear(0.2)
+    picker.apply_changes(0.2)
     assert set(character.shares) == {"zombie", "neutral", "proud"} and picker._style.value == MIXTURE
     server.gui.reset()
 
 
-def test_corners_of_another_run_are_all_different():
+def test_corners_of_another_run_are_distinct():
     names = ("elderly", "masculine", "normal", "skip")
     assert spread(("elderly", "feminine", "masculine"), names) == ("elderly", "normal", "masculine")
     assert spread(("skip", "skip", "skip"), names) == ("skip", "elderly", "masculine")
     assert spread(("", "", ""), names[:2]) == ("elderly", "masculine", "elderly")
 
 
-def test_a_run_of_two_styles_leaves_no_corner_behind(server):
-    picker = StylePicker(server.gui, any_of(LoadedRun()), any_of(Puppet()))
+def test_corners_follow_a_change_of_run(server):
+    picker = StylePicker(server.gui, any_of(Library()), any_of(StubCharacter()))
     for run, corners in (("two", {"neutral", "old"}), ("run", {"angry", "neutral", "proud"})):
         picker._run.value = run
-        picker.hear(0.0)
+        picker.apply_changes(0.0)
         assert set(picker._corner_names()) == corners
     server.gui.reset()
 
 
 def seen(**values: Any) -> Any:
-    """A moment of a character, as far as a panel shows it."""
+    """Returns the part of a view that a panel shows."""
     view = {"root": np.zeros(2), "facing": np.array([0.0, 1.0]), "speed": 0.0, "wanted_speed": 0.0, "dials": ()}
     view |= {"style_weights": {"angry": 1.0}, "steps_per_second": 60.0, "step_milliseconds": 1.0}
     return SimpleNamespace(**(view | {"recorded_seconds": None, "recording": False} | values))
 
 
-def test_a_style_chosen_while_it_stands_says_how_to_see_it(panel):
+def test_a_style_chosen_while_standing_has_a_hint(panel):
     def told(**values: Any) -> bool:
         panel.show(seen(**values), 0.0, 60.0)
         return widgets.UNSEEN in panel._readout.content
@@ -179,7 +177,7 @@ def test_a_style_chosen_while_it_stands_says_how_to_see_it(panel):
     assert told() and widgets.UNSEEN in panel._message.content and not told(speed=0.5)
 
 
-def test_a_recording_that_has_ended_waits_for_its_download(panel):
+def test_an_ended_recording_can_be_downloaded(panel):
     labels = []
     for seconds, recording in ((None, False), (1.5, True), (1.5, False)):
         panel.show(seen(recorded_seconds=seconds, recording=recording), 0.0, 60.0)
@@ -187,7 +185,7 @@ def test_a_recording_that_has_ended_waits_for_its_download(panel):
     assert labels == ["Record", "Stop and download (1.5 s)", "Download (1.5 s)"]
 
 
-def test_a_style_learned_does_not_call_back_who_has_gone_on(panel):
+def test_a_learned_style_is_not_selected_after_a_change_of_run(panel):
     library, character = panel._library, panel._character
     panel.serve(0.0)
     library.join("run", "zombie")
@@ -200,27 +198,27 @@ def test_a_style_learned_does_not_call_back_who_has_gone_on(panel):
     panel.learned("run", "weary")
     panel.serve(0.3)
     assert (character.run, character.shares) == ("two", {"neutral": 1.0})
-    assert "weary" in panel._message.content and "choose that run" in panel._message.content
+    assert "weary" in panel._message.content and "Choose that run" in panel._message.content
 
 
-def test_a_download_is_written_beside_the_character(panel, client, monkeypatch):
+def test_a_download_is_written_in_the_background(panel, client, monkeypatch):
     written, free = panel_module.bvh_bytes, threading.Event()
     monkeypatch.setattr(panel_module, "bvh_bytes", lambda clip: free.wait(SOON) and written(clip))
     panel._record_or_stop()
     assert panel._character.recording and not client.told
     panel._character.clip = synthesise("zombie", np.zeros(30), np.ones(30))[0]
-    panel._record_or_stop()  # would wait for the writing
+    panel._record_or_stop()  # returns while the file is being written
     assert not client.told
     free.set()
     assert soon(lambda: client.told) == [("angry_30.bvh", "HIERARCHY")]
 
 
 def tab_of(client: Any) -> Tab:
-    return Tab(client, any_of(LoadedRun()))
+    return Tab(client, any_of(Library()))
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_an_upload_that_fails_as_nobody_expected_is_told(panel, client, monkeypatch):
+def test_an_unexpected_error_of_an_upload_is_shown(panel, client, monkeypatch):
     def fail(*_: Any) -> str:
         raise RuntimeError("out of paper")
 
@@ -232,7 +230,7 @@ def test_an_upload_that_fails_as_nobody_expected_is_told(panel, client, monkeypa
     assert not panel.upload.disabled
 
 
-def test_a_second_file_meanwhile_is_not_dropped_without_a_word(panel, client, monkeypatch):
+def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
     tab, begun, free = tab_of(client), threading.Event(), threading.Event()
 
     def learn(*_: Any) -> str:
@@ -248,11 +246,13 @@ def test_a_second_file_meanwhile_is_not_dropped_without_a_word(panel, client, mo
     tab._learn(panel._character, panel, files[1])
     free.set()
     first.join(SOON)
-    assert client.told == [("second.bvh is not learned", "Another file is being learned: upload it again after that.")]
+    assert client.told == [
+        ("second.bvh is not learned", "Another file is being learned; upload this one again afterwards.")
+    ]
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_character_that_stops_says_so(client, monkeypatch):
+def test_an_error_of_the_simulation_is_shown(client, monkeypatch):
     def fail(_: Any) -> None:
         raise RuntimeError("no legs")
 
@@ -260,32 +260,27 @@ def test_a_character_that_stops_says_so(client, monkeypatch):
     tab = tab_of(client)
     tab.start()
     soon(lambda: not tab.alive)
-    assert client.told == [("The character has stopped: load the page anew", "RuntimeError: no legs")]
+    assert client.told == [("Simulation stopped; reload the page", "RuntimeError: no legs")]
 
 
-def send(gui: Any, button: Any, transfer: str, size: int, parts: int, name: str = "walk.bvh") -> None:
-    """The beginning of a file, as a browser tells it."""
-    start = messages.FileTransferStartUpload(button._impl.uuid, transfer, name, "", parts, size)
-    gui._handle_file_transfer_start(7, start)
+def transfer(name: str, size: int) -> dict[str, Any]:
+    """Returns the state of an upload as viser keeps it, without any part yet."""
+    state = {"filename": name, "parts": {}, "total_bytes": size, "transferred_bytes": 0, "lock": threading.Lock()}
+    return state
 
 
-@pytest.mark.filterwarnings(r"ignore:\[viser\] Dropping upload:UserWarning")
-def test_files_too_large_are_not_gathered_but_come_to_their_end(server, monkeypatch):
-    """Until a page has been told of all parts of a file it takes no other."""
-    gui, told = server.gui, []
-    monkeypatch.setattr(gui._websock_interface, "queue_message", told.append)
-    button = gui.add_upload_button("Upload")
-    send(gui, button, "large", MOST_GATHERED + 3, 2, "large.bvh")
-    part = lambda index, content: messages.FileTransferPart(button._impl.uuid, "large", index, content)  # noqa: E731
-    gui._handle_file_transfer_part(7, part(0, bytes(MOST_GATHERED)))
-    transfers = gui._current_file_upload_states
-    assert drop_large(transfers) == ["large.bvh: the file is far larger than 10 MB"]
-    assert drop_large(transfers) == [], "each is told of once"
-    assert set(transfers["large"]["parts"].values()) == {b""}
-    gui._handle_file_transfer_part(7, part(1, b"abc"))
-    acks = [message.transferred_bytes for message in told if isinstance(message, messages.FileTransferPartAck)]
-    assert acks == [MOST_GATHERED, MOST_GATHERED + 3] and not transfers
-    for transfer in "abc":
-        send(gui, button, transfer, MOST_GATHERED // 2, 1, f"{transfer}.bvh")
-    assert drop_large(transfers) == ["c.bvh: the file comes with too many others"]
-    transfers.clear()
+def test_parts_of_files_too_large_are_dropped_on_arrival():
+    large, small = transfer("large.bvh", MOST_BUFFERED + 1), transfer("small.bvh", 100)
+    large["parts"][0] = bytes(1000)
+    transfers = {"1": large, "2": small}
+    (message,) = drop_large(transfers)
+    assert message.startswith("large.bvh") and drop_large(transfers) == []
+    for state in transfers.values():
+        state["parts"][1] = b"abc"
+    assert large["parts"] == {0: b"", 1: b""} and small["parts"] == {1: b"abc"}
+
+
+def test_files_that_are_too_large_together_are_dropped():
+    transfers = {name: transfer(f"{name}.bvh", MOST_BUFFERED // 2) for name in "abc"}
+    (message,) = drop_large(transfers)
+    assert message.startswith("c.bvh")

@@ -1,4 +1,4 @@
-"""Runs on library: their names, and how a new style joins one without disturbing the others."""
+"""Loaded runs: their names, and how a new style is added without changing the others."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from pfnn_jax.control.calibration import measure_walk_speed
 from pfnn_jax.control.controller import Controller, make_controller, step
 from pfnn_jax.errors import InputError
 from pfnn_jax.run import load_run, load_style, save_style
-from pfnn_jax.viewer.page.character import Character, fitted
-from pfnn_jax.viewer.page.run_library import SPARE, LoadedRun, RunLibrary, joined, rehearse_walks
+from pfnn_jax.viewer.page.character import Character, with_capacity
+from pfnn_jax.viewer.page.run_library import SPARE, LoadedRun, RunLibrary, add_to_bank, compile_calibration
 from pfnn_jax.viewer.page.view import View
+from tests.raising import assert_refused
 
 FRAME = 1.0 / 60.0
 SHARE = 1e-5
@@ -48,23 +49,23 @@ def walked(library: RunLibrary, style: str, frames: int = 20) -> np.ndarray:
 
 
 def compilations() -> list[int]:
-    """How often a step, and a trial of walks, have been compiled."""
+    """Returns how often a step, and a calibration, have been compiled."""
     return [getattr(function, "_cache_size")() for function in (step, measure_walk_speed)]  # noqa: B009 - under no public name
 
 
-def test_runs_are_named_as_shortly_as_they_differ(library, two_runs):
+def test_names_of_runs_are_short_and_distinct(library, two_runs):
     assert library.runs == ("one/run", "two/run")
     assert library.get("two/run").run.path == two_runs[1]
     assert library.styles[:3] == [("one/run", name) for name in ("depressed", "neutral", "proud")]
 
 
-def test_what_cannot_be_played_is_refused(two_runs, tmp_path):
+def test_missing_and_repeated_runs_are_refused(two_runs, tmp_path):
     for paths in ([], [tmp_path], [two_runs[0], two_runs[0]]):
         with pytest.raises(InputError):
             RunLibrary(paths)
 
 
-def test_a_character_of_another_run_stands_where_the_last_one_was(library):
+def test_a_character_of_another_run_stands_at_the_same_place(library):
     character = Character(library, "one/run")
     character.set_stick(1.0, 0.0, turn=0.3)
     for frame in range(90):
@@ -79,7 +80,7 @@ def test_a_character_of_another_run_stands_where_the_last_one_was(library):
     assert float(after.facing @ before.facing) > np.cos(np.radians(3.0))
 
 
-def test_a_recording_ends_with_its_run_for_good(library):
+def test_a_change_of_run_ends_a_recording(library):
     character, now = Character(library, "one/run"), 0.0
     character.set_stick(1.0, 0.0)
     character.advance(now)
@@ -109,7 +110,7 @@ def test_a_recording_ends_with_its_run_for_good(library):
 
 def test_a_style_joins_and_disturbs_no_other(library, two_runs):
     version, before = library.version, walked(library, "neutral")
-    rehearse_walks(library.get("one/run").controller)
+    compile_calibration(library.get("one/run").controller)
     compiled = compilations()
     learned = load_style(library.get("one/run").run, "proud")
     assert learned is not None
@@ -129,12 +130,12 @@ def test_a_style_joins_and_disturbs_no_other(library, two_runs):
 
 
 def filled(controller: Controller) -> Controller:
-    """The controller without its spare rows."""
+    """Returns the controller without its spare rows."""
     rows, params = len(controller.styles), controller.params
     bank = jax.tree.map(lambda leaf: leaf[:rows], params.bank)
     return replace(
         controller,
-        params=replace(params, bank=bank, speeds=params.speeds[:rows], shares=params.speed_gains[:rows]),
+        params=replace(params, bank=bank, speeds=params.speeds[:rows], speed_gains=params.speed_gains[:rows]),
     )
 
 
@@ -143,24 +144,24 @@ def test_a_full_bank_grows(library):
     styles = [style for name in loaded.styles if (style := load_style(loaded.run, name)) is not None]
     save_style(loaded.run.path, "more", styles[0], {"speed": 1.0})
     rows, full = len(loaded.styles), filled(loaded.controller)
-    grown = joined(loaded.run, full, "more", styles[0])
+    grown = add_to_bank(loaded.run, full, "more", styles[0])
     assert grown.styles == (*loaded.styles, "more") and grown.capacity == rows + 1 + SPARE
     for index, style in enumerate([*styles, styles[0]]):
         rows_of = jax.tree.map(lambda leaf, i=index: leaf[i], grown.params.bank)
         jax.tree.map(np.testing.assert_array_equal, rows_of, style)
 
 
-def test_a_character_lives_on_when_its_bank_grows(library):
+def test_style_weights_keep_their_rows_when_a_bank_grows(library):
     loaded = library.get("two/run")
     state = loaded.controller.start(style="proud")
-    grown = fitted(state, loaded.controller.capacity + 3)
-    assert fitted(state, loaded.controller.capacity) is state
+    grown = with_capacity(state, loaded.controller.capacity + 3)
+    assert with_capacity(state, loaded.controller.capacity) is state
     expected = np.zeros(loaded.controller.capacity + 3)
     expected[loaded.styles.index("proud")] = 1.0
     np.testing.assert_array_equal(grown.style, expected)
 
 
-def test_a_run_without_styles_takes_as_many_as_come(played_run, tmp_path, monkeypatch):
+def test_styles_can_be_added_to_a_run_without_styles(played_run, tmp_path, monkeypatch):
     path, saved = tmp_path / "bare", load_run(played_run)
     shutil.copytree(played_run, path)
     for style in ("depressed", "neutral", "proud"):
@@ -213,5 +214,4 @@ def test_a_run_without_styles_takes_as_many_as_come(played_run, tmp_path, monkey
 
 def test_a_style_of_another_kind_cannot_join(library):
     loaded = library.get("one/run")
-    with pytest.raises(InputError, match="must be of the kind"):
-        joined(loaded.run, loaded.controller, "new", np.zeros(3))
+    assert_refused(lambda: add_to_bank(loaded.run, loaded.controller, "new", np.zeros(3)), place="style", value="new")

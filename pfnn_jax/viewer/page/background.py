@@ -1,4 +1,4 @@
-"""Work beside a page: in threads of their own, for which the end of the program does not wait."""
+"""Work in background threads, which do not delay the end of the program."""
 
 from __future__ import annotations
 
@@ -17,26 +17,29 @@ _left = False
 
 
 def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
-    """Does the work in another thread and waits for it; Ctrl-C ends the waiting at once, though not the work.
+    """Runs work in another thread and waits for it; Ctrl-C ends the waiting at once, but not the work.
 
-    A compilation cannot be interrupted, and a thread pool would be waited for when the program ends.
+    A compilation cannot be interrupted, and Python waits for a thread pool when the program ends.
 
     Args:
-        work: what to do.
-        niceness: how far it stands back behind other threads, where the system lets threads differ.
+        work: function without arguments.
+        niceness: of the thread, on systems whose threads have their own.
 
     Returns:
-        What the work returns, or raises what it raises.
+        The result of the work.
+
+    Raises:
+        Whatever the work raises.
     """
     results: list[Result] = []
     errors: list[BaseException] = []
 
     def run() -> None:
         try:
-            if niceness and sys.platform == "linux":  # elsewhere niceness is of the whole process
+            if niceness and sys.platform == "linux":  # on other systems niceness applies to the whole process
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), niceness)
             results.append(work())
-        except BaseException as error:  # raised again below, where the work is waited for
+        except BaseException as error:  # raised again below, in the waiting thread
             errors.append(error)
         finally:
             _working.discard(thread)
@@ -52,13 +55,13 @@ def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
 
 
 def leave_work(code: int = 0) -> None:
-    """Lets the program end although work is going on, once its other parts have ended.
+    """Lets the program end while work is running, after its exit handlers.
 
-    A thread that compiles cannot be stopped, and one that still does when Python is taken down aborts the process.
+    A thread that compiles cannot be stopped, and if it is still compiling while Python shuts down, the process aborts.
 
     Args:
-        code: with which the program ends if work is going on then, unless `ends_with` knows better; without work its
-            own counts.
+        code: exit code if work is running then, unless `ends_with` sets another; without work the program's own code
+            applies.
     """
     global _left
     _left = True
@@ -68,7 +71,7 @@ def leave_work(code: int = 0) -> None:
 
 @contextmanager
 def ends_with() -> Iterator[None]:
-    """The block ends the program: its exit code goes before that of `leave_work`, as what came last may fail."""
+    """Makes the exit code of the block replace that of `leave_work`, because later steps of the program can fail."""
     try:
         yield
     except SystemExit as end:

@@ -1,4 +1,4 @@
-"""One character on library: driven by keys or a stick, in any style, through time as a clock tells it."""
+"""A character: driven by keys or a stick, in any style, at steps of equal length."""
 
 from __future__ import annotations
 
@@ -17,32 +17,78 @@ from pfnn_jax.control.loop.state import ROOT
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import SUM
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.viewer.page.clock import Clock
 from pfnn_jax.viewer.page.drive_input import DriveInput, HeldKeys
 from pfnn_jax.viewer.page.recording import Recording
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, make_command
-from pfnn_jax.viewer.page.view import RootHistory, View, view_of
+from pfnn_jax.viewer.page.view import RootHistory, View, future_trajectory, phase_dials, shown_weights
 
 RUN = 2.0
-"""By what Shift multiplies the speed (the published demos' running biases are 2 to 4 times those of walking)."""
+"""Factor of Shift on the speed (the running biases of the published demos are 2 to 4 times those of walking)."""
 
 TURN_RATE = math.radians(100.0)
-"""Radians per second by which Q and E turn the heading."""
+"""Radians per second at which Q and E turn the heading."""
 
 FASTEST = 6.0
-"""Metres per second: the largest speed that can be asked for."""
+"""Largest speed that can be commanded, m/s."""
+
+
+CATCH_UP = 6
+"""Most steps taken at once; after a longer pause, as on a busy machine, the other steps are skipped."""
+
+ROUNDING = 1e-6
+"""Fraction of a step by which it may be early: times are sums of floating-point numbers."""
+
+
+class Clock:
+    """Says which steps of a simulation are due: step n, n / `fps` seconds after the clock was first read.
+
+    Args:
+        fps: steps per second.
+    """
+
+    def __init__(self, fps: float) -> None:
+        self._fps = fps
+        self._origin: float | None = None
+        self._steps = 0
+        self._made: deque[tuple[float, int]] = deque()
+
+    def due(self, now: float) -> list[float]:
+        """Returns the moments of the steps due since the last call, at most `CATCH_UP`; none at the first call.
+
+        Args:
+            now: seconds; if it is earlier than in a previous call, nothing is due until time has caught up.
+        """
+        if self._origin is None:
+            self._origin = now
+        behind = math.floor((now - self._origin) * self._fps + ROUNDING) - self._steps
+        if behind > CATCH_UP:
+            self._origin += (behind - CATCH_UP) / self._fps
+            behind = CATCH_UP
+        first, self._steps = self._steps, self._steps + max(behind, 0)
+        self._count(now, self._steps - first)
+        return [self._origin + step / self._fps for step in range(first + 1, self._steps + 1)]
+
+    @property
+    def rate(self) -> float:
+        """Number of steps that became due in the second before the last call of `due`."""
+        return float(sum(steps for _, steps in self._made))
+
+    def _count(self, now: float, steps: int) -> None:
+        self._made.append((now, steps))
+        while self._made[0][0] <= now - 1.0:
+            self._made.popleft()
 
 
 class Character:
     """A character with its own state, keys, style and clock. Safe to use from several threads.
 
-    The heading is where W leads; Q and E turn it. A character faces where it goes, and does not sidestep unless
-    `set_strafe` asks for it: few networks were shown how. Time comes from outside: `press` and `advance` are given
-    `now` in seconds of one clock, and the same presses and times give the same motion.
+    The heading is the direction of W; Q and E turn it. A character faces its direction of travel unless `set_strafe`
+    is set: few networks were trained to strafe. `press` and `advance` take the time `now` in seconds of one clock, and
+    the same presses and times give the same motion.
 
     Args:
         library: the runs.
-        run, style: to begin with; by default the first of the first run.
+        run, style: initial ones; by default the first style of the first run.
 
     Raises:
         InputError: for an unknown run or style.
@@ -66,20 +112,20 @@ class Character:
         self._heading = 0.0
         self._begin(loaded, np.zeros(2, np.float32), 0.0)
 
-    # What is asked of it
+    # Input
 
     def press(self, key: str, shift: bool = False, now: float | None = None) -> None:
-        """A key has gone down or repeats: w, a, s, d, q or e; `now` by default `time.monotonic()`."""
+        """Notes that a key (w, a, s, d, q or e) goes down or repeats; `now` is by default `time.monotonic()`."""
         with self._lock:
             self._presses.append((time.monotonic() if now is None else now, key, shift))
 
     def set_stick(self, ahead: float, left: float, turn: float = 0.0, run: bool = False) -> None:
-        """On-screen controls: stays until it is set anew; keys go before it.
+        """Sets the on-screen stick, which holds until it is set again; keys take precedence.
 
         Args:
-            ahead, left: -1 to 1, seen from the heading; the length is the share of the speed.
+            ahead, left: -1 to 1, relative to the heading; the length is the fraction of the speed.
             turn: -1 to 1, positive to the left.
-            run: faster.
+            run: whether to go faster.
 
         Raises:
             ValueError: if a value is not finite or beyond 1.
@@ -89,18 +135,18 @@ class Character:
             self._stick = DriveInput(ahead / length, left / length, turn, run)
 
     def set_heading(self, yaw: float) -> None:
-        """Where W leads from now on, radians about +Y: that of a camera moved by hand."""
+        """Sets the direction of W, radians about +Y, such as the yaw of a camera moved by hand."""
         if math.isfinite(yaw):
             with self._lock:
                 self._heading = yaw
 
     def set_strafe(self, strafe: bool) -> None:
-        """Whether it goes on facing the heading while it steps aside or back."""
+        """Sets whether the character keeps facing the heading while it walks sideways or backwards."""
         with self._lock:
             self._strafe = strafe
 
     def set_speed(self, speed: float | None) -> None:
-        """Metres per second of walking; None for the style's own.
+        """Sets the walking speed in m/s; None for the style's natural speed.
 
         Raises:
             ValueError: unless it is above 0 and at most `FASTEST`.
@@ -111,7 +157,7 @@ class Character:
             self._speed = speed
 
     def choose(self, run: str, style: str) -> None:
-        """Another style; of another run too, whose character then stands where this one is.
+        """Changes the style; a character of another run then stands where this one is.
 
         Raises:
             InputError: for an unknown run or style.
@@ -119,7 +165,7 @@ class Character:
         self._take(run, {style: 1.0})
 
     def mix(self, names: Sequence[str], weights: Sequence[float]) -> None:
-        """A mixture of styles of the present run, by weights that are not negative and sum to one.
+        """Changes to a mixture of styles of the present run, by weights that are not negative and sum to one.
 
         Raises:
             InputError: for an unknown style or other weights.
@@ -128,14 +174,14 @@ class Character:
         sound = len(values) == len(names) > 0 and all(value >= 0.0 for value in values)
         if not sound or not abs(sum(values) - 1.0) <= SUM:
             shown = ", ".join(f"{value:g}" for value in values[:8])
-            raise InputError("library", "style weights", shown, "one for each style, not negative, that sum to one")
+            raise InputError("page", "style weights", shown, "must be one for each style, not negative, with sum one")
         shares: dict[str, float] = {}
         for name, value in zip(names, values, strict=True):
             shares[name] = shares.get(name, 0.0) + value
         self._take(self._run, shares)
 
     def reset(self) -> None:
-        """Back to the middle, standing, in the same style; keys and stick let go."""
+        """Returns to the middle, standing, in the same style, and releases keys and stick."""
         with self._lock:
             self._presses.clear()
             self._keys.clear()
@@ -143,10 +189,10 @@ class Character:
             self._heading = 0.0
             self._begin(self._library.get(self._run), np.zeros(2, np.float32), 0.0)
 
-    # What it does
+    # Output
 
     def advance(self, now: float | None = None) -> View:
-        """As many steps of 1/60 s as are due (`clock.CATCH_UP` at most), and what there is to see then.
+        """Takes the steps of 1/60 s that are due (at most `CATCH_UP`) and returns what is shown then.
 
         The first call starts the clock. `now` is by default `time.monotonic()`.
         """
@@ -158,10 +204,10 @@ class Character:
             return self._view(loaded)
 
     def start_recording(self) -> None:
-        """Every step from now on is kept, for 10 minutes at most, until the character is put somewhere else.
+        """Records every step from now on, for at most 10 minutes, until the character is moved elsewhere.
 
-        A change of run or `reset` ends the recording, which then waits for `stop_recording`. One that runs or waits is
-        dropped and begun anew.
+        A change of run or `reset` ends the recording, which then waits for `stop_recording`. A recording that is
+        running or waiting already is discarded.
         """
         with self._lock:
             loaded = self._library.get(self._run)
@@ -169,19 +215,19 @@ class Character:
             self._recording = Recording(loaded.run.skeleton, loaded.run.layout.fps, label, str(loaded.run.path.name))
 
     def stop_recording(self) -> MotionClip | None:
-        """The recorded clip, up to a change of run or reset if there was one; None where nothing was recorded."""
+        """Ends the recording and returns its clip, up to a change of run or reset; None if nothing was recorded."""
         with self._lock:
             recording, self._recording = self._recording, None
             return None if recording is None else recording.clip()
 
     @property
     def run(self) -> str:
-        """Name of its run."""
+        """Name of the run."""
         return self._run
 
     @property
     def shares(self) -> dict[str, float]:
-        """The styles asked for and their weights."""
+        """The styles that were chosen and their weights."""
         return dict(self._shares)
 
     def _take(self, run: str, shares: dict[str, float]) -> None:
@@ -198,23 +244,23 @@ class Character:
                 self._begin(loaded, self._root, math.atan2(faced[0], faced[1]))
 
     def _begin(self, loaded: LoadedRun, root: np.ndarray, yaw: float) -> None:
-        """Standing at `root` [2] facing `yaw`; a recording cannot go on from there without a leap."""
+        """Stands at `root` [2] facing `yaw`; a recording ends, because the character jumps."""
         if self._recording is not None:
             self._recording.close()
         controller = loaded.controller
         first = max(self._shares, key=lambda name: self._shares[name])
         self._state: ControllerState = controller.start(position=root, yaw=yaw, style=controller.styles.index(first))
-        self._facing_yaw, self._wanted = yaw, 0.0
-        self._root = np.asarray(root, np.float32)  # as asked for: some layouts' bodies are one frame behind it
+        self._facing, self._wanted = yaw, 0.0
+        self._root = np.asarray(root, np.float32)  # as given: with some layouts the body is one frame behind
         self._history = RootHistory(np.array(self._state.root), np.array(self._state.facing), loaded.run.layout.fps)
 
     def _step(self, loaded: LoadedRun, clock: float) -> None:
-        """One step of the state, by what is held at `clock` seconds."""
+        """Takes one step with the input at `clock` seconds."""
         while self._presses and self._presses[0][0] <= clock + 1e-9:
             pressed, key, shift = self._presses.popleft()
             self._keys.press(key, shift, pressed)
         command = self._command(loaded, clock)
-        self._state = fitted(self._state, loaded.controller.capacity)
+        self._state = with_capacity(self._state, loaded.controller.capacity)
         started = time.perf_counter()
         self._state = jax.block_until_ready(loaded.controller.step(self._state, command))
         self._durations.append(time.perf_counter() - started)
@@ -229,32 +275,40 @@ class Character:
         drive = keys if keys.moves else self._stick
         self._heading = _wrapped(self._heading + drive.turn * TURN_RATE / loaded.run.layout.fps)
         length = math.hypot(drive.ahead, drive.left)
-        self._wanted = min(length * self._walk(loaded) * (RUN if drive.run else 1.0), FASTEST)
-        going = self._heading + math.atan2(drive.left, drive.ahead)
+        self._wanted = min(length * self._walking_speed(loaded) * (RUN if drive.run else 1.0), FASTEST)
+        heading = self._heading + math.atan2(drive.left, drive.ahead)
         if length > 0.0 and not self._strafe:
-            self._facing_yaw = going
+            self._facing = heading
         elif length > 0.0 or drive.turn:
-            self._facing_yaw = self._heading
-        return make_command(self._wanted, going, self._facing_yaw, loaded.controller.style_weights(self._shares))
+            self._facing = self._heading
+        return make_command(self._wanted, heading, self._facing, loaded.controller.style_weights(self._shares))
 
-    def _walk(self, loaded: LoadedRun) -> float:
-        """Metres per second of walking: as set, else the styles' own."""
+    def _walking_speed(self, loaded: LoadedRun) -> float:
+        """Returns the walking speed in m/s: as set, else the mean natural speed of the styles."""
         if self._speed is not None:
             return self._speed
         return sum(weight * loaded.speeds[name] for name, weight in self._shares.items())
 
     def _view(self, loaded: LoadedRun) -> View:
-        recording = self._recording
-        return view_of(
-            self._state,
-            loaded.run.layout,
-            loaded.styles,
-            self._history,
+        recording, state, history = self._recording, self._state, self._history
+        future_positions, future_directions = future_trajectory(state, history)
+        return View(
             run=self._run,
             frame=self._frame,
+            joints=np.array(state.joints),
+            world_rotations=np.array(state.world_rotations),
+            root=history.root,
+            facing=history.facing,
             heading=self._heading,
+            past_positions=history.positions,
+            past_directions=history.directions,
+            future_positions=future_positions,
+            future_directions=future_directions,
+            contacts=np.array(state.contacts),
+            dials=phase_dials(loaded.run.layout, np.asarray(state.motion.phase), loaded.phase_scale),
+            speed=history.speed,
             wanted_speed=self._wanted,
-            phase_scale=loaded.phase_scale,
+            style_weights=shown_weights(loaded.styles, np.asarray(state.style)),
             step_milliseconds=1e3 * float(np.mean(self._durations)) if self._durations else 0.0,
             steps_per_second=self._clock.rate,
             recorded_seconds=None if recording is None else recording.seconds,
@@ -262,8 +316,8 @@ class Character:
         )
 
 
-def fitted(state: ControllerState, capacity: int) -> ControllerState:
-    """The state with style weights [C] for a bank that has grown since; those it had keep their rows."""
+def with_capacity(state: ControllerState, capacity: int) -> ControllerState:
+    """Returns the state with style weights [C] for a bank that may have grown; its styles keep their rows."""
     if len(state.style) == capacity:
         return state
     weights = np.zeros(capacity, np.float32)

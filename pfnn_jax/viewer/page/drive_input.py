@@ -1,12 +1,12 @@
-"""HeldKeys of which only presses are known: which are held, and where they lead.
+"""What a person asks of a character: held keys, the on-screen stick, and the messages of the page's script.
 
-A browser page tells when a key goes down and when it repeats, not when it is let go. A key therefore counts as held
-for a short while after its last press: `FIRST_HOLD` after the first, until which repetition begins, and `HOLD` after
-each repetition. Repetition is of the key pressed last alone, so that
+Without the page's script only presses of keys are known: viser reports when a key goes down and when it repeats, not
+when it is released. A key therefore counts as held for a short while after its last press: `FIRST_HOLD` after the
+first, until which repetition begins, and `HOLD` after each repetition. Only the key pressed last repeats, so that
 
-- a key of motion and a key of turning are a chord: the one held already stays held as long as the other;
-- so are two keys of motion that are pressed together (within `TOGETHER`), which makes a diagonal;
-- otherwise the key of motion pressed last takes the place of the one before it.
+- a movement key and a turning key form a chord: the one held already stays held as long as the other;
+- so do two movement keys that are pressed together (within `TOGETHER`), which makes a diagonal;
+- otherwise the movement key pressed last replaces the one before it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 
 MOTION = {"w": (1.0, 0.0), "s": (-1.0, 0.0), "a": (0.0, 1.0), "d": (0.0, -1.0)}
-"""Ahead and to the left of the heading."""
+"""Components ahead and to the left of the heading."""
 
 TURNS = {"q": 1.0, "e": -1.0}
 """To the left (positive about +Y) and to the right."""
@@ -27,7 +27,7 @@ HOLD = 0.2
 """Seconds for which it counts as held after a repetition: systems repeat 10 to 30 times a second."""
 
 TOGETHER = 0.15
-"""Seconds within which two keys of motion are pressed for a diagonal."""
+"""Seconds within which two movement keys are pressed for a diagonal."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,12 @@ class DriveInput:
     """What the keys or the stick ask for.
 
     Attributes:
-        ahead, left: of length at most one, seen from the heading.
+        ahead, left: of length at most one, relative to the heading.
         turn: -1 to 1, positive to the left.
         run: whether Shift is held.
+
+    Raises:
+        ValueError: for a value that is not finite or beyond 1.
     """
 
     ahead: float = 0.0
@@ -51,8 +54,37 @@ class DriveInput:
 
     @property
     def moves(self) -> bool:
-        """Whether it asks for anything."""
+        """Whether it asks for any movement or turn."""
         return self != DriveInput(run=self.run)
+
+
+@dataclass(frozen=True)
+class ClientMessage:
+    """A message of the page's script.
+
+    Attributes:
+        stick: ahead, left and turn in -1..1, and whether to run.
+        rate: pictures per second that the browser manages, 0 before it knows.
+    """
+
+    stick: tuple[float, float, float, bool]
+    rate: float
+
+
+def parse_message(text: str) -> ClientMessage | None:
+    """Parses a count and five numbers: ahead, left, turn, run, pictures per second; returns None for anything else."""
+    parts = text.split()
+    if len(parts) != 6 or len(text) > 100:
+        return None
+    try:
+        ahead, left, turn, run, rate = (float(part) for part in parts[1:])
+    except ValueError:
+        return None
+    if not all(math.isfinite(value) and abs(value) <= 1.0 for value in (ahead, left, turn, run)):
+        return None
+    if not 0.0 <= rate < 1e4:
+        return None
+    return ClientMessage((ahead, left, turn, run > 0.0), rate)
 
 
 @dataclass
@@ -62,14 +94,14 @@ class _Held:
 
 
 class HeldKeys:
-    """Presses as they come, and what is held at a time. Times are seconds of any one clock, never falling."""
+    """Estimates which keys are held from their presses. Times are seconds of one clock and never decrease."""
 
     def __init__(self) -> None:
         self._held: dict[str, _Held] = {}
         self._run = False
 
     def press(self, key: str, shift: bool, now: float) -> None:
-        """A key has gone down or repeats.
+        """Notes that a key goes down or repeats.
 
         Args:
             key: one of w, a, s, d, q, e in either case.
@@ -95,11 +127,11 @@ class HeldKeys:
         self._run = shift
 
     def clear(self) -> None:
-        """Nothing is held."""
+        """Releases all keys."""
         self._held.clear()
 
     def drive_input(self, now: float) -> DriveInput:
-        """What the keys held at `now` ask for."""
+        """Returns what the keys held at `now` ask for."""
         held = [key for key, state in self._held.items() if now < state.until]
         ahead = sum(MOTION[key][0] for key in held if key in MOTION)
         left = sum(MOTION[key][1] for key in held if key in MOTION)
@@ -113,9 +145,9 @@ class HeldKeys:
 
 
 def _chord(key: str, began: float, other: str, other_began: float) -> bool:
-    """Whether `other`, held already, stays held beside `key`."""
+    """Returns whether `other`, held already, stays held together with `key`."""
     if key == other:
-        return False  # it is entered anew
+        return False  # the caller enters it again
     if (key in MOTION) != (other in MOTION):
         return True
     opposed = key in TURNS or MOTION[key] == tuple(-value for value in MOTION[other])

@@ -1,8 +1,8 @@
-"""Who may talk to a page: browsers that have opened it, and no page of another site that is open in the same browser.
+"""Protects the page from other sites that are open in the same browser.
 
-Any page may open a websocket to any address, this machine's included, and say what it likes. Browsers tell where it
-comes from (`Origin`) and which name they were given for the server (`Host`): the first must be the second, and the
-second must be a name of this machine, lest another site's name be pointed at it.
+Any site can open a websocket to any address, including this machine's. Browsers send the site's origin (`Origin`) and
+the name under which they reach the server (`Host`). A request is accepted if both agree, which rejects other sites,
+and if the name is one of this machine's, to prevent DNS rebinding.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ _installing = threading.Lock()
 
 
 def objection(origin: str | None, host: str | None, names: frozenset[str]) -> str | None:
-    """Why a request is refused, or None.
+    """Returns why a request is refused, or None.
 
     Args:
-        origin, host: the request's headers; what is no browser sends no `Origin`.
-        names: that the server goes by, beside addresses in numbers and `localhost`.
+        origin, host: the request's headers; only browsers send `Origin`.
+        names: names of the server, in addition to numeric addresses and `localhost`.
     """
     name = _name_of(host)
     if name is None or not (_is_number(name) or name == "localhost" or name in names):
-        return "this page goes by its address, localhost, or this machine's name"
+        return "open this page by its address, localhost, or this machine's name"
     if origin is not None and (not (place := urlsplit(origin).netloc) or place.lower() != (host or "").lower()):
-        return "this page talks to no other site"
+        return "requests of other sites are not accepted"
     return None
 
 
 def names_of(host: str) -> frozenset[str]:
-    """Names of a server that listens at `host`, in small letters."""
+    """Returns the names of a server that listens at `host`, in lower case."""
     names = {host.lower()}
     try:
         own = host in ("", "::") or not ipaddress.ip_address(host).is_loopback
@@ -50,13 +50,13 @@ def names_of(host: str) -> frozenset[str]:
 
 @contextmanager
 def guarded(host: str) -> Iterator[list[Any]]:
-    """Websocket servers that are started within the block refuse what `objection` says; yields those started.
+    """Makes websocket servers that are started within the block refuse requests by `objection`; yields those started.
 
-    Viser passes nothing on to the server that it starts. `websockets` offers what is needed (`process_request`), so
-    its public `serve` is replaced for the moment of starting.
+    `websockets` can check requests (`process_request`), but viser does not pass this option on. The public `serve` of
+    `websockets` is therefore replaced while the server starts.
 
     Args:
-        host: where they listen.
+        host: address at which they listen.
     """
     import websockets.asyncio.server as module
 
@@ -80,7 +80,7 @@ def _checked(inner: Callable[[Any, Any], Any] | None, names: frozenset[str]) -> 
         origins, hosts = request.headers.get_all("Origin"), request.headers.get_all("Host")
         several = len(origins) > 1 or len(hosts) > 1
         first = [values[0] if values else None for values in (origins, hosts)]
-        refusal = "a request has one origin" if several else objection(first[0], first[1], names)
+        refusal = "a request must have one origin and one host" if several else objection(first[0], first[1], names)
         if refusal is not None:
             return connection.respond(http.HTTPStatus.FORBIDDEN, f"Refused: {refusal}.\n")
         answer = None if inner is None else inner(connection, request)
@@ -90,7 +90,7 @@ def _checked(inner: Callable[[Any, Any], Any] | None, names: frozenset[str]) -> 
 
 
 def _name_of(host: str | None) -> str | None:
-    """The name or number in a `Host` header, in small letters, without port and brackets."""
+    """Returns the name or numeric address in a `Host` header, in lower case, without port and brackets."""
     try:
         return urlsplit(f"//{host}").hostname if host else None
     except ValueError:

@@ -1,4 +1,4 @@
-"""A body of capsules as instances of a few solids, which a page places anew in every frame with little data."""
+"""The body of capsules as instances of a few meshes, so that a frame of the page is a few positions and rotations."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.viewer.draw.body import Capsule, body_capsules, capsule_ends
 
 TAPER = 0.76
-"""Radius of a tapered limb's far end as a share of its near end; the limbs of `body_capsules` lie around it."""
+"""Radius of a tapered limb's far end relative to its near end, a typical value of `body_capsules`."""
 
-_STRAIGHT_FROM = 0.88  # a ratio of radii above which a limb is drawn without taper
+_STRAIGHT_FROM = 0.88  # ratio of radii above which a limb is drawn without taper
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A closed or open surface: vertices [V, 3], faces [F, 3] anticlockwise seen from outside."""
+    """A triangle mesh: vertices [V, 3], faces [F, 3] anticlockwise as seen from outside."""
 
     vertices: np.ndarray
     faces: np.ndarray
 
 
 def frustum(ratio: float, segments: int = 20) -> Mesh:
-    """The side of a cone from radius 1 at y = 0 to `ratio` at y = 1, open at both ends."""
+    """Returns the side of a cone from radius 1 at y = 0 to `ratio` at y = 1, open at both ends."""
     angles = 2.0 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angles), np.zeros(segments), np.sin(angles)], axis=1)
     top = ring * ratio + np.array([0.0, 1.0, 0.0])
@@ -37,7 +37,7 @@ def frustum(ratio: float, segments: int = 20) -> Mesh:
 
 
 def sphere(rings: int = 12, segments: int = 20) -> Mesh:
-    """A sphere of radius 1 around the origin."""
+    """Returns a sphere of radius 1 around the origin."""
     polar = np.pi * np.arange(1, rings) / rings
     angles = 2.0 * np.pi * np.arange(segments) / segments
     circle = np.stack([np.cos(angles), np.zeros(segments), np.sin(angles)], axis=1)
@@ -56,21 +56,19 @@ def sphere(rings: int = 12, segments: int = 20) -> Mesh:
 
 
 class BodyMeshes:
-    """The instances that make up one skeleton's body.
+    """The mesh instances that make up one skeleton's body.
 
     Attributes:
         capsules: its limb segments.
         tapered: [C] bool, which of them are tapered and which straight.
         limb_scales: [C, 3] radius, length, radius in metres; bones are rigid, so they never change.
         ball_radii: [2 C] metres, of the balls at both ends of every limb.
+
+    Args:
+        skeleton: with roles for a person; without them all bones have the same small radius.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
-        """Plans the body.
-
-        Args:
-            skeleton: with roles for a person; without them every bone is equally thin.
-        """
         self._end_joints = np.array([joint for joint, _ in skeleton.end_sites], int)
         self._end_offsets = np.array([offset for _, offset in skeleton.end_sites], float).reshape(-1, 3)
         self.capsules: list[Capsule] = body_capsules(skeleton)
@@ -83,14 +81,14 @@ class BodyMeshes:
         self.limb_scales = np.stack([near, lengths, near], axis=1)
 
     def place(self, joints: np.ndarray, world_rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where the instances are.
+        """Places the instances for a pose.
 
         Args:
             joints: [J, 3] world positions.
             world_rotations: [J, 4] quaternions of the joints' frames, which place the End Sites.
 
         Returns:
-            Origins [C, 3] and orientations [C, 4] of the limbs (their length lies along y), centres [2 C, 3] of the
+            Origins [C, 3] and orientations [C, 4] of the limbs (their length is along y), and centres [2 C, 3] of the
             balls.
         """
         starts, ends = self._ends(self._points(joints, world_rotations))

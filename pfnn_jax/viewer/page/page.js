@@ -1,15 +1,14 @@
-// What viser's page lacks: knowing when a key is let go, a stick, and a point that is dragged in a triangle.
-// Runs once per page. It reaches the server through two text fields of the panel, found by their labels, and only
-// ever writes numbers into them.
+// Adds to viser's page: releases of keys, an on-screen stick, and a point that can be dragged in a triangle.
+// Runs once per page. It sends numbers to the server through two text fields of the panel, found by their labels.
 (() => {
-  if (window.pfnnPage) { // the panel is built anew after the connection was lost
+  if (window.pfnnPage) { // the panel is rebuilt after the connection was lost
     window.pfnnPage();
     return;
   }
 
   const DRIVE = "Stick and keys", SHARES = "Shares";
   const KEYS = { KeyW: "w", KeyA: "a", KeyS: "s", KeyD: "d", KeyQ: "q", KeyE: "e" };
-  const BEAT = 200; // ms between repetitions while something is held
+  const BEAT = 200; // ms between messages while something is held
   const held = new Set();
   let shift = false, latched = false, stick = null, count = 0, timer = 0, rate = 0;
 
@@ -27,14 +26,14 @@
     input.dispatchEvent(new Event("input", { bubbles: true }));
     return true;
   };
-  const hide = () => { // the field is a wire and nothing to look at
+  const hide = () => { // the field only transports messages
     const box = field(DRIVE);
     if (box) box.parentElement.style.display = "none";
   };
 
-  const drags = new Map(); // by pointer, for every finger is one: { key } or { move }
+  const drags = new Map(); // by pointer (every finger is one): { key } or { move }
   const down = (key) => held.has(key) || [...drags.values()].some((drag) => drag.key === key);
-  const wish = () => {
+  const input = () => {
     const on = (key) => (down(key) ? 1 : 0);
     const ahead = stick ? stick[0] : on("w") - on("s"), left = stick ? stick[1] : on("a") - on("d");
     return [ahead.toFixed(3), left.toFixed(3), on("q") - on("e"), shift || latched ? 1 : 0].map(Number).join(" ");
@@ -46,21 +45,21 @@
     }
     const knob = document.querySelector("[data-knob]");
     if (knob) {
-      const [ahead, left] = wish().split(" ").map(Number), size = Math.max(1, Math.hypot(ahead, left));
+      const [ahead, left] = input().split(" ").map(Number), size = Math.max(1, Math.hypot(ahead, left));
       knob.style.transform = `translate(${(-left / size) * 26}px, ${(-ahead / size) * 26}px)`;
     }
   };
-  const send = () => write(DRIVE, `${++count} ${wish()} ${rate.toFixed(1)}`);
-  const tell = (more = 1) => { // at once, then while anything is held; an end is told twice, for fields share a line
+  const send = () => write(DRIVE, `${++count} ${input()} ${rate.toFixed(1)}`);
+  const report = (more = 1) => { // at once, then while anything is held; a release is sent twice, as messages can be merged
     send();
     show();
     clearTimeout(timer);
-    const idle = /^0 0 0 /.test(wish());
-    if (!idle) timer = setTimeout(tell, BEAT);
-    else if (more > 0) timer = setTimeout(() => tell(more - 1), BEAT);
+    const idle = /^0 0 0 /.test(input());
+    if (!idle) timer = setTimeout(report, BEAT);
+    else if (more > 0) timer = setTimeout(() => report(more - 1), BEAT);
   };
 
-  let frames = 0, since = performance.now(); // how many pictures a second this browser manages
+  let frames = 0, since = performance.now(); // pictures per second that this browser manages
   const beat = (now) => {
     frames += 1;
     if (now - since >= 1000) {
@@ -75,7 +74,7 @@
 
   const typing = (element) => {
     if (!element) return false;
-    if (element.getAttribute("role") === "combobox") // a list: only while it is open
+    if (element.getAttribute("role") === "combobox") // a list takes keys only while it is open
       return element.getAttribute("aria-expanded") === "true";
     return element.isContentEditable || element.tagName === "TEXTAREA" ||
       (element.tagName === "INPUT" && !/^(checkbox|radio|range|button|file)$/.test(element.type));
@@ -85,7 +84,7 @@
     if (!event.isTrusted) return;
     if (event.key === "Shift") {
       shift = event.type === "keydown";
-      if (held.size || drags.size) tell();
+      if (held.size || drags.size) report();
       else show();
       return;
     }
@@ -93,31 +92,31 @@
     const key = KEYS[event.code];
     if (!key) return;
     if (event.type === "keyup") {
-      if (held.delete(key)) tell();
+      if (held.delete(key)) report();
       return;
     }
     if (typing(event.target) || event.ctrlKey || event.metaKey || event.altKey || !field(DRIVE)) return;
-    event.stopImmediatePropagation(); // else the camera would take it
+    event.stopImmediatePropagation(); // otherwise it would move the camera
     event.preventDefault();
     shift = event.shiftKey;
     if (!held.has(key)) {
       held.add(key);
-      tell();
+      report();
     }
   };
-  const letGo = () => {
+  const releaseAll = () => {
     const any = held.size || drags.size;
     held.clear();
     drags.clear();
     stick = null;
     shift = false;
-    if (any) tell();
+    if (any) report();
     else show();
   };
   window.addEventListener("keydown", onKey, true);
   window.addEventListener("keyup", onKey, true);
-  window.addEventListener("blur", letGo);
-  document.addEventListener("visibilitychange", () => document.hidden && letGo());
+  window.addEventListener("blur", releaseAll);
+  document.addEventListener("visibilitychange", () => document.hidden && releaseAll());
 
   // Pointers: buttons, the stick, the triangle.
   const toStick = (event) => {
@@ -127,7 +126,7 @@
     const x = (event.clientX - box.left - r) / (0.72 * r), y = (event.clientY - box.top - r) / (0.72 * r);
     const length = Math.hypot(x, y), scale = length < 0.15 ? 0 : 1 / Math.max(1, length);
     stick = [-y * scale, -x * scale];
-    tell();
+    report();
   };
   const toTriangle = (event) => {
     const svg = document.querySelector("[data-triangle]");
@@ -162,10 +161,10 @@
       const key = target.dataset.drive;
       if (key === "shift") latched = !latched;
       else drags.set(event.pointerId, { key });
-      tell();
+      report();
     } else {
       const move = "stick" in target.dataset ? toStick : toTriangle;
-      if ([...drags].some(([id, drag]) => id !== event.pointerId && drag.move === move)) return; // another finger has it
+      if ([...drags].some(([id, drag]) => id !== event.pointerId && drag.move === move)) return; // another finger holds it
       drags.set(event.pointerId, { move });
       move(event);
     }
@@ -175,33 +174,33 @@
     if (!drag) return;
     drags.delete(event.pointerId);
     if (drag.move === toStick) stick = null;
-    if (drag.move !== toTriangle) tell();
+    if (drag.move !== toTriangle) report();
   };
   document.addEventListener("pointerdown", start, true);
   const move = (event) => {
-    if (event.buttons === 0) end(event); // it was let go where nobody could see it
+    if (event.buttons === 0) end(event); // released outside the page
     else drags.get(event.pointerId)?.move?.(event);
   };
   document.addEventListener("pointermove", move, true);
   document.addEventListener("pointerup", end, true);
   document.addEventListener("pointercancel", end, true);
-  // A list, a checkbox or a slider that was used keeps the focus, and with it the keys, unless it is taken away.
+  // A list, checkbox or slider that was used would keep the focus, and with it the keys.
   document.addEventListener("click", (event) => {
     if (event.target.closest?.("[role=option], input[type=checkbox], button, [role=slider]"))
       setTimeout(leave, 0);
   });
 
-  // What viser shows of a connection that is lost: its panels pale and take no clicks. Here it is said in words.
+  // When the connection is lost, viser only dims its panels and ignores clicks. This shows a message.
   const PALE = '[style*="opacity: 0.5"][style*="pointer-events: none"]';
   const ended = document.createElement("div");
   ended.className = "pfnn-ended";
   ended.hidden = true;
   ended.setAttribute("role", "alert");
-  ended.textContent = "No connection: the program that serves this page has ended, or cannot be reached. " +
-    "Once it runs again at this address, this page connects anew.";
+  ended.textContent = "No connection: the program that serves this page has ended or cannot be reached. " +
+    "The page reconnects as soon as the program runs again at this address.";
   document.body.append(ended);
   let pale = 0;
-  setInterval(() => { // twice in a row: it comes back at once from what is no end
+  setInterval(() => { // twice in a row, because short interruptions recover by themselves
     pale = document.querySelector("[data-stick]")?.closest(PALE) ? pale + 1 : 0;
     ended.hidden = pale < 2;
   }, 700);

@@ -1,4 +1,4 @@
-"""The panel of a tab: everything that can be pressed, chosen, dragged, read or downloaded."""
+"""The panels of a tab: controls, readouts, uploads and downloads."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.viewer.draw.palette import BUTTON, HEEL, LEFT, RIGHT, TOE, rgb
 from pfnn_jax.viewer.page import widgets
 from pfnn_jax.viewer.page.character import Character
+from pfnn_jax.viewer.page.drive_input import parse_message
 from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.run_library import RunLibrary
-from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look
+from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look_from_behind
 from pfnn_jax.viewer.page.style_picker import StylePicker
-from pfnn_jax.viewer.page.timeline import SECONDS, Timeline
 from pfnn_jax.viewer.page.view import View
-from pfnn_jax.viewer.page.words import FieldChanges, parse_message
+from pfnn_jax.viewer.page.widgets import CONTACT_SECONDS, FieldChanges, Timeline
 
 if TYPE_CHECKING:
     import viser
 
 DRIVE = "Stick and keys"
-"""Label of the text field through which the page's script tells what is held; the script hides it."""
+"""Label of the text field through which the page's script sends its messages; the script finds it by the label."""
 
-SILENCE = 1.0
-"""Seconds after which a stick or key held counts as let go: the script repeats itself five times a second."""
+TIMEOUT = 1.0
+"""Seconds without a message after which everything counts as released: the script sends five messages a second while
+something is held."""
 
 SPEEDS = (0.3, 3.0)  # metres per second
 KEYS = {
@@ -40,27 +41,27 @@ KEYS = {
     "e": "Turn right",
 }
 FEET = {"left": LEFT, "right": RIGHT, "heel": HEEL, "toe": TOE}
-STILL = 0.05  # metres per second: slower is standing
-TURNED = math.radians(0.5)  # of a camera: less is no one's drive
+STANDING = 0.05  # m/s; slower counts as standing
+TURNED = math.radians(0.5)  # dead zone of the camera: smaller rotations are not user input
 QUEUED = 64  # presses and clicks that may wait
 
 
 class Panel:
-    """Controls and readouts.
+    """The controls and readouts of a tab.
 
-    Clicks and keys wait in a bounded queue and values in their fields until `serve` is called, so that a tab's
-    thread alone moves its character.
+    Clicks and keys wait in a bounded queue, and values in their fields, until `serve` is called, so that only the tab's
+    thread moves its character.
 
     Args:
         client: the tab.
         library: the runs.
         character: the tab's character.
-        scene: its picture.
+        scene: the tab's scene.
 
     Attributes:
-        clicks: what waits to be done, functions without arguments.
-        upload: the button that takes a file.
-        rate: pictures per second that the browser manages, 0 while that is not known.
+        clicks: pending actions, functions without arguments.
+        upload: the upload button.
+        rate: pictures per second that the browser manages, 0 while unknown.
     """
 
     def __init__(self, client: viser.ClientHandle, library: RunLibrary, character: Character, scene: PageScene) -> None:
@@ -88,7 +89,7 @@ class Panel:
         self._gui.add_html(widgets.script())
 
     def serve(self, now: float) -> None:
-        """Carries out what has been pressed and chosen since the last call; `now` in seconds of its clock."""
+        """Applies everything pressed and chosen since the last call; `now` in seconds of the character's clock."""
         self._picker.refresh()
         for _ in range(QUEUED):
             try:
@@ -96,15 +97,15 @@ class Panel:
             except queue.Empty:
                 break
             except InputError as error:
-                self.tell("bad", str(error))
-        self._hear_stick(now)
+                self.show_message("bad", str(error))
+        self._read_stick(now)
         try:
-            self._hear_values(now)
-        except (InputError, ValueError) as error:  # a browser can send what its page does not offer
-            self.tell("bad", str(error))
+            self._read_fields(now)
+        except (InputError, ValueError) as error:  # a browser can send values that its page does not offer
+            self.show_message("bad", str(error))
 
     def show(self, view: View, now: float, drawn: float) -> None:
-        """Brings the readouts up to date.
+        """Updates the readouts.
 
         Args:
             view: the moment.
@@ -119,42 +120,42 @@ class Panel:
         self._record.label = "Record" if seconds is None else f"{stop} ({seconds:.1f} s)"
 
     def add_contacts(self, view: View, now: float) -> None:
-        """One more moment for the timeline."""
+        """Appends a moment to the contact chart."""
         self._timeline.add(now, view.contacts)
 
-    def tell(self, kind: str, text: str) -> None:
-        """A message under the upload button: `good`, `bad` or `plain`."""
+    def show_message(self, kind: str, text: str) -> None:
+        """Shows a message below the upload button; `kind` is `good`, `bad` or `plain`."""
         self._message.content = widgets.message(kind, text)
 
     def notify(self, title: str, text: str) -> None:
-        """A message above everything that stays until it is closed."""
+        """Shows a notice above everything until it is closed."""
         self._client.add_notification(title, text, color="red")
 
     def progress(self, share: float, text: str) -> None:
-        """How far learning has come, 0 to 1; from any thread."""
+        """Shows the fraction of learning that is done, 0 to 1; callable from any thread."""
         self._bar.value = 100.0 * min(max(share, 0.0), 1.0)
-        self.tell("plain", text)
+        self.show_message("plain", text)
 
     def learning(self, active: bool) -> None:
-        """Shows or hides the progress bar; no second file is taken meanwhile."""
+        """Shows or hides the progress bar; meanwhile no other file can be uploaded."""
         self._bar.visible = active
         self.upload.disabled = active
 
     def learned(self, run: str, style: str) -> None:
-        """Puts the character into a style that it has waited for, unless it has gone on to another run meanwhile."""
+        """Changes the character to a style that was learned for it, unless another run has been chosen meanwhile."""
         stays = self._character.run == self._picker.run == run
         self._picker.refresh()
         if stays:
             self._picker.select(run, style)
-        then = f". In it now: {widgets.UNSEEN}" if stays else ": choose that run"
-        self.tell("good", f"{style} is learned and among the styles of {run}{then}.")
+        then = f"; it is selected: {widgets.UNSEEN}." if stays else ". Choose that run to see it."
+        self.show_message("good", f"{style} is learned and is now a style of {run}{then}")
 
     def _unseen(self, view: View) -> bool:
-        """Whether the character stands in another style than it has walked in last, and so looks as it did."""
-        wears = (self._character.run, self._character.shares)
-        if view.speed > STILL or view.wanted_speed > 0.0:
-            self._walked = wears
-        return wears != self._walked
+        """Returns whether the style was changed while the character stands, so that it still looks as before."""
+        present = (self._character.run, self._character.shares)
+        if view.speed > STANDING or view.wanted_speed > 0.0:
+            self._walked = present
+        return present != self._walked
 
     # Building
 
@@ -162,41 +163,41 @@ class Panel:
         with self._gui.add_folder("Drive"):
             self._gui.add_html(widgets.pad())
             self._channel = self._gui.add_text(DRIVE, "")
-            self._gui.add_button("Reset", color=rgb(BUTTON)).on_click(self._later(self._reset))
+            self._gui.add_button("Reset", color=rgb(BUTTON)).on_click(self._queued(self._reset))
 
     def _gait(self) -> None:
         with self._gui.add_folder("Speed and sidestep", expand_by_default=False):
-            self._own = self._gui.add_checkbox("Own speed", True, hint="Walk as fast as the style does.")
+            self._own = self._gui.add_checkbox("Natural speed", True, hint="Walk at the style's natural speed.")
             self._speed = self._gui.add_slider("Speed", *SPEEDS, step=0.05, initial_value=1.2, disabled=True)
-            self._strafe = self._gui.add_checkbox("Sidestep", False, hint="Face ahead while stepping aside or back.")
+            self._strafe = self._gui.add_checkbox("Sidestep", False, hint="Keep facing ahead while walking sideways.")
 
     def _build_readouts(self) -> None:
-        """A panel of its own for everything that is only read."""
+        """Builds the panel of the readouts."""
         panel = self._gui.add_panel()
         with panel.add_tab("Character"):
             self._readout = self._gui.add_html("")
             self._dial = self._gui.add_html("")
             self._timeline = Timeline(self._gui)
-            self._gui.add_html(widgets.legend(FEET, f"last {SECONDS:.0f} s"))
+            self._gui.add_html(widgets.legend(FEET, f"last {CONTACT_SECONDS:.0f} s"))
         panel.float(x=15, y=15, width=widgets.READOUT_WIDTH)
 
     def _files(self) -> None:
         with self._gui.add_folder("Clips"):
-            self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Keep what it does, as a BVH file.")
-            self._record.on_click(self._later(self._record_or_stop))
+            self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Record the motion as a BVH file.")
+            self._record.on_click(self._queued(self._record_or_stop))
             self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
             self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
-            note = "A walk of a few seconds: its style is learned here."
+            note = "Upload a walk of a few seconds to learn its style."
             self._message = self._gui.add_html(widgets.message("plain", note))
 
     def _camera(self) -> None:
         with self._gui.add_folder("Camera", expand_by_default=False):
             self._follow = self._gui.add_checkbox("Follow", True)
-            self._turn = self._gui.add_checkbox("Turn along", True, hint="Else W leads where you look.")
-            self._gui.add_button("Behind the character", color=rgb(BUTTON)).on_click(self._later(self._look_again))
+            self._turn = self._gui.add_checkbox("Turn along", True, hint="If off, W walks where the camera looks.")
+            self._gui.add_button("Behind the character", color=rgb(BUTTON)).on_click(self._queued(self._look_again))
 
     def _commands(self) -> None:
-        """HeldKeys for pages whose script is not at work; they know of presses only."""
+        """Adds keys for pages whose script does not run; they report presses only."""
         for key, label in KEYS.items():
             for shift in (False, True):
                 command = self._gui.add_command(
@@ -204,20 +205,20 @@ class Panel:
                     hotkey=key.upper(),  # type: ignore[arg-type]
                     modifier="shift" if shift else None,
                 )
-                command.on_trigger(self._later(lambda key=key, shift=shift: self._character.press(key, shift)))
+                command.on_trigger(self._queued(lambda key=key, shift=shift: self._character.press(key, shift)))
 
     # Serving
 
-    def _later(self, action: Any) -> Any:
+    def _queued(self, action: Any) -> Any:
         async def put(_: Any) -> None:
             try:
                 self.clicks.put_nowait(action)
             except queue.Full:
-                pass  # more than a person can press between two pictures
+                pass  # more than anybody can press between two pictures
 
         return put
 
-    def _hear_stick(self, now: float) -> None:
+    def _read_stick(self, now: float) -> None:
         text = self._channel.value
         if text != self._held:
             self._held, self._heard = text, now
@@ -225,11 +226,11 @@ class Panel:
             if message is not None:
                 self._character.set_stick(*message.stick)
                 self.rate = message.rate
-        elif now - self._heard > SILENCE:
+        elif now - self._heard > TIMEOUT:
             self._heard = math.inf
             self._character.set_stick(0.0, 0.0)
 
-    def _hear_values(self, now: float) -> None:
+    def _read_fields(self, now: float) -> None:
         own, speed = self._own.value, float(self._speed.value)
         if self._values.changed("speed", (own, speed)):
             self._speed.disabled = own
@@ -237,11 +238,11 @@ class Panel:
         if self._values.changed("strafe", self._strafe.value):
             self._character.set_strafe(self._strafe.value)
         self._scene.follow, self._scene.turn = self._follow.value, self._turn.value
-        self._hear_camera()
-        self._picker.hear(now)
+        self._read_camera()
+        self._picker.apply_changes(now)
 
-    def _hear_camera(self) -> None:
-        """A camera that does not turn with the heading leads instead, whenever it is turned by hand."""
+    def _read_camera(self) -> None:
+        """Makes a camera that is turned by hand set the heading, unless the camera turns along."""
         if self._follow.value and self._turn.value:
             self._look = None
             return
@@ -253,7 +254,7 @@ class Panel:
 
     def _reset(self) -> None:
         self._character.reset()
-        self._scene.settle(self._character.advance(time.monotonic()))
+        self._scene.jump_to(self._character.advance(time.monotonic()))
 
     def _record_or_stop(self) -> None:
         clip = self._character.stop_recording()
@@ -261,14 +262,14 @@ class Panel:
             self._character.start_recording()
             return
         name = f"{'_'.join(self._character.shares)[:60]}_{clip.num_frames}.bvh"
-        # Ten minutes take seconds to write, during which the character would stand still.
+        # Ten minutes of motion take seconds to write, during which the character would not move.
         threading.Thread(target=self._send, args=(name, clip), name="download", daemon=True).start()
 
     def _send(self, name: str, clip: MotionClip) -> None:
         try:
             self._client.send_file_download(name, bvh_bytes(clip), save_immediately=True)
         except (InputError, OSError) as error:
-            self.tell("bad", f"{name}: {error}")
+            self.show_message("bad", f"{name}: {error}")
 
     def _look_again(self) -> None:
-        look(self._client)
+        look_from_behind(self._client)

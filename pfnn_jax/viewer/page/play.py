@@ -1,4 +1,4 @@
-"""`pfnn-jax play`: a page in the browser with a character to drive, a character for every tab."""
+"""`pfnn-jax play`: a page in the browser with a character to drive; every tab has its own."""
 
 from __future__ import annotations
 
@@ -15,43 +15,44 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.run import check_finished
 from pfnn_jax.viewer.draw.palette import ACCENT, rgb
 from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.guard import guarded
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
 from pfnn_jax.viewer.page.tab import Tab
-from pfnn_jax.viewer.page.uploads import give_up, prepare_learning
+from pfnn_jax.viewer.page.uploads import cancel_learning, prepare_learning
 
 if TYPE_CHECKING:
     import viser
 
 LOCAL = "127.0.0.1"
-"""The address that only this machine can reach; any other must be asked for."""
+"""The default address, which only this machine can reach."""
 
 SOON = "in about half a minute"
-"""When a page is ready that has been begun: loading and compiling took 35 to 44 s on two cores, less on free ones."""
+"""Time until the page is ready: loading and compiling took 35 to 44 s on two cores."""
 
-LONGEST_END = 1.5
-"""Seconds for which the end of a server is waited for: a tab that does not answer would hold it up for longer."""
+STOP_TIMEOUT = 1.5
+"""Seconds to wait for the server to stop: a tab that does not answer would delay it for longer."""
 
-EXPECTED = ("Queued a .* on a closed connection", r"\[viser\] Dropping upload")
-"""Warnings of viser that mean no harm: a tab may close while its picture is being sent, its thread ends a moment later;
-and of a file that is far too large only the length is kept."""
+HARMLESS = ("Queued a .* on a closed connection", r"\[viser\] Dropping upload")
+"""Harmless warnings of viser: a tab can close while its picture is being sent, shortly before its thread ends; and
+files that are far too large are dropped on purpose."""
 
 
 class Page:
     """A server with a tab for every browser that connects. Use as a context manager, or `close` it.
 
-    It answers from the beginning, so that its port is its own: a browser that comes before the runs are ready is told
-    so, and gets its character once they are.
+    The server answers at once, so that its port is taken: a browser that connects before the runs are loaded sees a
+    message, and gets its character as soon as they are.
 
     Args:
-        library: the runs; without them they are waited for, see `begin`.
-        host, port: where to listen; port 0 takes a free one.
+        library: the runs; None if they follow with `begin`.
+        host, port: address to listen at; port 0 takes a free one.
 
     Raises:
-        InputError: if viser is missing, or nobody can listen there.
+        InputError: if viser is missing, or the address cannot be used.
     """
 
     def __init__(self, library: RunLibrary | None = None, host: str = LOCAL, port: int = 8080) -> None:
@@ -78,18 +79,18 @@ class Page:
 
     @property
     def url(self) -> str:
-        """Where a browser finds the page."""
+        """The page's address for a browser."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{'localhost' if self.host in ('', '0.0.0.0', '::') else host}:{self.port}"
 
     @property
     def tabs(self) -> tuple[Tab, ...]:
-        """The tabs that are open now."""
+        """The open tabs."""
         with self._lock:
             return tuple(self._tabs.values())
 
     def begin(self, library: RunLibrary) -> None:
-        """The runs are ready: browsers that have waited for them get their characters, and those that come."""
+        """Takes the loaded runs: browsers that are waiting, and all later ones, get their characters."""
         with self._lock:
             self._library = library
             waiting, self._waiting = self._waiting, {}
@@ -112,7 +113,7 @@ class Page:
         with contextlib.redirect_stdout(io.StringIO()):
             ending = threading.Thread(target=self._server.stop, daemon=True)
             ending.start()
-            ending.join(LONGEST_END)
+            ending.join(STOP_TIMEOUT)
 
     def __enter__(self) -> Page:
         return self
@@ -120,14 +121,15 @@ class Page:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # Viser awaits these one after the other; others it would run in threads, a tab's end before its beginning.
+    # Coroutines, because viser awaits them in order; it would run functions in threads, and a tab could close before it
+    # opens.
 
     async def _open(self, client: viser.ClientHandle) -> None:
         with self._lock:
             if self._closed:
                 return
             if self._library is None:
-                note = client.gui.add_html(widgets.message("plain", f"Compiling: your character comes {SOON}."))
+                note = client.gui.add_html(widgets.message("plain", f"Compiling: your character appears {SOON}."))
                 self._waiting[client.client_id] = client, note
                 return
             tab = self._tabs[client.client_id] = Tab(client, self._library)
@@ -144,16 +146,16 @@ class Page:
 def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080, open_browser: bool = False) -> None:
     """Serves a page to drive characters of some runs, until Ctrl-C or SIGTERM.
 
-    Either ends it within moments, whatever is being compiled or learned; what is not learned then is left out.
+    Either signal ends it at once, even while something is compiled or learned; an unfinished style is not saved.
 
     Args:
-        run_paths: folders of runs.
-        host: address to listen at; anything but the default lets other machines in.
-        port: of TCP; 0 takes a free one.
-        open_browser: whether to open the page here.
+        run_paths: run directories.
+        host: address to listen at; with anything but the default, other machines can reach the page.
+        port: TCP port; 0 takes a free one.
+        open_browser: whether to open the page in this machine's browser.
 
     Raises:
-        InputError: for a folder that is no run, if nobody can listen at the address, or if viser is missing.
+        InputError: for a folder that is not a run directory, if the address cannot be used, or if viser is missing.
     """
     code = 1
     try:
@@ -162,7 +164,7 @@ def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080
         print("Ended.", flush=True)
         code = 0
     except InputError:
-        code = 2  # of the command, for bad input
+        code = 2  # the command's exit code for bad input
         raise
     finally:
         background.leave_work(code)
@@ -172,14 +174,16 @@ def _play(
     run_paths: Sequence[str | Path], host: str, port: int, open_browser: bool, ending: Callable[[], None]
 ) -> None:
     background.do(check_viser)
+    for path in run_paths:
+        check_finished(path)
     library = None
-    with Page(host=host, port=port) as page:  # before anything is loaded: a port that is taken is no surprise later
+    with Page(host=host, port=port) as page:  # before anything is loaded, so that a taken port is reported at once
         try:
             print(f"compiling; the page opens at {page.url} {SOON}", flush=True)
             if open_browser:
                 webbrowser.open(page.url)
             library = background.do(partial(RunLibrary, run_paths))
-            threading.Thread(target=_rehearse, args=(library,), name="rehearsal", daemon=True).start()
+            threading.Thread(target=_precompile, args=(library,), name="precompile", daemon=True).start()
             background.do(library.warm_up)
             page.begin(library)
             print(f"{', '.join(library.runs)}: {len(library.styles)} styles at {page.url}  (Ctrl-C ends)", flush=True)
@@ -187,12 +191,12 @@ def _play(
         finally:
             ending()
             if library is not None:
-                give_up(library)
+                cancel_learning(library)
 
 
 @contextlib.contextmanager
 def _ended_by_signals() -> Iterator[Callable[[], None]]:
-    """SIGTERM within the block is as Ctrl-C; yields what makes it deaf to both, for an end that is not interrupted."""
+    """Makes SIGTERM act like Ctrl-C within the block; yields a function that ignores both while the program ends."""
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
@@ -211,30 +215,30 @@ def _ended_by_signals() -> Iterator[Callable[[], None]]:
             signal.signal(number, handler)
 
 
-def _rehearse(library: RunLibrary) -> None:
-    """Compiles what the first upload would wait for, on the core that compiling a step leaves idle."""
+def _precompile(library: RunLibrary) -> None:
+    """Compiles what the first upload needs, on the core that compiling a step leaves idle."""
     for run in library.runs:
         prepare_learning(library, run)
 
 
 def check_viser() -> None:
-    """Makes sure that what serves the page is there.
+    """Checks that viser, which serves the page, is installed.
 
     Raises:
-        InputError: if it is not installed.
+        InputError: if it is not.
     """
     try:
         import viser  # noqa: F401
     except ImportError:
-        rule = "needed for the page: pip install pfnn-jax[viewer]"
+        rule = "needed for the page: pip install 'pfnn-jax[viewer]'"
         raise InputError("environment", "viser", "not installed", rule) from None
 
 
 def check_address(host: str, port: int) -> None:
-    """Makes sure that one can listen at an address.
+    """Checks that a server can listen at an address.
 
     Raises:
-        InputError: if not: the port is taken, or the address is none of this machine's.
+        InputError: if not: the port is taken, or the address is not one of this machine's.
     """
     if not 0 <= port <= 65535:
         raise InputError("page", "port", port, "must be between 0 and 65535")
@@ -243,7 +247,7 @@ def check_address(host: str, port: int) -> None:
         with socket.socket(family, socket.SOCK_STREAM) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-    except (socket.gaierror, ValueError):  # the latter of names that no network knows: too long, or with empty parts
+    except (socket.gaierror, ValueError):  # ValueError for host names that are too long or have empty parts
         raise InputError("page", "host", ascii(host)[:80], "must be an address of this machine") from None
     except OSError as error:
         reason = error.strerror or "cannot be used"
@@ -256,17 +260,20 @@ def _serve(host: str, port: int) -> viser.ViserServer:
 
     class Server(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> None:
-            """Any page can ask for a public address; none is given."""
+            """Does nothing: any page can request a public address, and must not get one."""
 
     check_address(host, port)
-    for expected in EXPECTED:
-        warnings.filterwarnings("ignore", expected, UserWarning)
-    with contextlib.redirect_stdout(io.StringIO()), guarded(host) as started:  # its banner; `play` prints the address
+    for harmless in HARMLESS:
+        warnings.filterwarnings("ignore", harmless, UserWarning)
+    with (
+        contextlib.redirect_stdout(io.StringIO()),
+        guarded(host) as started,
+    ):  # viser's banner; `play` prints the address
         server = Server(host=host, port=port, verbose=False)
     if not started:
         server.stop()
-        raise InputError("environment", "viser", viser.__version__, "does not let requests be checked; try 1.1.1")
-    if port not in (0, server.get_port()):  # taken since it was checked; viser goes on to the next
+        raise InputError("environment", "viser", viser.__version__, "does not allow requests to be checked; try 1.1.1")
+    if port not in (0, server.get_port()):  # taken since the check; viser then takes the next one
         server.stop()
         raise InputError("page", f"port at {host}", port, "is taken; choose another with --port")
     return server

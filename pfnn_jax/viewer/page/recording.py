@@ -1,4 +1,4 @@
-"""A character's poses, step by step, as a clip and as the bytes of a BVH file."""
+"""Recordings of a character's poses, as a clip and as the bytes of a BVH file."""
 
 from __future__ import annotations
 
@@ -13,11 +13,17 @@ from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_norma
 from pfnn_jax.motion.skeleton import Skeleton
 
 LONGEST = 600.0
-"""Seconds after which a recording takes no more, so that a forgotten one does not fill the memory."""
+"""Longest recording in seconds, so that a forgotten one does not fill the memory."""
 
 
 class Recording:
-    """Poses of one skeleton at equal steps in time, from its beginning until it is closed or `LONGEST`."""
+    """Records poses of one skeleton at equal time steps, until it is closed or reaches `LONGEST`.
+
+    Args:
+        skeleton: of the poses.
+        fps: poses per second.
+        style, source: of the clip.
+    """
 
     def __init__(self, skeleton: Skeleton, fps: float, style: str, source: str) -> None:
         self._skeleton, self._fps, self._style, self._source = skeleton, fps, style, source
@@ -27,26 +33,31 @@ class Recording:
 
     @property
     def seconds(self) -> float:
-        """Length so far."""
+        """Present length in seconds."""
         return len(self._hips) / self._fps
 
     @property
     def open(self) -> bool:
-        """Whether it takes frames."""
+        """Whether it still records."""
         return not self._closed and self.seconds < LONGEST
 
     def close(self) -> None:
-        """Takes no more frames, for what comes next does not go on from the last one."""
+        """Ends the recording; later frames would not continue from the last one."""
         self._closed = True
 
     def add(self, hips: np.ndarray, rotations: np.ndarray) -> None:
-        """One more frame, if it is open: hips [3] metres and rotations [J, 4], both in the world."""
+        """Appends a frame if it is open.
+
+        Args:
+            hips: [3] world position in metres.
+            rotations: [J, 4] world rotations.
+        """
         if self.open:
             self._hips.append(np.array(hips, np.float32))
             self._rotations.append(np.array(rotations, np.float32))
 
     def clip(self) -> MotionClip | None:
-        """The frames as a clip, or None where there are none."""
+        """Returns the frames as a clip, or None without frames."""
         if not self._hips:
             return None
         hips, world = np.stack(self._hips).astype(float), quat_normalise(np.stack(self._rotations).astype(float))
@@ -56,7 +67,7 @@ class Recording:
 
 
 def bvh_bytes(clip: MotionClip) -> bytes:
-    """What `write_bvh` writes of a clip, for a download.
+    """Returns the BVH file of a clip as bytes, for a download.
 
     Raises:
         InputError: if the clip is not finite or has no frames.

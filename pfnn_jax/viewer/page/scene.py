@@ -1,8 +1,8 @@
-"""What a tab shows of its character in three dimensions.
+"""The three-dimensional scene of a tab: body, ground, trajectory and foot contacts.
 
-The camera belongs to the person at the mouse. A following camera is therefore made by moving the world, not the
-camera: everything is drawn relative to a point that goes along with the character, and, if wanted, turns with its
-heading. Orbiting then stays smooth whatever the network does, and no camera message is ever sent.
+The mouse controls the camera. A camera that follows the character is therefore made by moving the world instead:
+everything is drawn relative to a point that moves with the character and, if wanted, turns with its heading. Orbiting
+stays smooth whatever the network does, and no camera message is ever sent.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
     import viser
 
 CELL_SIZE, SECTION_SIZE = 0.5, 2.0  # metres
-EASE = 0.18  # seconds in which a following camera comes up with its character
-EASE_TURN = 0.45  # seconds in which it turns
-ARROW = 0.15  # metres, length of a direction's mark
+EASE = 0.18  # seconds, time constant of the following camera's position
+EASE_TURN = 0.45  # seconds, time constant of its turning
+ARROW = 0.15  # metres, length of the arrowheads along the trajectory
 LAMP = (2.4, 5.2, -2.8)
-"""Metres from the character: behind its left, so that the camera sees the lit side. One lamp that goes along needs one
+"""Metres from the character: behind its left, so that the camera sees the lit side. One lamp that moves along needs one
 shadow map; the default lights need three and leave the back dark."""
 
-MARK = 0.075  # metres, radius of a full contact's mark
-LIFT = 0.006  # metres above the ground at which flat things are drawn
+MARK = 0.075  # metres, radius of the disc of a full contact
+LIFT = 0.006  # metres above the ground at which flat shapes are drawn
 
 CAMERA_POSITION, CAMERA_TARGET = (1.05, 1.75, -4.1), (0.0, 0.84, 0.25)
 """Behind the left shoulder, in the frame of the heading."""
@@ -49,14 +49,15 @@ CAMERA_FIELD = math.radians(40.0)
 
 
 class PageScene:
-    """BodyMeshes, ground, trajectory and contact marks of one tab.
+    """Draws body, ground, trajectory and contact discs of one tab.
 
     Args:
-        scene: the tab's own.
+        scene: the tab's viser scene.
 
     Attributes:
-        follow: whether the camera goes along.
+        follow: whether the camera follows the character.
         turn: whether it turns with the heading.
+        origin, yaw: [2] metres and radians, the frame relative to which everything is drawn.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:
@@ -82,8 +83,8 @@ class PageScene:
             fade_strength=1.6,
         )
 
-    def wear(self, skeleton: Skeleton) -> None:
-        """Builds the body of a skeleton in place of the one before."""
+    def set_skeleton(self, skeleton: Skeleton) -> None:
+        """Replaces the body by that of a skeleton."""
         for part in self._parts:
             part.remove()
         self._skeleton, self._body = skeleton, BodyMeshes(skeleton)
@@ -100,18 +101,18 @@ class PageScene:
         self._balls = self._batch("/body/balls", sphere(), np.concatenate([colours, colours]), radii)
         self._parts = [handle for _, handle in self._limbs] + [self._balls, *self._tracks(skeleton)]
 
-    def settle(self, view: View) -> None:
-        """Puts the camera's point onto the character at once: at the start, and after a reset."""
+    def jump_to(self, view: View) -> None:
+        """Moves the following camera to the character at once: at the start, and after a reset."""
         self.origin, self.yaw = np.array(view.root, float), view.heading if self.turn else self.yaw
 
     def draw(self, view: View, seconds: float) -> None:
-        """Shows a moment.
+        """Draws a moment.
 
         Args:
-            view: what there is to see, of the skeleton worn.
-            seconds: since the last drawing.
+            view: of a character with the skeleton that was set.
+            seconds: since the last call.
         """
-        self._go_along(view, seconds)
+        self._move_camera(view, seconds)
         limbs, orientations, balls = self._body.place(self._local(view.joints), self._turned(view.world_rotations))
         for chosen, handle in self._limbs:
             handle.batched_positions = limbs[chosen]
@@ -140,24 +141,24 @@ class PageScene:
         scene.configure_fog(12.0, 34.0, color=HORIZON)
 
     def _batch(self, name: str, mesh: Mesh, colours: np.ndarray | tuple[int, int, int], scales: np.ndarray) -> Any:
-        still = np.tile([1.0, 0.0, 0.0, 0.0], (len(scales), 1))
+        identity = np.tile([1.0, 0.0, 0.0, 0.0], (len(scales), 1))
         return self._scene.add_batched_meshes_simple(
             name,
             mesh.vertices,
             mesh.faces,
-            still,
+            identity,
             np.zeros((len(scales), 3)),
             batched_scales=scales,
             batched_colors=colours,
             lod="off",
-            receive_shadow=False,  # of itself it would be speckled
+            receive_shadow=False,  # its own shadow would look speckled
         )
 
     def _tracks(self, skeleton: Skeleton) -> list[Any]:
-        nothing = np.zeros((0, 2, 3))
+        none = np.zeros((0, 2, 3))
         scene = self._scene
-        self._past = scene.add_line_segments("/trajectory/past", nothing, PAST, thickness=0.012)
-        self._future = scene.add_line_segments("/trajectory/future", nothing, FUTURE, thickness=0.018)
+        self._past = scene.add_line_segments("/trajectory/past", none, PAST, thickness=0.012)
+        self._future = scene.add_line_segments("/trajectory/future", none, FUTURE, thickness=0.018)
         self._arrows = self._batch("/trajectory/arrows", _arrow(), FUTURE, np.ones((1, 3)))
         parts = [self._past, self._future, self._arrows]
         if skeleton.roles is None:
@@ -191,7 +192,7 @@ class PageScene:
         self._arrows.batched_positions = points + np.array([0.0, LIFT, 0.0])
         self._arrows.batched_wxyzs = quat_from_yaw(yaws)
 
-    def _go_along(self, view: View, seconds: float) -> None:
+    def _move_camera(self, view: View, seconds: float) -> None:
         if self.follow:
             self.origin = self.origin + (view.root - self.origin) * (1.0 - math.exp(-seconds / EASE))
         if self.follow and self.turn:
@@ -199,7 +200,7 @@ class PageScene:
             self.yaw += behind * (1.0 - math.exp(-seconds / EASE_TURN))
 
     def _ground(self) -> None:
-        """The pattern repeats, so that the plane never has to go far."""
+        """Shifts the ground by less than one period of its pattern, so that the plane stays near the origin."""
         shift = -(self.origin % SECTION_SIZE)
         self._grid.position = self._rotated(np.array([shift[0], 0.0, shift[1]]))
         self._grid.wxyz = quat_from_yaw(-self.yaw)
@@ -219,34 +220,39 @@ class PageScene:
         return quat_multiply(quat_from_yaw(-self.yaw), rotations)
 
 
-def look(client: viser.ClientHandle) -> None:
-    """Puts a tab's camera behind its character."""
+def look_from_behind(client: viser.ClientHandle) -> None:
+    """Moves a tab's camera behind its character."""
     client.camera.fov = CAMERA_FIELD
     client.camera.position = CAMERA_POSITION
     client.camera.look_at = CAMERA_TARGET
 
 
 def camera_yaw(position: Any, target: Any) -> float | None:
-    """Radians about +Y from +Z at which a camera looks, both [3]; None for one that looks straight down."""
+    """Returns the yaw of a camera's view in radians about +Y from +Z; None if it looks straight down.
+
+    Args:
+        position, target: [3] metres.
+    """
     ahead, left = float(target[2] - position[2]), float(target[0] - position[0])
     return math.atan2(left, ahead) if math.hypot(ahead, left) > 1e-3 else None
 
 
 def _sky(height: int = 64) -> np.ndarray:
-    """A vertical gradient [H, 2, 3]."""
+    """Returns a vertical gradient [H, 2, 3]."""
     share = np.clip(np.linspace(0.0, 1.8, height), 0.0, 1.0)[:, None, None]
     colours = (1.0 - share) * np.array(SKY, float) + share * np.array(HORIZON, float)
     return np.broadcast_to(colours, (height, 2, 3)).round().astype(np.uint8)
 
 
 def _arrow() -> Mesh:
-    """A flat arrowhead around the origin that points along +Z."""
+    """Returns a flat arrowhead around the origin that points along +Z."""
     tip, wing, notch = 0.6 * ARROW, 0.32 * ARROW, -0.12 * ARROW
     vertices = np.array([[0.0, 0.0, tip], [wing, 0.0, -0.4 * ARROW], [0.0, 0.0, notch], [-wing, 0.0, -0.4 * ARROW]])
     return Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
 def _disc(segments: int = 24) -> Mesh:
+    """Returns a flat disc of radius 1 around the origin."""
     angles = 2.0 * np.pi * np.arange(segments) / segments
     rim = np.stack([np.cos(angles), np.zeros(segments), np.sin(angles)], axis=1)
     here = np.arange(segments)

@@ -1,4 +1,4 @@
-"""The part of a panel that chooses: run, style, and the triangle in which three styles are mixed."""
+"""The controls that choose the run, the style, and a mixture of three styles in a triangle."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import TYPE_CHECKING
 from pfnn_jax.viewer.page import widgets
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.run_library import RunLibrary
-from pfnn_jax.viewer.page.words import FieldChanges
+from pfnn_jax.viewer.page.widgets import FieldChanges
 
 if TYPE_CHECKING:
     import viser
 
 SHARES = "Shares"
-"""Label of the text field with the mixture's shares, in percent."""
+"""Label of the text field with the shares of the mixture in percent; page.js finds the field by it."""
 
 MIXTURE = "mixture: three"
-"""What the list of styles shows while the point in the triangle decides. No style can be called so (see
-`check_style_name`): two equal options would take the whole page down."""
+"""Entry of the list of styles while the triangle decides. No style can have this name (see `check_style_name`): two
+equal options would break the whole page."""
 
-REDRAWN = 0.3
-"""Seconds after which the triangle is drawn anew: not while its point is being dragged."""
+REDRAW_DELAY = 0.3
+"""Seconds after the last change until the triangle is redrawn, so that it is not redrawn while its point is dragged."""
 
 
 class StylePicker:
     """Lists of runs and styles, and the triangle.
 
     Args:
-        gui: the tab's own, in whose present folder the picker is put.
+        gui: of the tab; the controls are added to its present folder.
         library: the runs.
         character: the tab's character.
     """
@@ -57,20 +57,20 @@ class StylePicker:
 
     @property
     def run(self) -> str:
-        """The run chosen in the list, whether it has been heard or not."""
+        """The run chosen in the list, whether `apply_changes` has applied it or not."""
         return self._run.value
 
     def refresh(self) -> None:
-        """Offers what any tab has learned since; what has been chosen meanwhile is left to be heard."""
+        """Adds the styles that any tab has learned; choices made meanwhile are left to `apply_changes`."""
         if self._library.version != self._version:
             self._version = self._library.version
             self._offer(self._character.run)
 
-    def hear(self, now: float) -> None:
-        """Puts the character into what has been chosen since the last call; `now` in seconds of its clock.
+    def apply_changes(self, now: float) -> None:
+        """Applies what has been chosen since the last call to the character; `now` in seconds of its clock.
 
         Raises:
-            InputError: for what the lists do not offer.
+            InputError: for a choice that is not in the lists.
         """
         if self._values.changed("run", self._run.value):
             self.select(self._run.value, self._names(self._run.value)[0])
@@ -85,7 +85,7 @@ class StylePicker:
             self._draw()
 
     def select(self, run: str, style: str) -> None:
-        """Puts the character, and the lists, into a style.
+        """Changes the character and the lists to a style.
 
         Raises:
             InputError: for an unknown run or style.
@@ -100,17 +100,17 @@ class StylePicker:
     def _mix(self, corners: tuple[str, ...], now: float) -> None:
         shares = widgets.shares_of(self._share_field.value)
         if shares is None:
-            return  # half typed
+            return  # incomplete input
         self._shares, self._mixing = shares, True
         self._character.mix(corners, shares)
         self._style.value = MIXTURE
         self._values.set(style=MIXTURE)
-        self._redraw_at = now + REDRAWN
+        self._redraw_at = now + REDRAW_DELAY
 
     def _offer(self, run: str) -> None:
-        """The options of a run; fields keep their values where it has them."""
+        """Offers the options of a run; fields keep their values if the run has them."""
         names, corners = self._names(run), self._corner_names()
-        if not set(self._corners[0].options) <= set(names):  # another run: none that only learned a style
+        if not set(self._corners[0].options) <= set(names):  # another run, not one that has learned a style
             corners = spread(corners, names)
         style = self._style.value
         values = (*corners, style if style in (*names, MIXTURE) else names[0])
@@ -136,9 +136,11 @@ class StylePicker:
 
 
 def spread(kept: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """Corners among `names`: those kept that are, each once, and styles that no corner has for the others.
+    """Returns corners for a run's styles.
 
-    Where there are fewer styles than corners, some are at several.
+    Args:
+        kept: present corners; those among `names` are kept, once each, and the others get unused styles.
+        names: the styles. If there are fewer than corners, some styles have several.
     """
     corners = [name if name in names and name not in kept[:place] else None for place, name in enumerate(kept)]
     free = [name for name in names if name not in corners]

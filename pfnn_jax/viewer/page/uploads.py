@@ -1,8 +1,8 @@
-"""A clip dropped on the page becomes a style: checked, kept in the run's folder, learned, and taken on library.
+"""Learning a style from a BVH file that is uploaded on the page.
 
-What a browser sends is bytes and a name. The bytes are read as the text of a BVH file and as nothing else; the name
-becomes the name of a style and of a file in RUN/uploads/, whatever was in it. When anything is wrong, the run's folder
-is left as it was.
+A browser sends bytes and a name. The bytes are parsed as the text of a BVH file and as nothing else; the name is
+reduced to harmless characters and names the style and a file in RUN/uploads/. If anything fails, the run's folder is
+left as it was.
 """
 
 from __future__ import annotations
@@ -24,38 +24,43 @@ from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
 from pfnn_jax.run import Run, list_styles
 from pfnn_jax.training.few_shot_learning import FILM_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import background
-from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, rehearse_walks
+from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, compile_calibration
 from pfnn_jax.workflows.learn import learn_style, precompile
 
 MOST_BYTES = 10_000_000
 """Size of the largest file taken."""
 
+MOST_BUFFERED = 4 * MOST_BYTES
+"""Most bytes held in memory of all files that a tab sends at once. A larger file than `MOST_BYTES` within this limit is
+refused by `check_upload` once it is complete."""
+
 MOST_JOINTS = 200
 MOST_FRAMES = 20_000
 LONGEST = 60.0
-"""Seconds of the longest clip: what is learned from longer ones is better learned by `pfnn-jax few-shot`."""
+"""Seconds of the longest clip; `pfnn-jax few-shot` is the better tool for longer ones."""
 
 LONGEST_NAME = 40
-"""Characters of a style's name that are taken from the file's."""
+"""Most characters of the file's name that become the style's name."""
 
 NICENESS = 10
-"""How far learning stands back behind the characters that move meanwhile, where the system lets threads differ."""
+"""Niceness of learning, so that characters keep moving, on systems whose threads have their own."""
 
 QUICK_FILM = replace(FILM_FEW_SHOT, learning_rates=(3e-3, 1e-2), eval_epochs=(25, 50))
-"""Films on a page: higher rates than `FILM_FEW_SHOT` and half its epochs, for the same errors on held-out frames."""
+"""FiLM styles on the page: higher learning rates and half the epochs of `FILM_FEW_SHOT`, with the same errors on
+held-out frames."""
 
 Progress = Callable[[float, str], None]
 
-_learning = threading.Lock()  # one at a time: two would both take twice as long
+_learning = threading.Lock()  # one style at a time: two would both take twice as long
 _unfinished: set[Path] = set()
 
 
-class GivenUp(Exception):
-    """The page ends while a style is being learned."""
+class LearningCancelled(Exception):
+    """Raised when the page ends while a style is being learned."""
 
 
 def page_config(run: Run) -> FewShotConfig:
-    """How a style is learned on the page: of the kind of the run's styles, by few-shot's own settings for adapters."""
+    """Returns the settings for learning a style of the run's kind; for adapters they are the defaults of few-shot."""
     adapter = run.config.adapter
     return QUICK_FILM if adapter.kind == "film" else FewShotConfig(adapter.kind, adapter.rank)
 
@@ -63,24 +68,24 @@ def page_config(run: Run) -> FewShotConfig:
 def prepare_learning(library: RunLibrary, run: str) -> None:
     """Compiles what learning needs, in the background of a page that has just been opened; see `precompile`.
 
-    An upload goes first, and waits for the preparation of its own run alone.
+    An upload takes precedence, and waits for the preparation of its own run only.
     """
-    with _learning:
+    with _learning:  # wait for an upload that is being learned
         pass
     loaded = library.get(run)
     with library.preparation(run):
         background.do(partial(precompile, loaded.run, page_config(loaded.run)), niceness=NICENESS)
-        background.do(partial(rehearse_walks, loaded.controller), niceness=NICENESS)
+        background.do(partial(compile_calibration, loaded.controller), niceness=NICENESS)
 
 
-def give_up(library: RunLibrary, wait: float = 0.5) -> None:
-    """Leaves out what is being learned, for the page ends: the runs' folders are as if it had never been begun.
+def cancel_learning(library: RunLibrary, wait: float = 0.5) -> None:
+    """Cancels what is being learned because the page ends; the runs' folders are left as they were before.
 
     Args:
-        library: where it is learned; nothing can be learned there any more.
-        wait: seconds for which it may take notice, before only its traces are removed.
+        library: the runs; no style can be learned after this.
+        wait: seconds to wait for the learning thread to notice, before its files are removed.
     """
-    library.ended.set()
+    library.closing.set()
     if _learning.acquire(timeout=wait):
         _learning.release()
     for path in tuple(_unfinished):
@@ -92,25 +97,25 @@ def learn_upload(
 ) -> str:
     """Learns a style from an uploaded BVH file; characters can choose it when this returns.
 
-    The style is that of `pfnn-jax few-shot` with the same settings (`page_config`). It is saved in RUN/styles/ and its
-    clip in RUN/uploads/, both under the file's name, with a number where that is taken. One style is learned at a
-    time; others wait.
+    The style equals that of `pfnn-jax few-shot` with the same settings (`page_config`). It is saved in RUN/styles/ and
+    its clip in RUN/uploads/, both under the file's name, followed by a number if the name is taken. One style is
+    learned at a time; others wait.
 
     Args:
-        library: where the run is played.
-        run: its name there.
-        filename: as the browser tells it.
+        library: the runs.
+        run: name of the run.
+        filename: as sent by the browser.
         data: the file's bytes.
-        progress: told the share that is done, 0 to 1, and what is being done, from another thread.
+        progress: called from another thread with the fraction done, 0 to 1, and the present activity.
 
     Returns:
         The style's name.
 
     Raises:
-        InputError: for an unknown run; for a file that is too large, no text, no BVH, of too many joints or frames, too
-            short or long, without steps where the run needs them, or of another skeleton; for a run's folder that
-            cannot be written to. Then nothing has changed.
-        GivenUp: if the page ends meanwhile.
+        InputError: for an unknown run; for a file that is too large, not text, not BVH, with too many joints or frames,
+            too short or long, without steps if the run needs them, or with another skeleton; for a run's folder that
+            cannot be written. Nothing has changed then.
+        LearningCancelled: if the page ends meanwhile.
     """
     name = style_name(filename)
     check_upload(name, data)
@@ -119,21 +124,21 @@ def learn_upload(
         progress(0.0, "waiting")
         _learning.acquire()
 
-    def told(share: float, what: str) -> None:
-        if library.ended.is_set():
-            raise GivenUp
+    def report(share: float, what: str) -> None:
+        if library.closing.is_set():
+            raise LearningCancelled
         progress(share, what)
 
     try:
-        with _naming_files(loaded.path), _kept_upload(library.get(run), name, data) as clip:
+        with _system_errors(loaded.path), _kept_upload(library.get(run), name, data) as clip:
             style = clip.style
             with library.preparation(run):
-                background.do(partial(_learn, loaded, clip, told), niceness=NICENESS)
+                background.do(partial(_learn, loaded, clip, report), niceness=NICENESS)
             with _saved_style(loaded.path, clip):
                 background.do(partial(library.add_style, run, style))
     except InputError as error:
-        if library.ended.is_set():  # its clip has been taken away
-            raise GivenUp from error
+        if library.closing.is_set():  # its clip has been removed by `cancel_learning`
+            raise LearningCancelled from error
         raise
     finally:
         _learning.release()
@@ -142,7 +147,7 @@ def learn_upload(
 
 
 def style_name(filename: str) -> str:
-    """A style's name from a file's: its last part without suffix, letters, digits, spaces, dashes and underscores kept.
+    """Returns the style's name for a file: letters, digits, spaces, dashes and underscores of its name without suffix.
 
     Raises:
         InputError: unless it ends in `.bvh`.
@@ -155,10 +160,10 @@ def style_name(filename: str) -> str:
 
 
 def check_upload(name: str, data: bytes) -> None:
-    """Refuses, before anything is written or parsed, bytes that cannot be a short clip.
+    """Refuses bytes that cannot be a short clip, before anything is written or parsed.
 
     Raises:
-        InputError: naming the limit.
+        InputError: that names the limit.
     """
     file = f"{name}.bvh"
     if len(data) > MOST_BYTES:
@@ -170,7 +175,7 @@ def check_upload(name: str, data: bytes) -> None:
         raise InputError(file, "hierarchy", f"{joints} joints", f"must have at most {MOST_JOINTS}")
     stated = re.search(rb"Frames\s*:\s*(\d{1,12})\s+Frame\s+Time\s*:\s*([0-9.eE+-]{1,30})", data, re.IGNORECASE)
     if stated is None:
-        return  # the reader will say what is wrong
+        return  # the parser reports what is wrong
     frames = int(stated[1])
     if frames > MOST_FRAMES:
         raise InputError(file, "frames", frames, f"must be at most {MOST_FRAMES}")
@@ -191,26 +196,26 @@ def _learn(run: Run, clip: ClipFile, progress: Progress) -> None:
 
 
 @contextmanager
-def _naming_files(run: Path) -> Iterator[None]:
-    """Turns the system's errors, as of a run that may not be written to, into ones that a page can tell."""
+def _system_errors(run: Path) -> Iterator[None]:
+    """Turns errors of the file system, such as a read-only run, into `InputError`, which the page shows."""
     try:
         yield
     except OSError as error:
         file = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else run
         shown = Path(run.name) / file.relative_to(run) if file.is_relative_to(run) else file
-        rule = "a run that learns must be readable and writable, and its uploads a folder"
+        rule = "the run's folder must be readable and writable, and its uploads a folder"
         raise InputError(shown, "file", (error.strerror or type(error).__name__).lower(), rule) from error
 
 
 @contextmanager
 def _kept_upload(loaded: LoadedRun, name: str, data: bytes) -> Iterator[ClipFile]:
-    """The clip in RUN/uploads/ under a name that is free there and among the styles; removed if the block fails."""
+    """Writes the clip to RUN/uploads/ under a name that is free there and among the styles; removes it on failure."""
     run = loaded.run.path
     folder = run / "uploads"
     new = not folder.exists()
     if folder.resolve() != run.resolve() / "uploads":
-        raise InputError(folder, "folder", "leads elsewhere", "must be a folder of the run itself")
-    # What is played need not be on disk: of a run without styles, the network as it is.
+        raise InputError(folder, "folder", "is a link", "must be a folder of the run itself")
+    # Not every style that is played is on disk: the unmodified network of a run without styles is not.
     taken = {style.lower() for style in (*list_styles(run), *loaded.styles)}
     taken |= set() if new else {path.stem.lower() for path in folder.iterdir()}
     free = next(free for free in _numbered(name) if free.lower() not in taken)
@@ -229,30 +234,31 @@ def _kept_upload(loaded: LoadedRun, name: str, data: bytes) -> Iterator[ClipFile
 
 @contextmanager
 def _saved_style(run: Path, clip: ClipFile) -> Iterator[None]:
-    """A block in which a style that has been learned is taken on library: it is removed again if that fails.
+    """Removes a learned style again if the block, which adds it to the library, fails.
 
-    If the page ends in the midst of it, style and clip stay: the next one has them.
+    If the page ends meanwhile, style and clip are kept for the next start.
     """
     _unfinished.discard(clip.path)
     try:
         yield
     except BaseException:
         folder = run / "styles" / clip.style
-        aside = folder.with_name(f".{clip.style}.removed")  # a style half removed would still be listed
+        hidden = folder.with_name(f".{clip.style}.removed")  # a partly removed style would still be listed
         with suppress(OSError):
-            folder.rename(aside)
-            shutil.rmtree(aside)
+            folder.rename(hidden)
+            shutil.rmtree(hidden)
         raise
 
 
 def _remove(upload: Path) -> None:
-    """An upload, and its folder if nothing else is in it; where neither can be removed, neither was written."""
+    """Removes an upload, and its folder if it is empty; if neither can be removed, neither was written."""
     with suppress(OSError):
         upload.unlink(missing_ok=True)
         upload.parent.rmdir()
 
 
 def _numbered(name: str) -> Iterator[str]:
+    """Yields "name", "name 2", "name 3" and so on."""
     yield name
     number = 2
     while True:
@@ -260,40 +266,35 @@ def _numbered(name: str) -> Iterator[str]:
         number += 1
 
 
-MOST_GATHERED = 4 * MOST_BYTES
-"""Bytes that are gathered at most, of all files that a tab sends at a time. A file between `MOST_BYTES` and this is
-refused when it has come, by what reads it."""
-
-
-class _Passing(dict[int, bytes]):
-    """Parts of a file of which only that they came is kept."""
+class _DroppedParts(dict[int, bytes]):
+    """Parts of a file whose content is dropped on arrival."""
 
     def __setitem__(self, index: int, content: bytes) -> None:
         super().__setitem__(index, b"")
 
 
 def drop_large(transfers: MutableMapping[str, Any]) -> list[str]:
-    """Forgets what has come, and what comes yet, of files that are too large to be gathered.
+    """Drops the received and the future parts of files that are too large to be held in memory.
 
-    They are let come to their end, for a page counts what it is told of a file's parts and takes no other file before;
-    viser then drops them, for their length is wrong.
+    Viser buffers uploads in memory before anything can check them. The transfer itself continues, because a page
+    accepts no other file until all parts are acknowledged; viser then discards the file, whose length is wrong.
 
     Args:
-        transfers: viser's files that are coming, in the order in which they began.
+        transfers: viser's uploads in progress, in the order of their beginning.
 
     Returns:
-        What to tell of each file that has been dropped by this call.
+        A message for each file that has been dropped by this call.
     """
-    told, gathered = [], 0
+    messages, buffered = [], 0
     for state in list(transfers.values()):
-        if isinstance(state["parts"], _Passing):
+        if isinstance(state["parts"], _DroppedParts):
             continue
         size = max(state["total_bytes"], state["transferred_bytes"])
-        if gathered + size <= MOST_GATHERED:
-            gathered += size
+        if buffered + size <= MOST_BUFFERED:
+            buffered += size
             continue
         with state["lock"]:
-            state["parts"] = _Passing(dict.fromkeys(state["parts"], b""))
-        rule = f"is far larger than {MOST_BYTES / 1e6:g} MB" if size > MOST_GATHERED else "comes with too many others"
-        told.append(f"{state['filename'][:80]}: the file {rule}")
-    return told
+            state["parts"] = _DroppedParts(dict.fromkeys(state["parts"], b""))
+        rule = f"is far larger than {MOST_BYTES / 1e6:g} MB" if size > MOST_BUFFERED else "comes with too many others"
+        messages.append(f"{state['filename'][:80]}: the file {rule}")
+    return messages

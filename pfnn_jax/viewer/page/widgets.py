@@ -1,4 +1,4 @@
-"""Small pictures of a panel, as HTML: phase dials, the pad with stick and keys, the triangle of styles, readouts."""
+"""The widgets of the panels: dials, stick and keys, the triangle of styles, readouts (HTML), and the contact chart."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from pfnn_jax.viewer.draw.palette import (
     ACCENT,
@@ -21,20 +24,24 @@ from pfnn_jax.viewer.draw.palette import (
     PALE_RIGHT,
     PASSIVE,
     RIGHT,
+    rgba_css,
 )
 from pfnn_jax.viewer.page.view import Dial, View
 
+if TYPE_CHECKING:
+    import viser
+
 TRIANGLE = ((120.0, 16.0), (26.0, 150.0), (214.0, 150.0))
-"""Corners of the styles' triangle in the units of its picture."""
+"""Corners of the triangle of styles, in the units of its SVG."""
 
 TRIANGLE_WIDTH = "76%"
-"""Of the panel: what comes below it shall be seen in a window of 720 points' height too."""
+"""Of the panel, so that what is below it is visible in a window 720 pixels high."""
 
 UNSEEN = "walk to see it"
-"""Of a style that was chosen while the character stands: it stands in that pose until it walks."""
+"""Hint after a style was chosen while the character stands: it keeps its pose until it walks."""
 
 READOUT_WIDTH = 282.0
-"""CSS pixels of the panel of numbers."""
+"""Width of the panel of numbers, CSS pixels."""
 
 _DIAL_COLOURS = {
     "gait": ACCENT,
@@ -43,20 +50,25 @@ _DIAL_COLOURS = {
     "left toe": LEFT,
     "right toe": RIGHT,
 }
+CONTACT_SECONDS, CONTACT_SAMPLES = 4.0, 120  # of the contact chart
+_LANES = ("right toe", "right heel", "left toe", "left heel")  # from the bottom
+_LANE_ORDER = (3, 2, 1, 0)  # indices into `View.contacts`
+_LANE_FILL = tuple(rgba_css(colour, opacity) for colour in (RIGHT, LEFT) for opacity in (0.55, 0.9))
+_LANE_GAP = 0.18  # of a lane's height
 _FONT = "font-family:system-ui,-apple-system,'Segoe UI',Roboto,sans-serif"
 
 
 def script() -> str:
-    """An invisible element that brings the page's script along (see page.js); it takes effect once in a page."""
+    """Returns an invisible element that runs the page's script (page.js); it takes effect once in a page."""
     code = resources.files("pfnn_jax.viewer.page").joinpath("page.js").read_text(encoding="utf-8")
     image = f'<img alt="" src="data:," style="display:none" onerror="{html.escape(code, quote=True)}">'
     return f"<style>{_PAGE_STYLE}</style>{image}"
 
 
 def phase_dial(dials: Sequence[Dial]) -> str:
-    """Clocks of the phases; noon is the right foot's contact for the gait's."""
+    """Returns the phases as clock faces; for the gait cycle, noon is the right foot's contact."""
     if not dials:
-        return _note("This network reads velocities, no phase.")
+        return _note("This network is gated by velocities and has no phase.")
     if len(dials) == 1:
         return _svg(240, 104, _clock(dials[0], 120.0, 52.0, 42.0, ticks=True))
     width = 240 / len(dials)
@@ -66,7 +78,7 @@ def phase_dial(dials: Sequence[Dial]) -> str:
 
 
 def pad() -> str:
-    """The stick with W A S D at its rim, and keys for turning and running."""
+    """Returns the stick with W, A, S and D at its rim, and the keys for turning and running."""
     letter = "position:absolute;pointer-events:none;font-weight:600;font-size:12px"
     letters = "".join(
         f'<span class="pfnn-letter" data-drive="{key}" style="{letter};{place}">{key.upper()}</span>'
@@ -84,18 +96,18 @@ def pad() -> str:
         for key, sign, label, title in (
             ("q", "&#8630;", "Q", "Turn left"),
             ("e", "&#8631;", "E", "Turn right"),
-            ("shift", "&#8679;", "Shift: run", "Faster, until pressed again"),
+            ("shift", "&#8679;", "Shift: run", "Faster until pressed again"),
         )
     )
     return f'<style>{_PAD_STYLE}</style><div class="pfnn-pad">{stick}<div class="pfnn-keys">{keys}</div></div>'
 
 
 def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str:
-    """Three styles as corners and their shares as a point between them, which the mouse can drag.
+    """Returns a triangle with three styles at its corners and a point between them, which can be dragged.
 
     Args:
-        names: of the three corners: top, left, right.
-        shares: weights that sum to one.
+        names: of the corners: top, left, right.
+        shares: weights of the styles, with sum one.
         active: whether the character is in this mixture.
     """
     corners = " ".join(f"{x:g},{y:g}" for x, y in TRIANGLE)
@@ -121,13 +133,13 @@ def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str
 
 
 def readout(view: View, drawn: float, browser: float, hint: str = "") -> str:
-    """Numbers of the moment: where the character is, how fast, in what style, and how long a step takes.
+    """Returns the numbers of a moment: position, speed, style, and the computing time of a step.
 
     Args:
         view: the moment.
         drawn: pictures sent per second.
-        browser: pictures per second that the browser manages, 0 if that is not known.
-        hint: what to say beside the style.
+        browser: pictures per second that the browser manages, 0 if unknown.
+        hint: text after the style.
     """
     styles = ", ".join(
         html.escape(name) + (f" {weight:.0%}" if weight < 0.995 else "")
@@ -142,10 +154,10 @@ def readout(view: View, drawn: float, browser: float, hint: str = "") -> str:
         "Pictures": f"{drawn:.0f} per s" + (f", browser {browser:.0f}" if browser else ""),
         "Inference": f"{view.step_milliseconds:.2f} ms per step",
     }
-    beside = f' <span data-hint style="color:{ACCENT};white-space:nowrap">· {hint}</span>' if hint else ""
+    after = f' <span data-hint style="color:{ACCENT};white-space:nowrap">· {hint}</span>' if hint else ""
     cells = "".join(
         f'<div style="color:{MUTED}">{name}</div><div><span data-readout="{name.lower()}">{value}</span>'
-        + (beside if name == "Style" else "")
+        + (after if name == "Style" else "")
         + "</div>"
         for name, value in rows.items()
     )
@@ -154,7 +166,7 @@ def readout(view: View, drawn: float, browser: float, hint: str = "") -> str:
 
 
 def message(kind: str, text: str) -> str:
-    """One line in a box: `good`, `bad` or `plain`."""
+    """Returns a line in a coloured box; `kind` is `good`, `bad` or `plain`."""
     colour, back = MESSAGES[kind]
     style = f"{_FONT};font-size:12.5px;line-height:1.4;color:{colour};background:{back};overflow-wrap:anywhere"
     box = "border-radius:7px;padding:7px 10px;margin:2px 12px 9px"
@@ -162,7 +174,7 @@ def message(kind: str, text: str) -> str:
 
 
 def shares_of(text: str) -> tuple[float, float, float] | None:
-    """Three shares from a text like `50 30 20`, scaled to sum to one; None unless it is three such numbers."""
+    """Parses three shares from a text like `50 30 20`, scaled to sum one; returns None for anything else."""
     parts = text.replace(",", " ").replace("%", " ").split()
     if len(parts) != 3:
         return None
@@ -178,20 +190,91 @@ def shares_of(text: str) -> tuple[float, float, float] | None:
 
 
 def percents(shares: Sequence[float]) -> list[int]:
-    """Shares that sum to one in whole percent that sum to a hundred: the largest takes what rounding leaves."""
+    """Returns shares with sum one as whole percent with sum 100; the largest takes the rounding error."""
     rounded = [round(100.0 * share) for share in shares]
     rounded[rounded.index(max(rounded))] += 100 - sum(rounded)
     return rounded
 
 
 def legend(colours: Mapping[str, str], note: str = "") -> str:
-    """Names with their colours in one line, and a note at its end."""
+    """Returns a line with names and their colours, followed by a note."""
     items = "".join(
         f'<span style="margin-right:12px"><i style="display:inline-block;width:9px;height:9px;border-radius:2px;'
         f'background:{colour};margin-right:5px"></i>{html.escape(name)}</span>'
         for name, colour in colours.items()
     )
     return f'<div style="{_FONT};font-size:11.5px;color:{MUTED};padding:0 12px 8px">{items}{html.escape(note)}</div>'
+
+
+class Timeline:
+    """A chart of the last seconds of foot contacts: four lanes, filled while a heel or toe is on the ground.
+
+    Args:
+        gui: of the tab.
+    """
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._times = np.linspace(-CONTACT_SECONDS, 0.0, CONTACT_SAMPLES)
+        self._seen: list[tuple[float, np.ndarray]] = []
+        bands: Any = tuple({"series": (2 * i + 2, 2 * i + 1), "fill": _LANE_FILL[i]} for i in range(4))
+        line: dict[str, Any] = {"stroke": "rgba(0,0,0,0)", "width": 0, "points": {"show": False}}
+        series: Any = ({"label": "s"}, *(dict(line, label=_LANES[i // 2]) for i in range(8)))
+        self._chart = gui.add_uplot(
+            self._lanes(np.zeros((CONTACT_SAMPLES, 4))),
+            series=series,
+            bands=bands,
+            scales={"x": {"time": False, "range": (-CONTACT_SECONDS, 0.0)}, "y": {"range": (0.0, 4.0)}},
+            axes=({"show": False}, {"show": False}),
+            legend={"show": False},
+            cursor={"show": False},
+            height=72,
+            padding=(6, 8, 6, 8),
+        )
+
+    def add(self, seconds: float, contacts: np.ndarray) -> None:
+        """Appends a moment.
+
+        Args:
+            seconds: of any one clock.
+            contacts: [4] in 0..1, in the order of `View.contacts`.
+        """
+        self._seen.append((seconds, contacts[list(_LANE_ORDER)]))
+        if len(self._seen) > 2 * CONTACT_SAMPLES * 4:
+            self._seen = [seen for seen in self._seen if seen[0] >= seconds - CONTACT_SECONDS - 0.1]
+
+    def show(self, seconds: float) -> None:
+        """Draws the moments up to `seconds`."""
+        if not self._seen:
+            return
+        clock = np.array([moment for moment, _ in self._seen]) - seconds
+        values = np.stack([contacts for _, contacts in self._seen])
+        index = np.searchsorted(clock, self._times, side="right") - 1
+        known = (index >= 0)[:, None]
+        self._chart.data = self._lanes(np.where(known, values[np.maximum(index, 0)], 0.0))
+
+    def _lanes(self, contacts: np.ndarray) -> tuple[np.ndarray, ...]:
+        arrays = [self._times]
+        for lane in range(4):
+            base = np.full(CONTACT_SAMPLES, lane + _LANE_GAP / 2)
+            arrays += [base, base + (1.0 - _LANE_GAP) * np.clip(contacts[:, lane], 0.0, 1.0)]
+        return tuple(arrays)
+
+
+class FieldChanges:
+    """Detects which fields of a tab have changed since they were last read."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, Any] = {}
+
+    def changed(self, name: str, value: Any) -> bool:
+        """Returns whether a value differs from the last call with this name; the first time it does not."""
+        before = self._seen.setdefault(name, value)
+        self._seen[name] = value
+        return before != value
+
+    def set(self, **values: Any) -> None:
+        """Notes values that the server has given to fields, which are not changes made in the browser."""
+        self._seen.update(values)
 
 
 def _clock(dial: Dial, x: float, y: float, radius: float, ticks: bool = False) -> str:
@@ -233,7 +316,7 @@ def _short(name: str, length: int) -> str:
 
 
 _PAGE_STYLE = f"""
-@media (min-width: 990px) {{ /* notices between the panels, where there is room: not over what is read */
+@media (min-width: 990px) {{ /* notices between the panels if there is room, so that they do not cover the readouts */
   .mantine-Notifications-root[data-position=top-left] {{ left: {READOUT_WIDTH + 30:g}px !important; }}
 }}
 .pfnn-ended {{ position: fixed; left: 50%; top: 38%; transform: translate(-50%, -50%); z-index: 1000;
