@@ -14,6 +14,10 @@ class InputError(ValueError):
         self.file, self.place, self.value, self.rule = str(file), place, value, rule
         super().__init__(f"{file}: {place}: {value}; {rule}")
 
+    def __reduce__(self):
+        # Exceptions are unpickled with the arguments of `Exception.__init__`, here one; worker processes need all four.
+        return type(self), (self.file, self.place, self.value, self.rule)
+
 
 class TrainingError(RuntimeError):
     """Training became non-finite: names the step, the style and the value. The last good save is kept."""

@@ -1,4 +1,4 @@
-"""A clip with its labels: those beside its file win over what is found, and are cut and resampled with it."""
+"""Labels of a clip: files next to the clip take precedence, and are cut and resampled with it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def walk(tmp_path):
     return path
 
 
-def test_a_phase_file_beside_a_clip_wins(walk):
+def test_a_phase_file_takes_precedence_over_the_labeller(walk):
     found = load_labelled(ClipFile(walk, "proud"))
     shifted = dataclasses.replace(found.labels, phase=(found.labels.phase + 1.0) % (2 * np.pi))
     write_phase(walk.with_suffix(".phase"), shifted)
@@ -44,7 +44,7 @@ def test_hand_made_labels_are_cut_and_resampled_with_their_clip(mocap):
     assert clip_features(part.clip, pfnn2017(31), part.labels, part.gait).x.shape[1] == 342
 
 
-def test_a_clip_without_steps_loads_where_no_phase_is_wanted(walk, mocap):
+def test_a_clip_without_steps_loads_if_no_phase_is_needed(walk, mocap):
     labelled = load_labelled(ClipFile(walk, "proud"), phase=False)
     assert labelled.labels.num_frames == labelled.clip.num_frames and not labelled.labels.labelled.any()
     idle = next(clip for clip in list_clips(mocap / "100style") if clip.content == "idle")
@@ -53,7 +53,7 @@ def test_a_clip_without_steps_loads_where_no_phase_is_wanted(walk, mocap):
         load_labelled(idle)
 
 
-def test_the_labelled_clip_is_the_loaded_clip(walk):
+def test_labelling_does_not_change_the_clip(walk):
     clip_file = ClipFile(walk, "proud", "walk", start=10, stop=200)
     labelled, plain = load_labelled(clip_file, 30.0), load_clip(clip_file, fps=30.0)
     np.testing.assert_array_equal(labelled.clip.rotations, plain.rotations)

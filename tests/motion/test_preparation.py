@@ -1,17 +1,18 @@
-"""From takes to rows on disk: splits, windows, 100STYLE, and the same bytes from any number of processes."""
+"""From clips to rows on disk: splits, windows, 100STYLE, and the same bytes from any number of processes."""
 
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pfnn_jax.errors import InputError
 from pfnn_jax.io.npy import NpyWriter
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.clip_rows import has_hand_ends, labelled_features, load_for_layout
@@ -20,11 +21,10 @@ from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.datasets.splits import clip_generator, row_windows, split_blocks
-from pfnn_jax.motion.datasets.workers import map_in_order
 from pfnn_jax.motion.features.layout import mason2022
 from pfnn_jax.motion.features.normaliser import NO_ROWS, moments_of
 from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
-from tests.motion.tasks import invert
+from tests.raising import assert_refused
 
 FLOAT64 = 1e-12  # rounding of sums over some hundred rows
 TENTHS = PrepareConfig(layout="mason2022", validation=0.1, test=0.1)
@@ -42,7 +42,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def takes() -> list[LabelledClip]:
-    """Of one style two walks and a transition; of the other a walk longer than two windows."""
+    """Returns two walks and a transition of one style, and of another a walk longer than two windows."""
     return [take("proud", "walk", 3, 1), take("proud", "walk", 4, 2), take("proud", "transition-1", 3, 3)] + [
         take("angry", "walk", 7, 4)
     ]
@@ -55,7 +55,7 @@ def split(takes, tmp_path_factory) -> Dataset:
 
 @pytest.mark.parametrize("count", [1, 7, 100, 1001])
 @pytest.mark.parametrize(("validation", "test"), [(0.1, 0.1), (0.3, 0.0), (0.0, 0.45), (0.0, 0.0)])
-def test_blocks_are_contiguous_and_of_their_size(count, validation, test):
+def test_validation_and_test_rows_are_contiguous_blocks_of_their_share(count, validation, test):
     for seed in range(5):
         parts = split_blocks(count, validation, test, np.random.default_rng(seed))
         for index, share in ((1, validation), (2, test)):
@@ -64,7 +64,7 @@ def test_blocks_are_contiguous_and_of_their_size(count, validation, test):
             assert len(rows) == 0 or rows[-1] - rows[0] == len(rows) - 1
 
 
-def test_blocks_lie_anywhere_and_in_either_order():
+def test_blocks_lie_at_any_position_in_either_order():
     firsts = [
         [int(np.argmax(split_blocks(100, 0.1, 0.1, np.random.default_rng(seed)) == part)) for part in (1, 2)]
         for seed in range(400)
@@ -75,7 +75,7 @@ def test_blocks_lie_anywhere_and_in_either_order():
         assert first.min() == 0 and first.max() == 90  # 90 places of a block of 10
 
 
-def test_windows_of_consecutive_frames():
+def test_windows_hold_consecutive_frames():
     np.testing.assert_array_equal(row_windows(np.arange(500)), [[0, 240], [120, 240], [240, 240]])
     broken = np.concatenate([np.arange(100), np.arange(150, 400)])
     np.testing.assert_array_equal(row_windows(broken), [[100, 240]])
@@ -84,7 +84,7 @@ def test_windows_of_consecutive_frames():
     assert row_windows(np.arange(0)).shape == (0, 2)
 
 
-def test_every_row_is_in_one_split_and_twins_are_together(takes, split, tmp_path):
+def test_every_row_is_in_one_split_with_its_mirror_image(takes, split, tmp_path):
     whole = prepare(takes, tmp_path / "set", PrepareConfig(layout="mason2022"))
     for style in whole.styles:
         pairs = {name: np.stack(split.sources(style, name), axis=1) for name in split.rows}
@@ -99,7 +99,7 @@ def test_every_row_is_in_one_split_and_twins_are_together(takes, split, tmp_path
                 np.testing.assert_array_equal(frames[clips == index], frames[clips == index - 1])
 
 
-def test_a_tenth_of_every_take_in_one_block_but_transitions_all_train(split):
+def test_a_tenth_of_every_clip_is_one_block_but_transitions_are_all_training_rows(split):
     transitions = [i for i, clip in enumerate(split.clips) if clip["content"] == "transition-1"]
     assert len(transitions) == 2
     for name in ("validation", "test"):
@@ -111,7 +111,7 @@ def test_a_tenth_of_every_take_in_one_block_but_transitions_all_train(split):
                 assert (np.diff(block) == 1).all() and index not in transitions
 
 
-def test_windows_lie_within_one_take(split):
+def test_windows_lie_within_one_clip(split):
     for name in split.rows:
         for style in split.styles:
             clips, frames = split.sources(style, name)
@@ -123,12 +123,12 @@ def test_windows_lie_within_one_take(split):
     assert split.windows("proud").dtype == np.int32
 
 
-def test_the_order_of_takes_changes_no_byte(takes, split, tmp_path):
+def test_the_order_of_clips_changes_no_byte(takes, split, tmp_path):
     prepare(takes[::-1], tmp_path / "reversed", TENTHS)
     assert files_of(tmp_path / "reversed") == files_of(split.path)
 
 
-def test_the_blocks_follow_the_seed_and_the_takes_name(takes, split, tmp_path):
+def test_blocks_depend_on_the_seed_and_the_name_of_the_clip_only(takes, split, tmp_path):
     other = prepare(takes, tmp_path / "set", dataclasses.replace(TENTHS, seed=1))
     assert (other.sources("angry", "test")[1] != split.sources("angry", "test")[1]).any()
     fewer = prepare(takes[1:], tmp_path / "fewer", TENTHS)
@@ -137,7 +137,7 @@ def test_the_blocks_follow_the_seed_and_the_takes_name(takes, split, tmp_path):
     assert clip_generator(0, "a", "b").random() != clip_generator(0, "a", "c").random()
 
 
-def test_a_dataset_holds_what_take_features_gives(split):
+def test_a_dataset_holds_what_labelled_features_returns(split):
     written = take("angry", "walk", 7, 4)
     features = labelled_features(written, split.layout, mirror=True)
     clips, frames = split.sources("angry")
@@ -148,13 +148,13 @@ def test_a_dataset_holds_what_take_features_gives(split):
 
 
 def test_100style_as_published(mocap, tmp_path):
-    """25 joints, 348 inputs, 342 outputs, 8 local phases; the idle take is left out; cuts beyond a take are noted."""
+    """25 joints, 348 inputs, 342 outputs, 8 local phases; the idle clip is skipped; cuts beyond the end are noted."""
     files = list_clips(mocap / "100style")
     dataset = prepare(files, tmp_path / "set", TENTHS)
     assert (dataset.layout.input_size, dataset.layout.output_size) == (348, 342)
     assert dataset.skeleton.num_joints == 25 and dataset.layout.ends == (16, 11, 24, 20)
-    (left_out,) = dataset.skipped
-    assert left_out["file"].endswith("Neutral_ID.bvh") and left_out["reason"].startswith("an idle take")
+    (skipped,) = dataset.skipped
+    assert skipped["file"].endswith("Neutral_ID.bvh") and skipped["reason"].startswith("an idle clip")
     assert len(dataset.notes) == 3 and all("1200 frames, its end is used" in note["note"] for note in dataset.notes)
     x, y, phase = dataset.arrays("Angry")
     assert sum(rows["Angry"] for rows in dataset.rows.values()) == 2 * (4407 - 569 - 2)
@@ -165,19 +165,19 @@ def test_100style_as_published(mocap, tmp_path):
     assert load_dataset(dataset.path).layout == dataset.layout
 
 
-def test_a_take_of_another_skeleton_in_100style_is_named(mocap, tmp_path):
+def test_a_clip_of_another_skeleton_in_100style_is_refused(mocap, tmp_path):
     folder = tmp_path / "takes"
     folder.mkdir()
     for path in (mocap / "100style").glob("*.csv"):
         shutil.copy(path, folder)
     shutil.copy(mocap / "100style" / "Neutral_FW.bvh", folder / "Neutral_FW.bvh")
     write_bvh(folder / "Old_FW.bvh", take("proud", "walk", 12, 0).clip)
-    with pytest.raises(InputError, match="Old_FW.bvh: skeleton: 23 joints, .*; all clips share one skeleton, of 25"):
-        prepare(list_clips(folder), tmp_path / "set", TENTHS)
+    call = partial(prepare, folder, tmp_path / "set", TENTHS)
+    assert_refused(call, file="Old_FW.bvh", place="skeleton", rule_mentions="of 25 joints")
     assert not (tmp_path / "set").exists()
 
 
-def test_hand_ends_are_joints_only_where_all_takes_have_them(mocap, tmp_path):
+def test_hand_ends_are_joints_only_if_all_clips_have_them(mocap, tmp_path):
     """Four of the Bandai-Namco files have End Sites away from the wrists, the others at them."""
     normal = [clip for clip in list_clips(mocap / "bandai-namco-1") if clip.style == "normal"]
     assert [has_hand_ends(clip) for clip in normal].count(True) == 4
@@ -187,20 +187,20 @@ def test_hand_ends_are_joints_only_where_all_takes_have_them(mocap, tmp_path):
     assert all(has_hand_ends(clip) for clip in list_clips(mocap / "100style"))
 
 
-def test_takes_without_steps_are_learned_where_no_phase_is_wanted(mocap):
+def test_clips_without_steps_are_used_if_no_phase_is_needed(mocap):
     """Hops and slides have no phase of a gait cycle, but local phases."""
     idle = next(clip for clip in list_clips(mocap / "100style") if clip.content == "idle")
-    take_ = load_for_layout(dataclasses.replace(idle, content="hop"), mason2022())
-    assert take_.clip.skeleton.num_joints == 25 and not take_.labels.labelled.any()
+    labelled = load_for_layout(dataclasses.replace(idle, content="hop"), mason2022())
+    assert labelled.clip.skeleton.num_joints == 25 and not labelled.labels.labelled.any()
 
 
-def test_a_clip_gets_hand_ends_only_where_the_layout_has_them(mocap):
-    """A file with hand ends is of use to a network without, and the other way round it is refused later, by name."""
+def test_a_clip_gets_hand_ends_only_if_the_layout_has_them(mocap):
+    """A file with hand ends suits a network without them; the opposite case is refused later, by name."""
     normal = next(c for c in list_clips(mocap / "bandai-namco-1") if c.style == "normal" and has_hand_ends(c))
     assert [load_for_layout(normal, mason2022(joints)).clip.skeleton.num_joints for joints in (21, 23)] == [21, 23]
 
 
-def test_a_growing_array_is_the_array(tmp_path):
+def test_rows_appended_to_a_file_are_the_array(tmp_path):
     rows = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
     writer = NpyWriter(tmp_path / "a.npy", np.dtype(np.float32), (3,))
     for part in (rows[:20], rows[20:20], rows[20:]):
@@ -213,7 +213,7 @@ def test_a_growing_array_is_the_array(tmp_path):
     assert np.load(tmp_path / "b.npy").shape == (0,)
 
 
-def test_merged_moments_are_those_of_all_rows():
+def test_merged_moments_equal_those_of_all_rows():
     rows = np.random.default_rng(0).normal([0, 1e3, 5], [1, 1e-2, 0], size=(300, 3))
     merged = NO_ROWS
     for part in np.split(rows, [10, 11, 200]):
@@ -223,39 +223,25 @@ def test_merged_moments_are_those_of_all_rows():
     assert merged.merge(NO_ROWS) is merged and merged.count == 300
 
 
-def test_processes_answer_in_order_and_pass_errors_on():
-    assert list(map_in_order(invert, [1, 3, 5, 7] * 5, 2)) == [1, 1 / 3, 1 / 5, 1 / 7] * 5
-    results = map_in_order(invert, [1, 2, 3], 2)
-    assert next(results) == 1
-    with pytest.raises(InputError, match="numbers: value: 2; must be odd"):
-        next(results)
-    with pytest.raises(InputError, match="process: ended with code 5; .* fewer workers need less memory"):
-        list(map_in_order(invert, [13], 2))
-    with pytest.raises(RuntimeError, match="its traceback stands above"):
-        list(map_in_order(invert, [9], 2))
-
-
 SCRIPT = """
 import sys
-from pathlib import Path
-from pfnn_jax.motion.datasets.preparation import prepare
-from pfnn_jax.motion.datasets.preparation import PrepareConfig
-from pfnn_jax.motion.datasets.sources import list_clips
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 print("once")
-prepare(list_clips(sys.argv[1]), Path(sys.argv[2]), PrepareConfig("mason2022", test=0.1), workers=2)
+prepare(sys.argv[1], sys.argv[2], PrepareConfig("mason2022", test=0.1), workers=2)
 assert "jax" not in sys.modules
 """
 
 
-def test_a_script_without_a_guard_may_start_processes_that_change_no_byte(takes, tmp_path):
-    """Started anew by `multiprocessing`, it would run itself again and again."""
+def test_two_processes_started_by_a_script_without_a_guard_change_no_byte(takes, tmp_path):
+    """`multiprocessing` would run such a script again in every process."""
     for index, style in enumerate(("calm", "hasty")):
         (tmp_path / "bvh" / style).mkdir(parents=True)
         write_bvh(tmp_path / "bvh" / style / "walk.bvh", takes[index].clip)
     (tmp_path / "script.py").write_text(SCRIPT)
     command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "bvh"), str(tmp_path / "set")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=Path(__file__).parents[2])
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=env)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["once"]
-    alone = prepare(list_clips(tmp_path / "bvh"), tmp_path / "alone", PrepareConfig("mason2022", test=0.1), workers=1)
+    alone = prepare(tmp_path / "bvh", tmp_path / "alone", PrepareConfig("mason2022", test=0.1), workers=1)
     assert alone.styles == ("calm", "hasty") and files_of(tmp_path / "set") == files_of(alone.path)

@@ -1,169 +1,87 @@
-"""Work spread over processes, with results in the order of the tasks.
+"""Spreads work over processes, with results in the order of the tasks.
 
-The processes are plain Python interpreters that import this file and nothing else, fed through pipes. Unlike those of
-`multiprocessing`, they never run the caller's script again, so that a script without a `__main__` guard, a notebook and
-a test runner may all start them, on every system.
+The processes are loky's. Unlike those of `multiprocessing`, they never run the caller's script again, so that a script
+without a `__main__` guard, a notebook and a test runner may all start them; and when one of them dies, the caller gets
+an error instead of waiting for ever.
 """
 
 from __future__ import annotations
 
 import os
-import pickle
-import subprocess
-import sys
+import re
+import signal
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
-from queue import SimpleQueue
-from typing import Any, NamedTuple, TypeVar
+from typing import TypeVar
 
 from pfnn_jax.errors import InputError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-AHEAD = 2
-"""Tasks begun for each process before the first result is taken: bounds the results that wait in memory."""
+LOOKAHEAD = 2
+"""Tasks submitted per process ahead of the result that is awaited: bounds the results held in memory."""
 
-TRACEBACK = 1
-"""Exit code of an interpreter that an error has ended."""
+MAX_WORKERS = 8
+"""Default limit on processes: with more, computing is faster than the one process that writes."""
 
-MOST = 8
-"""Processes used where nobody asks for more: beyond, one process writes slower than they compute."""
+IDLE_SECONDS = 60.0
+"""A process without work ends after this time, so that none outlives a parent that was killed."""
 
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-KEEP_MEMORY = {
+ENVIRONMENT = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    # glibc: keep freed memory for the next array instead of returning it to the system, which takes a tenth of the time
     "MALLOC_MMAP_THRESHOLD_": str(2**30),
     "MALLOC_TRIM_THRESHOLD_": str(2**32),
     "MALLOC_TOP_PAD_": str(2**26),
 }
-"""For glibc: memory of one array serves the next instead of going back to the system, a tenth of the time."""
-
-PIPE = 2**20
-"""Bytes on their way between processes, where the system lets us choose."""
 
 
 def map_in_order(
     function: Callable[[Task], Result], tasks: Iterable[Task], workers: int
 ) -> Generator[Result, None, None]:
-    """The function's result for each task, in the order of the tasks.
+    """Yields the function's result for each task, in the order of the tasks.
+
+    All processes have ended when the generator has, also when it is closed early or interrupted.
 
     Args:
-        function: at the top of a module that can be imported.
-        tasks: that can be pickled; taken as they are needed.
-        workers: processes; 1 works in this one.
+        function: applied to each task; it and its results must be picklable.
+        tasks: picklable; taken as they are needed.
+        workers: number of processes; 1 works in this one.
 
     Raises:
-        InputError: as the function raises it; or if a process ended, as for want of memory.
-        RuntimeError: for another error of the function in a process, which has printed its traceback.
+        InputError: if a process dies, for example because memory runs out.
+        Exception: whatever the function raises.
     """
     if workers <= 1:
         yield from map(function, tasks)
         return
-    processes = [_Process() for _ in range(workers)]
-    idle: SimpleQueue[_Process] = SimpleQueue()
-    for process in processes:
-        idle.put(process)
+    from loky import ProcessPoolExecutor  # here, because one process needs none of it
+    from loky.process_executor import TerminatedWorkerError
 
-    def call(task: Task) -> Result:
-        process = idle.get()
-        try:
-            return process.call(function, task)
-        finally:
-            idle.put(process)
-
-    threads = ThreadPoolExecutor(workers)
-    waiting: deque[Future[Result]] = deque()
+    executor = ProcessPoolExecutor(workers, timeout=IDLE_SECONDS, initializer=_ignore_interrupts, env=ENVIRONMENT)
+    waiting = deque()
     try:
         for task in tasks:
-            waiting.append(threads.submit(call, task))
-            if len(waiting) >= AHEAD * workers:
+            waiting.append(executor.submit(function, task))
+            if len(waiting) >= LOOKAHEAD * workers:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+    except TerminatedWorkerError as error:
+        codes = re.search(r"\{(.*)\}", str(error))
+        value = f"worker died (exit code {codes[1] if codes else 'unknown'})"
+        raise InputError("workers", "process", value, "probably out of memory; use fewer workers") from error
     finally:
-        for future in waiting:
-            future.cancel()
-        for process in processes:
-            process.kill()
-        threads.shutdown()
-        for process in processes:
-            process.close()
+        executor.shutdown(kill_workers=True)
 
 
 def default_workers() -> int:
-    """The processors this process may use, at most `MOST`."""
+    """Returns the number of processors this process may use, at most `MAX_WORKERS`."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(usable, MOST)
+    return min(usable, MAX_WORKERS)
 
 
-class _Refusal(NamedTuple):
-    """An `InputError` on its way between processes."""
-
-    file: str
-    place: str
-    value: str
-    rule: str
-
-
-class _Process:
-    """One interpreter that answers calls until its input ends."""
-
-    def __init__(self) -> None:
-        command = f"from {__name__} import serve; serve()"
-        paths = os.pathsep.join(path for path in (*sys.path, os.getcwd()) if path)
-        self._popen = subprocess.Popen(
-            [sys.executable, "-c", command],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**os.environ, **ONE_THREAD, **KEEP_MEMORY, "PYTHONPATH": paths},
-            pipesize=PIPE,
-        )
-
-    def call(self, function: Callable[[Task], Result], task: Task) -> Result:
-        assert self._popen.stdin is not None and self._popen.stdout is not None
-        try:
-            pickle.dump((function, task), self._popen.stdin, pickle.HIGHEST_PROTOCOL)
-            self._popen.stdin.flush()
-            answer = pickle.load(self._popen.stdout)
-        except (OSError, EOFError, pickle.UnpicklingError) as error:
-            raise self._ended() from error
-        if isinstance(answer, _Refusal):
-            raise InputError(*answer)
-        return answer
-
-    def kill(self) -> None:
-        """Ends whatever it does."""
-        self._popen.kill()
-
-    def close(self) -> None:
-        """Waits for its end and frees its pipes."""
-        self._popen.communicate()
-
-    def _ended(self) -> Exception:
-        code = self._popen.wait()
-        if code == TRACEBACK:
-            return RuntimeError("a process failed; its traceback stands above")
-        rule = "it must live until its work is done; fewer workers need less memory"
-        return InputError("workers", "process", f"ended with code {code}", rule)
-
-
-def serve() -> None:
-    """Answers the calls on standard input, one after another, until it ends."""
-    calls, answers = sys.stdin.buffer, sys.stdout.buffer
-    sys.stdout = sys.stderr  # what a library prints must not come between answers
-    try:
-        while True:
-            function, task = pickle.load(calls)
-            pickle.dump(_answer(function, task), answers, pickle.HIGHEST_PROTOCOL)
-            answers.flush()
-    except (EOFError, KeyboardInterrupt):
-        return
-
-
-def _answer(function: Callable[[Any], Any], task: Any) -> Any:
-    try:
-        return function(task)
-    except InputError as error:
-        return _Refusal(error.file, error.place, str(error.value), error.rule)
+def _ignore_interrupts() -> None:
+    """Leaves Ctrl-C, which the terminal sends to all processes, to the parent, which ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
