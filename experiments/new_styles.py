@@ -50,7 +50,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.plots import error_bars
 from pfnn_jax.evaluation.style_classifier import ClassifierConfig, train_classifier
 from pfnn_jax.io.files import json_text, write_whole
-from pfnn_jax.models.film import FiLMStyle, film_to_vector
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.viewer.draw.drawing import save_figure
 
 LEARN = "walk"
@@ -256,7 +256,7 @@ def _of(takes: Sequence[Take], style: str) -> list[Take]:
 
 def _vectors(films: FiLMStyle) -> np.ndarray:
     """[W, 4H] of Films with leaves [W, 2, H]."""
-    return np.asarray(jax.vmap(film_to_vector)(films))
+    return np.asarray(jax.vmap(FiLMStyle.to_vector)(films))
 
 
 if __name__ == "__main__":

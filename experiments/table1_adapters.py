@@ -32,8 +32,8 @@ from pfnn_jax.benchmarks.training import random_frames
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.io.files import write_whole
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind
-from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
+from pfnn_jax.models.network import init_network
 from pfnn_jax.training.few_shot_learning import FewShotConfig, train_grid
 
 MEBIBYTE = 2**20

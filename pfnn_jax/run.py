@@ -34,11 +34,10 @@ from pfnn_jax.io.checkpoint import (
     write_json,
 )
 from pfnn_jax.io.files import refuse_existing
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, OneHot, Style, init_style
-from pfnn_jax.models.film import FiLMStyle
-from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
-from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
-from pfnn_jax.models.network import Network, NetworkConfig, init_network, num_parameters
+from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
+from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.network import Network, init_network, num_parameters
+from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, load_normaliser, save_normaliser
@@ -269,7 +268,7 @@ def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, A
     folder = path / "styles" / check_style_name(name, path)
     if locate(folder) is not None and not overwrite:
         raise InputError(folder, "output", "exists", "an existing style is replaced only with --overwrite")
-    config, form = load_config(path), adapter_form(adapter)
+    config, form = load_config(path), adapter.config
     check_adapter(config, form, folder)
     shapes = [leaf.shape for leaf in jax.tree.leaves(_abstract_adapter(config, form))]
     if [leaf.shape for leaf in jax.tree.leaves(adapter)] != shapes:
@@ -331,23 +330,6 @@ def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) ->
         asked = "must be film (few-shot: --method film or --recipe generator)"
         rule = asked if own.kind == "film" else "must not be film"
         raise InputError(source, "adapter kind", form.kind, f"{rule}, as the run's styles are {own.kind}")
-
-
-_KINDS: dict[type, AdapterKind] = {
-    BlendedLayer: "full",
-    DiagonalLayer: "diagonal",
-    BiasLayer: "bias",
-    DenseLayer: "dense",
-    OneHot: "one_hot",
-    FiLMStyle: "film",
-}
-
-
-def adapter_form(adapter: Style) -> AdapterConfig:
-    """Kind and rank of a style's parameters."""
-    if isinstance(adapter, CPLayer):
-        return AdapterConfig(kind="cp", rank=adapter.d.shape[-1])
-    return AdapterConfig(kind=_KINDS[type(adapter)])
 
 
 def save_train_state(path: str | Path, state: Any, step: int) -> None:

@@ -10,8 +10,7 @@ import pytest
 from experiments import few_shot_dropout, table1_adapters
 from pfnn_jax.benchmarks.runtime import random_predictor
 from pfnn_jax.errors import InputError
-from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.network import NetworkConfig
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 
 PAPERS_DIGITS = 0.03  # the paper gives two or three digits, and rounds up once
 MEGABYTE = 2**20 / 10**6  # the paper's megabytes are 2^20 bytes, but those of CP 10^6

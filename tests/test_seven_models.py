@@ -15,7 +15,7 @@ from experiments.common.seven_measures import GROUPS
 from experiments.common.seven_models import load_model
 from experiments.common.seven_takes import GAP, LAYOUT_NAMES, Take, common_columns, load_takes, split_takes
 from pfnn_jax.errors import InputError
-from pfnn_jax.models.film import FiLMStyle
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.presets import TABLE2
 
 LEARNED = ("lpn_film", "pfnn_resad")

@@ -19,9 +19,10 @@ from experiments.common.seven_measures import predict
 from experiments.common.seven_models import Model
 from experiments.common.seven_takes import Take, common_columns
 from pfnn_jax.control.stability import make_stability_check
-from pfnn_jax.models.adapters import Style
-from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
+from pfnn_jax.models.config import GeneratorConfig
+from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import num_parameters
+from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.encode import Features, join_rows
 from pfnn_jax.training.data import StyleData, hold_out, style_data, to_batch
 from pfnn_jax.training.few_shot_learning import FewShotConfig, Method, choose, refit, train_grid

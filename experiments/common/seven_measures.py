@@ -27,7 +27,7 @@ from pfnn_jax.evaluation.style_classifier import (
 )
 from pfnn_jax.evaluation.style_test import predict_rows
 from pfnn_jax.inference.predictor import Predictor
-from pfnn_jax.models.adapters import Style
+from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.decode import root_steps
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.kinematics import forward_kinematics

@@ -15,10 +15,11 @@ import numpy as np
 from experiments.common.seven_takes import Take, Takes, rows_of
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor
 from pfnn_jax.io.checkpoint import load_record, locate, read_note, save_record
-from pfnn_jax.models.adapters import AdapterConfig, Style, init_bank
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import Network, init_network
 from pfnn_jax.models.presets import LAYOUT_OF, TABLE2
+from pfnn_jax.models.style import Style, init_bank
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser, fit_normaliser, load_normaliser, save_normaliser
 from pfnn_jax.motion.skeleton import Skeleton

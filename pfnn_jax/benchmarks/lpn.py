@@ -15,11 +15,10 @@ from pfnn_jax.benchmarks.timing import Figure, figure, interleave
 from pfnn_jax.benchmarks.training import compare_steps
 from pfnn_jax.evaluation.prepared import Prepared, measure_preparation
 from pfnn_jax.inference.predictor import Predictor, evaluate
-from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.film import FiLMStyle
-from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
-from pfnn_jax.models.layers import BlendedLayer
-from pfnn_jax.models.network import NetworkConfig
+from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
+from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.layers.film import FiLMStyle
+from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.motion.datasets.sources import list_clips
 from pfnn_jax.motion.features.layout import LAYOUTS
 from pfnn_jax.motion.labels.local_phase import clip_local_phases

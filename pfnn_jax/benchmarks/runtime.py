@@ -15,9 +15,10 @@ import numpy as np
 from pfnn_jax.benchmarks.timing import Figure, Work, figure, interleave
 from pfnn_jax.inference.lookup import NUM_SLICES, Lookup, evaluate_lookup, make_lookup
 from pfnn_jax.inference.predictor import Predictor, evaluate
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.layers import BlendedLayer
-from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.layers.full import BlendedLayer
+from pfnn_jax.models.network import init_network
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import mirror_clip
 from pfnn_jax.motion.datasets.labelled import load_labelled

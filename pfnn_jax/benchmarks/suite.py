@@ -25,7 +25,7 @@ from pfnn_jax.benchmarks.lpn import (
 from pfnn_jax.benchmarks.runtime import character_figures, preparation_figures
 from pfnn_jax.benchmarks.timing import Figure, machine, versions
 from pfnn_jax.benchmarks.training import few_shot_figures, rate_figures, step_figures
-from pfnn_jax.models.network import NetworkConfig
+from pfnn_jax.models.config import NetworkConfig
 
 
 def _mocap() -> Path | None:

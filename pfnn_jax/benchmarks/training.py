@@ -13,11 +13,12 @@ import numpy as np
 import optax
 
 from pfnn_jax.benchmarks.timing import Figure, Work, figure, interleave
-from pfnn_jax.models.adapters import AdapterConfig, init_bank
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.dropout import Dropout, drop
-from pfnn_jax.models.film import FiLMStyle, modulate
-from pfnn_jax.models.layers import BlendedLayer, Layer, linear
-from pfnn_jax.models.network import Network, NetworkConfig, coefficients, init_network
+from pfnn_jax.models.layers.film import FiLMStyle
+from pfnn_jax.models.layers.full import BlendedLayer
+from pfnn_jax.models.network import Network, coefficients, init_network
+from pfnn_jax.models.style import Layer, init_bank
 from pfnn_jax.training.data import Batch, Draw
 from pfnn_jax.training.few_shot_learning import MASON2018_FEW_SHOT, FewShotConfig, refit, train_grid
 from pfnn_jax.training.losses import l1_penalty, squared_error
@@ -73,13 +74,13 @@ def per_sample_outputs(
         return jnp.einsum("bi,bio->bo", x, weights) + c @ layer.biases
 
     def activate(index: int, f: jax.Array) -> jax.Array:
-        return jax.nn.elu(jax.vmap(partial(modulate, style, index))(f) if isinstance(style, FiLMStyle) else f)
+        return jax.nn.elu(jax.vmap(partial(style.modulate, index))(f) if isinstance(style, FiLMStyle) else f)
 
     first, second, third = network.layers
     hidden = activate(0, blended(first, drop(keys[0], dropout.main, x)))
     f = blended(second, drop(keys[1], dropout.main, hidden))
     if not isinstance(style, FiLMStyle):
-        f = f + jax.vmap(partial(linear, style))(c, drop(keys[3], dropout.adapter, hidden))
+        f = f + jax.vmap(style)(c, drop(keys[3], dropout.adapter, hidden))
     return blended(third, drop(keys[2], dropout.main, activate(1, f)))
 
 

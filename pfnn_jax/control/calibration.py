@@ -16,7 +16,6 @@ from pfnn_jax.control.controller_state import (
     ControllerState,
     feet_clearance,
     interpolate_pose,
-    mixed_style,
     network_step,
     predicted_frame,
     style_speed,
@@ -118,7 +117,7 @@ def measure_walk_speed(
     layout = setup.layout
 
     def measure(style: jax.Array, limit: jax.Array, speed: jax.Array) -> jax.Array:
-        predictor = replace(params.predictor, style=mixed_style(params.bank, style))
+        predictor = params.mixed_predictor(style)
         origin, yaw = jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32)
         state = initial_state(layout, params.initial_row, params.initial_phase, origin, yaw)
         command = Command(velocity=speed * AHEAD, direction=jnp.asarray(AHEAD))
@@ -168,7 +167,7 @@ def _lowest_frame(
     """Returns the state, output [Dy] and root facing [2] of the warm-up's frame with the lowest feet, of its second
     half."""
     layout, speed = setup.layout, style_speed(params, style)
-    predictor = replace(params.predictor, style=mixed_style(params.bank, style))
+    predictor = params.mixed_predictor(style)
     origin, zero = jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32)
     if layout.has_input("gait"):  # trained on standing, too
         state, velocity = standing_state(layout, params.initial_row, origin, zero), 0.0 * speed.natural

@@ -27,7 +27,6 @@ from pfnn_jax.control.controller_state import (
     ControllerState,
     feet_clearance,
     interpolate_pose,
-    mixed_style,
     network_step,
     predicted_frame,
     style_speed,
@@ -247,7 +246,7 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
     Source: the loop of Mason et al. 2018, section 5.1, and 2022, section 4.4, with command tracking.
     """
     style = state.style if command.style is None else _moved_style(state.style, command.style)
-    predictor, speed = replace(params.predictor, style=mixed_style(params.bank, style)), style_speed(params, style)
+    predictor, speed = params.mixed_predictor(style), style_speed(params, style)
     tracking = state.tracking
     if setup.tracking is not None:
         tracking = update_time_scale(tracking, command, setup.tracking)

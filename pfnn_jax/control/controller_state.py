@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,10 +23,7 @@ from pfnn_jax.control.loop.state import CharacterState, contacts_of_output, join
 from pfnn_jax.control.loop.step import Command, LoopConfig, published_step
 from pfnn_jax.control.tracking import MIN_WALK_SPEED, StyleSpeed, TrackingConfig, TrackingState, limit_lookahead
 from pfnn_jax.inference.predictor import Predictor, evaluate
-from pfnn_jax.models.adapters import OneHot
-from pfnn_jax.models.film import FiLMStyle
-from pfnn_jax.models.film import mix as mix_parameters
-from pfnn_jax.models.layers import MixedLayer
+from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.kinematics import quat_exp, quat_from_forward_up, quat_from_yaw, quat_multiply
 from pfnn_jax.motion.labels.contacts import MAX_HEIGHT, MAX_SPEED
@@ -50,13 +46,17 @@ class ControllerParams:
     """
 
     predictor: Predictor
-    bank: Any
+    bank: Style | None
     speeds: jax.Array
     default_speed: jax.Array
     speed_gains: jax.Array
     initial_row: jax.Array
     initial_phase: jax.Array
     foot_heights: jax.Array
+
+    def mixed_predictor(self, weights: jax.Array) -> Predictor:
+        """Returns the predictor of the mixture of the bank's styles by weights [C]."""
+        return replace(self.predictor, style=None if self.bank is None else self.bank.mix_dynamic(weights))
 
 
 @dataclass(frozen=True)
@@ -131,15 +131,6 @@ class ControllerState:
     def time_scale(self) -> jax.Array:
         """Returns the seconds [] of network time per second of real time."""
         return self.tracking.time_scale
-
-
-def mixed_style(bank: Any, weights: jax.Array) -> Any:
-    """Returns the weighted sum of C styles: FiLM and one-hot styles by parameters, residual adapters by outputs."""
-    if bank is None:
-        return None
-    if isinstance(bank, FiLMStyle | OneHot):
-        return mix_parameters(bank, weights)
-    return MixedLayer(layers=bank, weights=weights)
 
 
 def style_speed(params: ControllerParams, weights: jax.Array) -> StyleSpeed:

@@ -12,8 +12,9 @@ import numpy as np
 
 from pfnn_jax.control.stability import make_stability_check, predictor_of
 from pfnn_jax.evaluation.style_test import StyleTest, pose_and_velocity_error, predict_rows
-from pfnn_jax.models.adapters import AdapterConfig, init_style
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.network import Network, config_of
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.training.data import hold_out, to_batch

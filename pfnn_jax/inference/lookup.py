@@ -21,11 +21,10 @@ from flax import struct
 from jax.core import Tracer
 
 from pfnn_jax.inference.predictor import Predictor, evaluate, evaluate_at
-from pfnn_jax.models.adapters import OneHot, Style
-from pfnn_jax.models.film import FiLMStyle
-from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer, Layer
-from pfnn_jax.models.network import Network, config_of
+from pfnn_jax.models.layers.full import BlendedLayer
+from pfnn_jax.models.network import Network
 from pfnn_jax.models.spline import catmull_rom_basis
+from pfnn_jax.models.style import Style
 
 LookupMode = Literal["nearest50", "constant50"]
 
@@ -67,13 +66,9 @@ def make_lookup(predictor: Predictor, num_slices: int = NUM_SLICES, mode: Lookup
         raise ValueError("`predictor` must have a spline of a global phase, got a gating network.")
     if num_slices < 1:
         raise ValueError(f"`num_slices` must be at least 1, got {num_slices}.")
-    control_points = config_of(predictor.network).num_control_points
     phases = jnp.arange(num_slices, dtype=jnp.float32) * (2 * math.pi / num_slices)
-    slices = []
-    for coefficients in jax.vmap(lambda phase: catmull_rom_basis(phase, control_points))(phases):
-        network, style = _blend_all(predictor.network, predictor.style, coefficients)
-        slices.append(dataclasses.replace(predictor, network=network, style=style))
-    return Lookup(predictor=predictor, slices=tuple(slices), mode=mode)
+    blending = jax.vmap(lambda phase: catmull_rom_basis(phase, predictor.network.num_control_points))(phases)
+    return Lookup(predictor=predictor, slices=tuple(_slice(predictor, c) for c in blending), mode=mode)
 
 
 def evaluate_lookup(lookup: Lookup, x: jax.Array, phase: jax.Array | float) -> jax.Array:
@@ -120,41 +115,21 @@ def _evaluate_slice(entry: Predictor, x: jax.Array) -> jax.Array:
     return evaluate_at(entry, x, jnp.ones(1, entry.input_mean.dtype))
 
 
-def _blend_all(network: Network, style: Style | None, c: jax.Array) -> tuple[Network, Style | None]:
-    """Network and style at coefficients c [K]. Not compiled, so that all entries share the factors of CP layers."""
-    first, second, third = (_blend(layer, c) for layer in network.layers)
-    match style:
-        case None | FiLMStyle():
-            rest = style
-        case OneHot(shift=shift):
-            rest = OneHot(shift=BiasLayer(biases=(c @ shift.biases)[None]))
-        case _:
-            rest = _blend(style, c)
-            if isinstance(second, BlendedLayer) and not isinstance(rest, CPLayer):
-                second, rest = _add(second, rest), None
-    return Network(layers=(first, second, third)), rest
+def _slice(predictor: Predictor, coefficients: jax.Array) -> Predictor:
+    """Returns the predictor at coefficients [K]. Not compiled, so that all entries share the factors of CP layers."""
+    style = None if predictor.style is None else predictor.style.at(coefficients)
+    network, style = _fold(predictor.network.at(coefficients), style)
+    return dataclasses.replace(predictor, network=network, style=style)
 
 
-def _blend(layer: Layer, c: jax.Array) -> Layer:
-    """The layer at coefficients c [K], as a layer of one control point."""
-    match layer:
-        case BlendedLayer(weights=weights, biases=biases):
-            return BlendedLayer(weights=jnp.tensordot(c, weights, 1)[None], biases=(c @ biases)[None])
-        case CPLayer(d=d):
-            return dataclasses.replace(layer, d=(c @ d)[None])
-        case DiagonalLayer(weights=weights, biases=biases):
-            return DiagonalLayer(weights=(c @ weights)[None], biases=(c @ biases)[None])
-        case BiasLayer(biases=biases):
-            return BiasLayer(biases=(c @ biases)[None])
-        case DenseLayer():
-            return layer
-
-
-def _add(layer: BlendedLayer, adapter: BlendedLayer | DiagonalLayer | BiasLayer | DenseLayer) -> BlendedLayer:
-    """One full layer that does what the layer and a full, dense, diagonal or bias adapter do together."""
-    match adapter:
-        case BlendedLayer(weights=weights) | DenseLayer(weights=weights):
-            layer = dataclasses.replace(layer, weights=layer.weights + weights)
-        case DiagonalLayer(weights=weights):
-            layer = dataclasses.replace(layer, weights=layer.weights + jnp.diag(weights[0])[None])
-    return dataclasses.replace(layer, biases=layer.biases + adapter.biases)
+def _fold(network: Network, style: Style | None) -> tuple[Network, Style | None]:
+    """Returns network and style, both of one control point, with the style added into the network where it can be."""
+    if style is None or not style.foldable:
+        return network, style
+    layers = list(network.layers)
+    for index, (weights, biases) in style.affine_terms(jnp.ones(1)).items():
+        layer = layers[index]
+        if not isinstance(layer, BlendedLayer):
+            return network, style  # to multiply out the factors of a CP network would lose what they save
+        layers[index] = layer.plus(weights, biases)
+    return Network(layers=(layers[0], layers[1], layers[2])), None

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.models.adapters import Style, mix_styles
-from pfnn_jax.models.film import FiLMStyle
+from pfnn_jax.models.layers.film import FiLMStyle
+from pfnn_jax.models.style import Style, mix_styles
 from pfnn_jax.run import Run, list_styles, load_style
 
 StyleChoice: TypeAlias = str | Mapping[str, float] | None

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 from flax import struct
 
 from pfnn_jax.inference.mixture import StyleChoice, load_choice
-from pfnn_jax.models.adapters import Style
-from pfnn_jax.models.film import Normalise, layer_norm
+from pfnn_jax.models.layers.film import layer_norm
 from pfnn_jax.models.network import Network, coefficients, forward
+from pfnn_jax.models.style import Normalise, Style
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.run import Run
 

@@ -1,4 +1,4 @@
-"""Dropout at a rate that may be traced: the rates of training, and the mask."""
+"""Dropout whose rate may be a traced value: the rates used in training, and the mask."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from flax import struct
 class Dropout:
     """Drop probabilities.
 
-    `main` before every layer of the shared network and of its gating network, their inputs included; `adapter`
-    before the adapter (Mason 2018 §7.2), whose input for a one-hot style is the style's own input of 1.
+    `main` acts before every layer of the shared network and of its gating network, including the first; `adapter`
+    before the adapter (Mason 2018 §7.2), whose input for a one-hot style is that style's input of 1.
     """
 
     main: jax.Array  # []
@@ -20,16 +20,16 @@ class Dropout:
 
 
 def drop(key: jax.Array, rate: jax.Array, x: jax.Array) -> jax.Array:
-    """Inverted dropout of x [...] at drop probability `rate` [], rounded to 1/65536."""
+    """Applies inverted dropout to x [...] at drop probability `rate` [], rounded to 1/65536."""
     threshold = jnp.round(rate * 65536.0)
     kept = jax.random.bits(key, x.shape, jnp.uint16).astype(x.dtype) >= threshold
-    # At rate 1 nothing is kept: a scale of 1/0 would reach the gradient as NaN, though `where` hides it in the value.
+    # At rate 1 nothing is kept: a scale of 1/0 would make the gradient NaN, although `where` hides it in the value.
     scale = 65536.0 / jnp.maximum(65536.0 - threshold, 1.0)
     return jnp.where(kept, x * scale, 0.0)
 
 
 def need_key(dropout: object, key: jax.Array | None) -> None:
-    """Refuses dropout without a random key.
+    """Checks that dropout comes with a random key.
 
     Raises:
         ValueError: if `dropout` is given and `key` is not.

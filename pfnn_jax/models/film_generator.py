@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
 
@@ -12,39 +12,11 @@ import jax
 import jax.numpy as jnp
 from flax import nnx
 
+from pfnn_jax.models.config import GeneratorConfig
 from pfnn_jax.models.dropout import drop, need_key
-from pfnn_jax.models.film import FiLMStyle, film_from_vector
+from pfnn_jax.models.layers.film import FiLMStyle
 
 _POOL = 2  # each of the two poolings halves the number of frames
-
-
-@dataclass(frozen=True)
-class GeneratorConfig:
-    """Sizes of a FiLM generator.
-
-    Attributes:
-        features: F, numbers of one frame of the clip: 12 for every joint, no trajectory.
-        clip_frames: frames of a clip, a multiple of 4.
-        filters: channels of both convolutions.
-        width: frames that a filter spans.
-        hidden: width of the first dense layer.
-        film_hidden: H of the network that is modulated; the last layer has 4H outputs.
-    """
-
-    features: int
-    clip_frames: int = 240
-    filters: int = 256
-    width: int = 25
-    hidden: int = 2048
-    film_hidden: int = 512
-
-    def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value < 1:
-                raise ValueError(f"GeneratorConfig.{field.name} must be at least 1, got {value}.")
-        if self.clip_frames % _POOL**2:
-            raise ValueError(f"GeneratorConfig.clip_frames must be a multiple of 4, got {self.clip_frames}.")
 
 
 @dataclass(frozen=True)
@@ -127,4 +99,4 @@ def _apply(
 ) -> FiLMStyle:
     chex.assert_shape(clip, (config.clip_frames, config.features))
     need_key(dropout, key)
-    return film_from_vector(nnx.merge(structure, params)(clip, dropout, key))
+    return FiLMStyle.from_vector(nnx.merge(structure, params)(clip, dropout, key))

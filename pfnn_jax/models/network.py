@@ -1,85 +1,58 @@
-"""The forward pass: three blended layers, ELU between, and one style (Mason 2018 Eq. 4, Mason 2022 Eq. 3 and 4)."""
+"""The forward pass: three blended layers with ELU between, and one style (Mason 2018 Eq. 4, Mason 2022 Eq. 3 and 4)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any, TypeAlias
 
 import jax
-import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.models.adapters import OneHot, Style
+from pfnn_jax.models.config import NetworkConfig
 from pfnn_jax.models.dropout import Dropout, drop, need_key
-from pfnn_jax.models.film import FiLMStyle, Normalise, layer_norm, modulate
 from pfnn_jax.models.gating import Gating, gate, init_gating
-from pfnn_jax.models.layers import BlendedLayer, CPLayer, DenseLayer, Layer, MixedLayer, init_blended, init_cp, linear
+from pfnn_jax.models.layers.cp import CPLayer
+from pfnn_jax.models.layers.film import layer_norm
+from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.spline import catmull_rom_basis
+from pfnn_jax.models.style import Drop, Normalise, Style
 
-# Masks that `forward` draws from a key: of the inputs of the three layers, and of the style.
-_MASKS = 4
+NetworkLayer: TypeAlias = BlendedLayer | CPLayer
+
+_NO_STYLE = Style()
+
+# `forward` splits a key into the masks of the inputs of the three layers and the style's mask; `coefficients` folds in
+# another number, so that both may be given the same key.
+_NUM_MASKS = 4
 
 
 @struct.dataclass
 class Network:
     """Style-agnostic parameters: three layers, and the gating network where the coefficients come from one."""
 
-    layers: tuple[Layer, Layer, Layer]
+    layers: tuple[NetworkLayer, NetworkLayer, NetworkLayer]
     gating: Gating | None = None
 
     @property
     def num_control_points(self) -> int:
-        first = self.layers[0]
-        if isinstance(first, DenseLayer):
-            raise TypeError("A network's layers must be blended, got a DenseLayer.")
-        return first.num_control_points
+        return self.layers[0].num_control_points
 
-
-@dataclass(frozen=True)
-class NetworkConfig:
-    """Sizes of a network.
-
-    Attributes:
-        input_size, output_size: of one frame.
-        hidden: H, width of both hidden layers.
-        num_control_points: K, control points of the phase spline or experts of the gating network.
-        rank: None for full blended layers; a number makes every layer a CP decomposition of that rank
-            (the aside of Mason 2018 §7.1).
-        phase_size: 0 where the coefficients are a spline of a scalar phase; otherwise the inputs of a gating network.
-        gating_hidden: width of both hidden layers of the gating network.
-    """
-
-    input_size: int
-    output_size: int
-    hidden: int = 512
-    num_control_points: int = 4
-    rank: int | None = None
-    phase_size: int = 0
-    gating_hidden: int = 32
-
-    def __post_init__(self):
-        for name in ("input_size", "output_size", "hidden", "rank", "gating_hidden"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"NetworkConfig.{name} must be at least 1, got {value}.")
-        if self.phase_size < 0:
-            raise ValueError(f"NetworkConfig.phase_size must be at least 0, got {self.phase_size}.")
-        least = 4 if self.phase_size == 0 else 1
-        if self.num_control_points < least:
-            raise ValueError(
-                f"NetworkConfig.num_control_points must be at least {least}, got {self.num_control_points}."
-            )
+    def at(self, coefficients: jax.Array) -> Network:
+        """Returns the network at coefficients [K], as a network of one control point without a gating network."""
+        first, second, third = self.layers
+        return Network(layers=(first.at(coefficients), second.at(coefficients), third.at(coefficients)))
 
 
 def init_network(config: NetworkConfig, *, key: jax.Array) -> Network:
-    """Fresh shared parameters: [I, H], [H, H], [H, O] layers with the authors' initialisation."""
+    """Returns freshly initialised layers [I, H], [H, H] and [H, O], and a gating network where one is configured."""
     sizes = (config.input_size, config.hidden, config.hidden, config.output_size)
     points = config.num_control_points
-    keys = jax.random.split(key, 3)
-    pairs = zip(keys, sizes[:-1], sizes[1:], strict=True)
+    pairs = zip(jax.random.split(key, 3), pairwise(sizes), strict=True)
     if config.rank is None:
-        layers = [init_blended(k, points, i, o) for k, i, o in pairs]
+        layers = [BlendedLayer.init(i, o, points, key=k) for k, (i, o) in pairs]
     else:
-        layers = [init_cp(k, points, i, o, config.rank) for k, i, o in pairs]
+        layers = [CPLayer.init(i, o, points, rank=config.rank, key=k) for k, (i, o) in pairs]
     gating = None
     if config.phase_size:
         gating = init_gating(config.phase_size, config.gating_hidden, points, key=jax.random.fold_in(key, 3))
@@ -87,46 +60,44 @@ def init_network(config: NetworkConfig, *, key: jax.Array) -> Network:
 
 
 def config_of(network: Network) -> NetworkConfig:
-    """The sizes a network was made with, read from its parameters."""
-    gated = {}
-    if network.gating is not None:
-        inputs, width = network.gating.layers[0].weights.shape
-        gated = {"phase_size": inputs, "gating_hidden": width}
-    match network.layers[0], network.layers[2]:
-        case BlendedLayer(weights=first), BlendedLayer(weights=last):
-            points, inputs, hidden = first.shape
-            return NetworkConfig(inputs, last.shape[2], hidden, points, **gated)
-        case CPLayer(a=a, b=b, d=d), CPLayer(a=last):
-            points, rank = d.shape
-            return NetworkConfig(b.shape[0], last.shape[0], a.shape[0], points, rank, **gated)
-    raise TypeError("`network` must have BlendedLayers or CPLayers, one kind throughout.")
+    """Returns the sizes that a network was made with, read from its parameters."""
+    first, _, last = network.layers
+    gating = network.gating
+    return NetworkConfig(
+        input_size=first.input_size,
+        output_size=last.output_size,
+        hidden=first.output_size,
+        num_control_points=first.num_control_points,
+        rank=first.rank,
+        **({} if gating is None else {"phase_size": gating.input_size, "gating_hidden": gating.hidden}),
+    )
 
 
 def coefficients(
-    network: Network, phase: jax.Array, *, dropout: Dropout | None = None, key: jax.Array | None = None
+    network: Network, gating_input: jax.Array, *, dropout: Dropout | None = None, key: jax.Array | None = None
 ) -> jax.Array:
-    """Blending coefficients [K] of one frame: the spline of a scalar phase, or the gating network.
+    """Returns the blending coefficients [K] of one frame, from the phase spline or the gating network.
 
     Args:
         network: shared parameters.
-        phase: [] radians for a spline network; [G] normalised for a gating network.
+        gating_input: for a spline, the phase [] in radians; for a gating network, its normalised input [G].
         dropout: drop probabilities in training (`main` acts on the gating network), or None at run time.
-        key: random key, needed with `dropout`. `forward` may be given the same one: its masks are others.
+        key: random key, needed with `dropout`. It may be the key given to `forward`, which draws other masks from it.
 
     Raises:
-        ValueError: if `dropout` comes without `key`.
+        ValueError: if `dropout` is given without `key`.
     """
     need_key(dropout, key)
     if network.gating is None:
-        return catmull_rom_basis(phase, network.num_control_points)
+        return catmull_rom_basis(gating_input, network.num_control_points)
     if dropout is None or key is None:
-        return gate(network.gating, phase)
-    return gate(network.gating, phase, dropout=dropout.main, key=jax.random.fold_in(key, _MASKS))
+        return gate(network.gating, gating_input)
+    return gate(network.gating, gating_input, dropout=dropout.main, key=jax.random.fold_in(key, _NUM_MASKS))
 
 
 def forward(
     network: Network,
-    style: Style | MixedLayer | None,
+    style: Style | None,
     coefficients: jax.Array,
     x: jax.Array,
     *,
@@ -134,58 +105,55 @@ def forward(
     key: jax.Array | None = None,
     normalise: Normalise = layer_norm,
 ) -> jax.Array:
-    """One frame through the network (Mason 2018 Eq. 4; with a Film, Mason 2022 Eq. 3 and 4).
+    """Evaluates the network for one frame (Mason 2018 Eq. 4; with FiLM, Mason 2022 Eq. 3 and 4).
 
     Args:
         network: shared parameters.
-        style: a residual on the second layer, a shift of the first, or a Film: both hidden layers are then
-            normalised, scaled and shifted before their ELU. None for style-agnostic motion.
+        style: parameters of a style, which acts through its hooks (see `Style`), or None for style-agnostic motion.
         coefficients: [K] blending coefficients.
         x: [I] normalised input.
         dropout: drop probabilities in training, or None at run time.
-        key: random key, needed with `dropout`. A residual draws a mask of its own.
-        normalise: [H] -> [H], used with a Film only: `layer_norm` or `layer_norm_sample`.
+        key: random key, needed with `dropout`. A residual or one-hot style draws a mask of its own.
+        normalise: [H] -> [H], used with FiLM only: `layer_norm` or `layer_norm_sample`.
 
     Returns:
         [O] normalised output.
 
     Raises:
-        ValueError: if `dropout` comes without `key`.
+        ValueError: if `dropout` is given without `key`.
     """
     need_key(dropout, key)
-    keys = None if key is None else jax.random.split(key, _MASKS)
-
-    def dropped(index: int, value: jax.Array) -> jax.Array:
-        if dropout is None or keys is None:
-            return value
-        return drop(keys[index], dropout.adapter if index == 3 else dropout.main, value)
-
-    def activate(index: int, f: jax.Array) -> jax.Array:
-        return jax.nn.elu(modulate(style, index, f, normalise) if isinstance(style, FiLMStyle) else f)
-
+    style = _NO_STYLE if style is None else style
+    drop_first, drop_second, drop_third, drop_style = _masks(dropout, key)
     first, second, third = network.layers
-    f = linear(first, coefficients, dropped(0, x))
-    if isinstance(style, OneHot):
-        f = f + dropped(3, jnp.ones((), f.dtype)) * linear(style.shift, coefficients, x)
-    hidden = activate(0, f)
-    f = linear(second, coefficients, dropped(1, hidden))
-    if style is not None and not isinstance(style, OneHot | FiLMStyle):
-        f = f + linear(style, coefficients, dropped(3, hidden))
-    return linear(third, coefficients, dropped(2, activate(1, f)))
+
+    f = style.first(first(coefficients, drop_first(x)), coefficients, x, drop_style)
+    hidden = jax.nn.elu(style.modulate(0, f, normalise))
+    f = style.second(second(coefficients, drop_second(hidden)), coefficients, hidden, drop_style)
+    hidden = jax.nn.elu(style.modulate(1, f, normalise))
+    return third(coefficients, drop_third(hidden))
+
+
+def _masks(dropout: Dropout | None, key: jax.Array | None) -> list[Drop]:
+    """Returns the dropout of the three layers' inputs and of the style; the identity where there is none."""
+    if dropout is None or key is None:
+        return [lambda value: value] * _NUM_MASKS
+    rates = (dropout.main, dropout.main, dropout.main, dropout.adapter)
+    return [partial(drop, k, rate) for k, rate in zip(jax.random.split(key, _NUM_MASKS), rates, strict=True)]
 
 
 def predict(
-    network: Network, style: Style | None, x: jax.Array, phase: jax.Array, *, normalise: Normalise = layer_norm
+    network: Network, style: Style | None, x: jax.Array, gating_input: jax.Array, *, normalise: Normalise = layer_norm
 ) -> jax.Array:
-    """`forward` at a phase: x [I] normalised -> [O] normalised.
+    """Evaluates the network at a phase or gating input: x [I] normalised -> [O] normalised.
 
     Args:
         network, style, x, normalise: as in `forward`.
-        phase: [] radians, through the exact spline; or [G] normalised, for a gating network.
+        gating_input: as in `coefficients`.
     """
-    return forward(network, style, coefficients(network, phase), x, normalise=normalise)
+    return forward(network, style, coefficients(network, gating_input), x, normalise=normalise)
 
 
-def num_parameters(tree) -> int:
-    """Number of scalars in a tree of parameters."""
+def num_parameters(tree: Any) -> int:
+    """Returns the number of scalars in a tree of parameters."""
     return sum(leaf.size for leaf in jax.tree.leaves(tree))

@@ -7,9 +7,10 @@ from typing import Literal, NamedTuple
 
 import jax
 
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.film_generator import GeneratorConfig, film_generator, paper_count
-from pfnn_jax.models.network import NetworkConfig, init_network, num_parameters
+from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
+from pfnn_jax.models.film_generator import film_generator, paper_count
+from pfnn_jax.models.network import init_network, num_parameters
+from pfnn_jax.models.style import init_style
 
 Backbone = Literal["pfnn", "mann", "lpn"]
 

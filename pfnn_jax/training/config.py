@@ -6,10 +6,8 @@ from dataclasses import dataclass, field
 
 import jax.numpy as jnp
 
-from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
 from pfnn_jax.models.dropout import Dropout
-from pfnn_jax.models.film_generator import GeneratorConfig
-from pfnn_jax.models.network import NetworkConfig
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.training.data import CLIP_FRAMES, Rows, num_clip_columns
 from pfnn_jax.training.losses import PenaltyNorm

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +19,10 @@ import numpy as np
 import optax
 from flax import struct
 
-from pfnn_jax.models.adapters import AdapterConfig, Style, init_style
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.layers import style_kinds
 from pfnn_jax.models.network import Dropout, Network, config_of, init_network
+from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.training.data import Batch
 from pfnn_jax.training.steps import Bones, Objective, predict_batch
 
@@ -210,8 +212,13 @@ def _put(tree: Any) -> Any:
     return jax.device_put(tree, jax.devices()[0])
 
 
-Method = Literal["cp", "full", "diagonal", "bias", "dense", "one_hot", "film", "fine_tune", "scratch"]
-METHODS: tuple[Method, ...] = get_args(Method)
+METHODS = (*style_kinds(), "fine_tune", "scratch")
+"""Every kind of style, and training of all weights from the shared network's or from random ones."""
+
+if TYPE_CHECKING:
+    Method: TypeAlias = str
+else:
+    Method = Literal[METHODS]  # the command line lists these as choices
 
 
 @dataclass(frozen=True)

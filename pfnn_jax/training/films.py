@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.film_generator import FiLMGenerator
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.training.data import Rows, clip_columns, window_rows
 from pfnn_jax.training.steps import generate_films
 

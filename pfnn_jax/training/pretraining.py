@@ -12,9 +12,9 @@ import numpy as np
 import optax
 
 from pfnn_jax.errors import TrainingError
-from pfnn_jax.models.adapters import init_bank
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import init_network
+from pfnn_jax.models.style import init_bank
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.training.config import PretrainConfig, equal_dropout
 from pfnn_jax.training.data import Batch, Rows, StyleData, make_gather

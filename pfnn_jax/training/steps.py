@@ -13,11 +13,11 @@ import numpy as np
 import optax
 from flax import struct
 
-from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.dropout import Dropout
-from pfnn_jax.models.film import FiLMStyle
 from pfnn_jax.models.film_generator import FiLMGenerator
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import Network, coefficients, forward
+from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.training.data import Batch, Draw, Rows
 from pfnn_jax.training.losses import PenaltyNorm, bone_length_loss, l1_penalty, squared_error

@@ -12,8 +12,9 @@ import numpy as np
 import optax
 from flax import struct
 
-from pfnn_jax.models.film import FiLMStyle
-from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
+from pfnn_jax.models.config import GeneratorConfig
+from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import Network
 from pfnn_jax.training.config import equal_dropout, make_objective
 from pfnn_jax.training.data import Batch, Rows

@@ -25,8 +25,9 @@ from pfnn_jax.benchmarks.training import (
     stepper,
 )
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.network import Dropout, NetworkConfig, init_network
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.network import Dropout, init_network
+from pfnn_jax.models.style import init_style
 from pfnn_jax.training.steps import predict_batch
 from tests.models.helpers import randomise
 

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control.controller import Controller, make_controller, rollout_commands, step
-from pfnn_jax.control.controller_state import mixed_style, style_speed
+from pfnn_jax.control.controller_state import style_speed
 from pfnn_jax.control.ground import orthonormal
 from pfnn_jax.control.loop.state import ROOT
 from pfnn_jax.control.loop.step import Command, published_step
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import evaluate
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.network import init_network
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import LAYOUTS
 from pfnn_jax.motion.features.normaliser import fit_normaliser
@@ -90,7 +91,7 @@ def test_natural_speed_is_the_recorded_one_or_that_of_the_network(controller):
 def test_without_tracking_it_is_the_published_loop(run):
     plain = make_controller(run, ["wild"], foot_ik=False, tracking=None)
     state, asked = plain.start(), command(plain, SPEED, 0.3, "wild")
-    predictor = replace(plain.params.predictor, style=mixed_style(plain.params.bank, jnp.ones(1)))
+    predictor = plain.params.mixed_predictor(jnp.ones(1))
     one = jax.jit(lambda motion: published_step(partial(evaluate, predictor), run.layout, motion, asked)[0])
     motion = state.motion
     for _ in range(20):

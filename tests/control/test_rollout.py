@@ -15,8 +15,9 @@ from pfnn_jax.control.loop.pursuit import make_timed_path, point_at
 from pfnn_jax.control.loop.rollout import Frames, follow_path, locked_rollout, rollout, stability
 from pfnn_jax.control.loop.state import ROOT, initial_state, place_state, standing_state
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, network_input, published_step, steer
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.network import NetworkConfig, init_network, predict
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.network import init_network, predict
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.paths import circle, figure_eight, mirror_path, resample_path, straight
 from tests.control.walkers import (
     LAYOUT,

@@ -9,9 +9,10 @@ import pytest
 
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup, table_phase
 from pfnn_jax.inference.predictor import Predictor, evaluate
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.layers import CPLayer
-from pfnn_jax.models.network import NetworkConfig, init_network, num_parameters
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.layers.cp import CPLayer
+from pfnn_jax.models.network import init_network, num_parameters
+from pfnn_jax.models.style import init_style
 
 FLOAT32 = 2e-5  # a few ulp over sums of some tens of terms, blended before or after the product
 INPUTS, OUTPUTS, HIDDEN = 10, 7, 12

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.controller_state import mixed_style
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.inference.mixture import load_bank, load_choice, parse_style
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import RowStyles, predict_rows
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
-from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
+from pfnn_jax.models.network import init_network
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
@@ -50,7 +50,7 @@ def test_a_mixture_is_one_motion_on_the_page_in_rows_and_in_tables(tmp_path, kin
     generator = np.random.default_rng(0)
     x, phase = generator.normal(size=(3, LAYOUT.input_size)).astype(np.float32), np.array([0.2, 2.0, 5.1], np.float32)
     bank = jax.tree.map(jnp.asarray, load_bank(run, STYLES))
-    page = replace(make_predictor(run), style=mixed_style(bank, WEIGHTS))
+    page = replace(make_predictor(run), style=bank.mix_dynamic(WEIGHTS))
     with jax.default_matmul_precision("highest"):
         expected = np.asarray(jax.vmap(evaluate, (None, 0, 0))(page, jnp.asarray(x), jnp.asarray(phase)))
     scale = np.abs(expected).max()

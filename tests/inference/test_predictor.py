@@ -8,8 +8,9 @@ from jax.test_util import check_grads
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.network import NetworkConfig, init_network, predict
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.network import init_network, predict
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json

@@ -10,8 +10,9 @@ from pfnn_jax.inference import rows
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import predict_file, predict_rows
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.network import init_network
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json

@@ -8,8 +8,9 @@ from typing import cast
 import jax
 import numpy as np
 
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
-from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
+from pfnn_jax.models.network import init_network
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import skeleton_to_json

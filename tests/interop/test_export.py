@@ -25,7 +25,7 @@ from pfnn_jax.interop.export.run import export_run
 from pfnn_jax.interop.released.holden2017 import import_released_pfnn
 from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
-from pfnn_jax.models.film import FiLMStyle, film_to_vector
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.motion.units import authors2018, convert_columns
 from pfnn_jax.run import Run
@@ -46,7 +46,7 @@ def film_numbers(run, style) -> np.ndarray:
     """[4H] of a style of a FiLM run."""
     film = make_predictor(run, style).style
     assert isinstance(film, FiLMStyle)
-    return np.asarray(film_to_vector(film))
+    return np.asarray(film.to_vector())
 
 
 @pytest.mark.parametrize(("name", "kind"), [("mason2018", "cp"), ("mason2022", "film"), ("mason2022_pfnn", "one_hot")])

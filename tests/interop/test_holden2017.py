@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.rows import predict_file, predict_rows
 from pfnn_jax.interop.released.holden2017 import condition_number, import_released_pfnn, recover_control_points
-from pfnn_jax.models.layers import BlendedLayer
+from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.features.layout import pfnn2017
 from pfnn_jax.run import load_run

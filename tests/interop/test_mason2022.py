@@ -22,7 +22,7 @@ from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import RowStyles, predict_file, predict_rows
 from pfnn_jax.interop.released.files import read_array, read_statistics
 from pfnn_jax.interop.released.mason2022 import STYLES, import_released_lpn
-from pfnn_jax.models.film import FiLMStyle, film_to_vector
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.motion.paths import circle
 from pfnn_jax.run import list_styles, style_note
@@ -82,8 +82,8 @@ def test_golden_mixtures(lpn_run, reference, tmp_path):
 def test_no_style_is_the_mean_of_all(lpn_run, bank):
     style = make_predictor(lpn_run).style
     assert isinstance(style, FiLMStyle)
-    mean = film_to_vector(style)
-    np.testing.assert_allclose(mean, jnp.mean(jax.vmap(film_to_vector)(bank), axis=0), atol=1e-4)
+    mean = style.to_vector()
+    np.testing.assert_allclose(mean, jnp.mean(jax.vmap(FiLMStyle.to_vector)(bank), axis=0), atol=1e-4)
 
 
 @pytest.mark.parametrize(

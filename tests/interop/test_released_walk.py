@@ -14,7 +14,7 @@ from pfnn_jax.control.loop.rollout import Frames, rollout
 from pfnn_jax.control.loop.state import standing_state
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.inference.predictor import Predictor, evaluate
-from pfnn_jax.models.layers import BlendedLayer
+from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.motion.features.layout import pfnn2017

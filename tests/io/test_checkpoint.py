@@ -29,7 +29,8 @@ from pfnn_jax.io.checkpoint import (
     write_json,
 )
 from pfnn_jax.io.files import to_plain
-from pfnn_jax.models.network import Network, NetworkConfig, init_network
+from pfnn_jax.models.config import NetworkConfig
+from pfnn_jax.models.network import Network, init_network
 
 CONFIG = NetworkConfig(input_size=6, output_size=5, hidden=4)
 

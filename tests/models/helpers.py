@@ -8,11 +8,14 @@ from typing import TypeVar
 import jax
 import numpy as np
 
-from pfnn_jax.models.layers import Layer, init_bias, init_blended, init_cp, init_dense, init_diagonal
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.layers import style_class, style_kinds
+from pfnn_jax.models.style import Layer, Style, init_bank, init_style
 
 Tree = TypeVar("Tree")
 
-KINDS = ("blended", "cp", "diagonal", "bias", "dense")
+STYLE_KINDS = style_kinds()
+LAYER_KINDS = tuple(kind for kind in STYLE_KINDS if issubclass(style_class(kind), Layer))
 
 
 def randomise(tree: Tree, seed: int) -> Tree:
@@ -23,16 +26,22 @@ def randomise(tree: Tree, seed: int) -> Tree:
 
 
 def random_layer(kind: str, num_control_points: int, inputs: int, outputs: int, rank: int, seed: int = 0) -> Layer:
-    """A layer of one of `KINDS` whose parameters are all normal; `diagonal` and `bias` need inputs = outputs."""
-    key = jax.random.key(seed)
-    layer: Layer = {
-        "blended": lambda: init_blended(key, num_control_points, inputs, outputs),
-        "cp": lambda: init_cp(key, num_control_points, inputs, outputs, rank),
-        "diagonal": lambda: init_diagonal(key, num_control_points, outputs),
-        "bias": lambda: init_bias(num_control_points, outputs),
-        "dense": lambda: init_dense(key, inputs, outputs),
-    }[kind]()
+    """Returns a layer with normal parameters; `diagonal` and `bias` need inputs = outputs."""
+    layer = style_class(kind).init(inputs, outputs, num_control_points, rank=rank, key=jax.random.key(seed))
+    assert isinstance(layer, Layer)
     return randomise(layer, seed)
+
+
+def random_style(kind: str, num_control_points: int, hidden: int, rank: int, seed: int = 0) -> Style:
+    """Returns a style of any kind with normal parameters."""
+    config = AdapterConfig(kind, rank)
+    return randomise(init_style(config, hidden, num_control_points, key=jax.random.key(seed)), seed)
+
+
+def random_bank(kind: str, num_styles: int, num_control_points: int, hidden: int, rank: int, seed: int = 0) -> Style:
+    """Returns S styles of any kind with normal parameters, leaves [S, ...]."""
+    config = AdapterConfig(kind, rank)
+    return randomise(init_bank(config, hidden, num_control_points, num_styles, key=jax.random.key(seed)), seed)
 
 
 def shapes(tree: object) -> dict[str, tuple[tuple[int, ...], str]]:

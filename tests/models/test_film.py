@@ -10,19 +10,13 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.models.adapters import OneHot
-from pfnn_jax.models.film import (
-    FiLMStyle,
-    film_from_vector,
-    film_to_vector,
-    identity_film,
-    layer_norm,
-    layer_norm_sample,
-    mix,
-    modulate,
-)
-from pfnn_jax.models.layers import BiasLayer, BlendedLayer, linear
-from pfnn_jax.models.network import Dropout, Network, NetworkConfig, forward, init_network
+from pfnn_jax.models.config import NetworkConfig
+from pfnn_jax.models.layers.bias import BiasLayer
+from pfnn_jax.models.layers.film import FiLMStyle, layer_norm, layer_norm_sample
+from pfnn_jax.models.layers.full import BlendedLayer
+from pfnn_jax.models.layers.one_hot import OneHot
+from pfnn_jax.models.network import Dropout, Network, forward, init_network
+from pfnn_jax.models.style import mix_styles
 from tests.models.helpers import random_layer, randomise
 
 FLOAT64 = 1e-12  # a few small layers in double precision
@@ -37,7 +31,7 @@ def features(seed: int = 1) -> jax.Array:
 
 
 def random_film(seed: int = 2) -> FiLMStyle:
-    return randomise(identity_film(HIDDEN), seed)
+    return randomise(FiLMStyle.identity(HIDDEN), seed)
 
 
 def small_network(inputs: int = INPUTS) -> Network:
@@ -81,21 +75,21 @@ def test_modulate_is_scale_and_shift_of_its_own_row():
     film, f = random_film(), features()
     for index in (0, 1):
         expected = film.scale[index] * layer_norm(f) + film.shift[index]
-        np.testing.assert_array_equal(modulate(film, index, f, layer_norm), expected)
-    np.testing.assert_array_equal(modulate(identity_film(HIDDEN), 1, f), layer_norm(f))
+        np.testing.assert_array_equal(film.modulate(index, f, layer_norm), expected)
+    np.testing.assert_array_equal(FiLMStyle.identity(HIDDEN).modulate(1, f), layer_norm(f))
 
 
 def test_scale_zero_leaves_the_shift_alone():
     film = replace(random_film(), scale=jnp.zeros((2, HIDDEN)))
-    np.testing.assert_array_equal(modulate(film, 0, features()), film.shift[0])
+    np.testing.assert_array_equal(film.modulate(0, features()), film.shift[0])
 
 
 def test_vector_order_is_scale_and_shift_of_each_layer_in_turn():
     vector = jnp.arange(4.0 * HIDDEN)
-    film = film_from_vector(vector)
+    film = FiLMStyle.from_vector(vector)
     np.testing.assert_array_equal(film.scale, np.stack([vector[:HIDDEN], vector[2 * HIDDEN : 3 * HIDDEN]]))
     np.testing.assert_array_equal(film.shift, np.stack([vector[HIDDEN : 2 * HIDDEN], vector[3 * HIDDEN :]]))
-    np.testing.assert_array_equal(film_to_vector(film), vector)
+    np.testing.assert_array_equal(film.to_vector(), vector)
 
 
 @pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
@@ -103,9 +97,9 @@ def test_forward_with_film_is_equation_3(normalise, float64: None):
     """Affine, then normalisation, then scale and shift, then ELU, on both hidden layers and not on the output."""
     network, film, (c, x) = small_network(), random_film(), frame()
     first, second, third = network.layers
-    hidden = jax.nn.elu(film.scale[0] * normalise(linear(first, c, x)) + film.shift[0])
-    hidden = jax.nn.elu(film.scale[1] * normalise(linear(second, c, hidden)) + film.shift[1])
-    expected = linear(third, c, hidden)
+    hidden = jax.nn.elu(film.scale[0] * normalise(first(c, x)) + film.shift[0])
+    hidden = jax.nn.elu(film.scale[1] * normalise(second(c, hidden)) + film.shift[1])
+    expected = third(c, hidden)
     np.testing.assert_allclose(forward(network, film, c, x, normalise=normalise), expected, atol=FLOAT64)
 
 
@@ -113,12 +107,12 @@ def test_no_film_means_no_normalisation():
     network, (c, x) = small_network(), frame()
     plain = forward(network, None, c, x)
     np.testing.assert_array_equal(forward(network, None, c, x, normalise=layer_norm_sample), plain)
-    assert (forward(network, identity_film(HIDDEN), c, x) != plain).all()
+    assert (forward(network, FiLMStyle.identity(HIDDEN), c, x) != plain).all()
 
 
 def test_every_frame_may_have_a_film_of_its_own(float64: None):
     network, (c, x) = small_network(), frame()
-    films = randomise(jax.tree.map(lambda leaf: jnp.zeros((6, *leaf.shape)), identity_film(HIDDEN)), 8)
+    films = randomise(jax.tree.map(lambda leaf: jnp.zeros((6, *leaf.shape)), FiLMStyle.identity(HIDDEN)), 8)
     batched = jax.vmap(lambda film: forward(network, film, c, x))(films)
     for index in range(6):
         one = jax.tree.map(lambda leaf, i=index: leaf[i], films)
@@ -137,7 +131,7 @@ def test_gradients_of_forward_with_film(float64: None):
 
 @pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
 def test_gradients_of_modulate(normalise, float64: None):
-    check_grads(jax.jit(lambda film, f: modulate(film, 0, f, normalise)), (random_film(), features()), order=2)
+    check_grads(jax.jit(lambda film, f: film.modulate(0, f, normalise)), (random_film(), features()), order=2)
 
 
 @pytest.mark.parametrize("kind", ["film", "cp", "dense", "bias"])
@@ -145,14 +139,14 @@ def test_a_mixture_at_a_vertex_is_that_style(kind: str):
     one = random_film() if kind == "film" else random_layer(kind, POINTS, HIDDEN, HIDDEN, 2)
     stacked = randomise(jax.tree.map(lambda leaf: jnp.zeros((3, *leaf.shape)), one), 9)
     for index in range(3):
-        vertex = mix(stacked, jnp.eye(3)[index])
+        vertex = mix_styles(stacked, jnp.eye(3)[index])
         assert jax.tree.all(jax.tree.map(lambda a, b, i=index: bool((a == b[i]).all()), vertex, stacked))
 
 
 def test_a_mixture_is_linear_before_modulation(float64: None):
     films = [random_film(seed) for seed in (1, 2, 3)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *films)
-    mixed = mix(stacked, jnp.asarray([0.2, 0.3, 0.5]))
+    mixed = mix_styles(stacked, jnp.asarray([0.2, 0.3, 0.5]))
     expected = 0.2 * films[0].scale + 0.3 * films[1].scale + 0.5 * films[2].scale
     np.testing.assert_allclose(mixed.scale, expected, atol=FLOAT64)
 
@@ -193,4 +187,4 @@ def test_gradients_of_forward_with_a_one_hot_style(float64: None):
 
 def test_a_film_of_another_width_is_refused():
     with pytest.raises(AssertionError):
-        modulate(identity_film(HIDDEN + 1), 0, features())
+        FiLMStyle.identity(HIDDEN + 1).modulate(0, features())

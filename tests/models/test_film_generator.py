@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.models.film import film_from_vector
-from pfnn_jax.models.film_generator import GeneratorConfig, film_generator, paper_count
+from pfnn_jax.models.config import GeneratorConfig
+from pfnn_jax.models.film_generator import film_generator, paper_count
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.models.presets import LAYOUT_OF, TABLE2, Backbone, counts, network_config
 from tests.models.helpers import randomise, shapes
@@ -47,7 +48,7 @@ def test_generator_is_its_formula(float64: None):
         value = np.maximum(slow_convolution(value, params[name]["kernel"], params[name]["bias"]), 0)
         value = value.reshape(-1, 2, TINY.filters).max(axis=1)
     hidden = np.maximum(value.reshape(-1) @ params["dense1"]["kernel"] + params["dense1"]["bias"], 0)
-    expected = film_from_vector(hidden @ params["dense2"]["kernel"] + params["dense2"]["bias"])
+    expected = FiLMStyle.from_vector(hidden @ params["dense2"]["kernel"] + params["dense2"]["bias"])
     film = film_generator(TINY).apply(tiny(), clip())
     np.testing.assert_allclose(film.scale, expected.scale, atol=FLOAT64)
     np.testing.assert_allclose(film.shift, expected.shift, atol=FLOAT64)
@@ -75,7 +76,7 @@ def test_dropout_acts_behind_the_first_dense_layer_only():
     """All of it dropped leaves the last bias, which is what no clip at all would leave."""
     params = tiny()
     film = film_generator(TINY).apply(params, clip(), dropout=jnp.asarray(1.0), key=KEY)
-    left = film_from_vector(params["dense2"]["bias"])
+    left = FiLMStyle.from_vector(params["dense2"]["bias"])
     np.testing.assert_array_equal(film.scale, left.scale)
     np.testing.assert_array_equal(film.shift, left.shift)
     kept = film_generator(TINY).apply(params, clip(), dropout=jnp.asarray(0.0), key=KEY)

@@ -10,17 +10,9 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+from pfnn_jax.models.config import NetworkConfig
 from pfnn_jax.models.gating import Gating, gate, init_gating
-from pfnn_jax.models.network import (
-    Dropout,
-    Network,
-    NetworkConfig,
-    coefficients,
-    config_of,
-    forward,
-    init_network,
-    predict,
-)
+from pfnn_jax.models.network import Dropout, Network, coefficients, config_of, forward, init_network, predict
 from pfnn_jax.models.spline import catmull_rom_basis
 from tests.models.helpers import randomise, shapes
 

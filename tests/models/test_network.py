@@ -11,21 +11,13 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
-from pfnn_jax.models.layers import BlendedLayer, CPLayer, Layer
-from pfnn_jax.models.network import (
-    Dropout,
-    Network,
-    NetworkConfig,
-    coefficients,
-    drop,
-    forward,
-    init_network,
-    num_parameters,
-    predict,
-)
+from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
+from pfnn_jax.models.layers.cp import CPLayer
+from pfnn_jax.models.layers.full import BlendedLayer
+from pfnn_jax.models.network import Dropout, Network, coefficients, drop, forward, init_network, num_parameters, predict
 from pfnn_jax.models.spline import catmull_rom_basis
-from tests.models.helpers import KINDS, array_sizes, random_layer, randomise, shapes
+from pfnn_jax.models.style import Layer, init_style
+from tests.models.helpers import LAYER_KINDS, array_sizes, random_layer, randomise, shapes
 
 FLOAT64 = 1e-12  # three small layers in double precision
 # The mean of n kept-or-dropped numbers at rate r strays by sqrt(r / (1 - r) / n): five of those, at n = 200,000.
@@ -89,7 +81,7 @@ def test_size_of_the_decomposed_network():
 
 def test_forward_is_equation_4(float64: None):
     """ELU(W0 x + b0), then the second layer plus the adapter, then the third (Mason 2018 Eq. 4), with loops."""
-    network, adapter = small_network(), adapter_of("blended")
+    network, adapter = small_network(), adapter_of("full")
     coefficients, x = frame()
 
     def blended(layer: Layer, value: np.ndarray) -> np.ndarray:
@@ -115,7 +107,7 @@ def test_predict_is_forward_on_the_spline(float64: None):
     np.testing.assert_array_equal(predict(network, adapter, x, phase), expected)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", LAYER_KINDS)
 def test_a_zero_adapter_gives_style_agnostic_motion(kind: str):
     network, (coefficients, x) = small_network(), frame()
     zero = jax.tree.map(jnp.zeros_like, adapter_of(kind))
@@ -125,13 +117,13 @@ def test_a_zero_adapter_gives_style_agnostic_motion(kind: str):
 
 
 @pytest.mark.parametrize("rank", [None, 2])
-@pytest.mark.parametrize("kind", [None, *KINDS])
+@pytest.mark.parametrize("kind", [None, *LAYER_KINDS])
 def test_gradients_of_forward(kind: str | None, rank: int | None, float64: None):
     network, adapter = small_network(rank=rank), None if kind is None else adapter_of(kind)
     check_grads(forward, (network, adapter, *frame()), order=1, modes=("fwd", "rev"))
 
 
-@pytest.mark.parametrize("kind", [None, *KINDS])
+@pytest.mark.parametrize("kind", [None, *LAYER_KINDS])
 def test_gradients_of_forward_with_dropout(kind: str | None, float64: None):
     adapter = None if kind is None else adapter_of(kind)
 
@@ -141,7 +133,7 @@ def test_gradients_of_forward_with_dropout(kind: str | None, float64: None):
     check_grads(dropped, (small_network(), adapter, *frame()), order=1, modes=("fwd", "rev"))
 
 
-@pytest.mark.parametrize("kind", [None, *KINDS])
+@pytest.mark.parametrize("kind", [None, *LAYER_KINDS])
 def test_gradients_of_predict(kind: str | None, float64: None):
     adapter = None if kind is None else adapter_of(kind)
     arguments = (small_network(), adapter, frame()[1], jnp.asarray(2.5))

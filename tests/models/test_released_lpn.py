@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.models.film import FiLMStyle, layer_norm_sample, mix, modulate
 from pfnn_jax.models.gating import Gating, gate
-from pfnn_jax.models.layers import BlendedLayer, DenseLayer, linear
+from pfnn_jax.models.layers.dense import DenseLayer
+from pfnn_jax.models.layers.film import FiLMStyle, layer_norm_sample
+from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network, num_parameters, predict
+from pfnn_jax.models.style import mix_styles
 
 # Golden values are float64. What is left is the constant inside the layer norm's root: 1e-8 on variances above 5.
 FLOAT64 = 1e-7
@@ -110,11 +112,11 @@ def test_every_stage(released: Released, reference: Path, float64: None):
     np.testing.assert_allclose(c, golden["gating_coeffs"], atol=FLOAT64)
     value = jnp.asarray(normalised(released.input_statistics, golden["x"]))
     for index in (0, 1):
-        f = jax.vmap(linear, (None, 0, 0))(network.layers[index], c, value)
+        f = jax.vmap(network.layers[index])(c, value)
         np.testing.assert_allclose(f, golden[f"pre{index + 1}"], rtol=FLOAT64, atol=FLOAT64)
-        value = jax.nn.elu(jax.vmap(modulate, (0, None, 0))(films, index, f))
+        value = jax.nn.elu(jax.vmap(lambda film, row, i=index: film.modulate(i, row))(films, f))
         np.testing.assert_allclose(value, golden[f"hidden{index + 1}"], atol=FLOAT64)
-    y = jax.vmap(linear, (None, 0, 0))(network.layers[2], c, value)
+    y = jax.vmap(network.layers[2])(c, value)
     np.testing.assert_allclose(y, golden["y_norm"], atol=FLOAT64)
 
 
@@ -141,6 +143,6 @@ def test_mixtures_of_three_styles(released: Released, reference: Path, float64: 
     network = in_full_precision(released.network)
     x = jnp.asarray(normalised(released.input_statistics, golden["x"]))
     phase = jnp.asarray(normalised(released.phase_statistics, golden["gating_x"]))
-    each = jax.vmap(lambda three, weights, x, p: predict(network, mix(three, weights), x, p))
+    each = jax.vmap(lambda three, weights, x, p: predict(network, mix_styles(three, weights), x, p))
     y = jax.jit(each)(stacked, jnp.asarray(golden["weights"]), x, phase)
     np.testing.assert_allclose(y, normalised(released.output_statistics, golden["y"]), atol=FLOAT64)

@@ -10,10 +10,15 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.models.adapters import OneHot
-from pfnn_jax.models.film import FiLMStyle
-from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer
-from pfnn_jax.models.network import Network, NetworkConfig, config_of, init_network, num_parameters
+from pfnn_jax.models.config import NetworkConfig
+from pfnn_jax.models.layers.bias import BiasLayer
+from pfnn_jax.models.layers.cp import CPLayer
+from pfnn_jax.models.layers.dense import DenseLayer
+from pfnn_jax.models.layers.diagonal import DiagonalLayer
+from pfnn_jax.models.layers.film import FiLMStyle
+from pfnn_jax.models.layers.full import BlendedLayer
+from pfnn_jax.models.layers.one_hot import OneHot
+from pfnn_jax.models.network import Network, config_of, init_network, num_parameters
 from pfnn_jax.training.data import Batch
 from pfnn_jax.training.few_shot_learning import (
     METHODS,

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.film import FiLMStyle
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Batch
 from pfnn_jax.training.films import mean_films

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError, TrainingError
-from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthetic_clips

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import TrainingError
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.layers import CPLayer
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.presets import LAYOUT_OF, TABLE2
+from pfnn_jax.models.style import init_style
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import StyleData
 from pfnn_jax.training.order import order_of

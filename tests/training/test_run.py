@@ -10,15 +10,15 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io import checkpoint
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
-from pfnn_jax.models.film_generator import GeneratorConfig, film_generator
-from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.models.config import AdapterConfig, AdapterKind, GeneratorConfig, NetworkConfig
+from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.network import init_network
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
 from pfnn_jax.run import (
     RunConfig,
-    adapter_form,
     create_run,
     list_styles,
     load_config,
@@ -104,7 +104,7 @@ def test_styles_of_every_kind_round_trip(tmp_path, kind):
     assert list_styles(path) == ("new style",)
     note = style_note(path, "new style")
     assert note["info"] == {"clip": "a.bvh", "error": 0.5}
-    assert note["adapter"]["kind"] == kind == adapter_form(make_adapter(kind)).kind
+    assert note["adapter"]["kind"] == kind == make_adapter(kind).config.kind
 
 
 def test_no_style_is_no_adapter(tmp_path):

@@ -13,9 +13,10 @@ import optax
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind, init_style
+from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
 from pfnn_jax.models.dropout import Dropout
-from pfnn_jax.models.network import NetworkConfig, init_network, predict
+from pfnn_jax.models.network import init_network, predict
+from pfnn_jax.models.style import init_style
 from pfnn_jax.training.data import Batch, Draw
 from pfnn_jax.training.order import order_of
 from pfnn_jax.training.steps import (

@@ -5,7 +5,8 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from pfnn_jax.models.network import Network, NetworkConfig, init_network
+from pfnn_jax.models.config import NetworkConfig
+from pfnn_jax.models.network import Network, init_network
 from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout
 from pfnn_jax.motion.features.normaliser import Statistics
 from pfnn_jax.training.data import Batch, Draw, StyleData, cut_windows

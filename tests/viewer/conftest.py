@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips

@@ -11,8 +11,8 @@ import pytest
 from pfnn_jax.control import stability as turning
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
-from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.film import FiLMStyle
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import ClipFile

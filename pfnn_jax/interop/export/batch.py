@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.inference.predictor import Predictor, evaluate, evaluate_at
-from pfnn_jax.models.film import film_from_vector
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 
@@ -28,11 +28,11 @@ def batch_function(predictor: Predictor, film_input: bool = False) -> BatchFunct
     """
 
     def one(x: jax.Array, blending: jax.Array, *film: jax.Array) -> jax.Array:
-        own = replace(predictor, style=film_from_vector(film[0])) if film else predictor
+        own = replace(predictor, style=FiLMStyle.from_vector(film[0])) if film else predictor
         return evaluate_at(own, x, blending)
 
     def gated(x: jax.Array, phase: jax.Array, *film: jax.Array) -> jax.Array:
-        own = replace(predictor, style=film_from_vector(film[0])) if film else predictor
+        own = replace(predictor, style=FiLMStyle.from_vector(film[0])) if film else predictor
         return evaluate(own, x, phase)
 
     def function(x: jax.Array, phase: jax.Array, *film: jax.Array) -> jax.Array:

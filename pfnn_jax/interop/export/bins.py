@@ -18,10 +18,10 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import StyleChoice
 from pfnn_jax.interop.export.styles import ExportStyle, choose_styles
 from pfnn_jax.interop.released.holden2017 import NUM_TABLES, spline_design
-from pfnn_jax.models.adapters import OneHot, Style
-from pfnn_jax.models.film import FiLMStyle
-from pfnn_jax.models.layers import BiasLayer, BlendedLayer, CPLayer, DenseLayer, DiagonalLayer, Layer
+from pfnn_jax.models.layers.cp import CPLayer
+from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import Network
+from pfnn_jax.models.style import Style, Tree
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.units import authors2018, convert_columns
@@ -113,46 +113,23 @@ def _table_network(run: Run) -> dict[str, Any]:
 
 
 def network_at(network: Network, style: Style | None, c: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The network at coefficients c [K] as three affine layers: weights [O, I] and biases [O], float64.
+    """Returns the network at coefficients c [K] as three affine layers: weights [O, I] and biases [O], float64.
 
     Args:
         network: shared parameters.
-        style: added into the layer that it belongs to, or None. No Film.
+        style: added into the layers that it belongs to, or None. It must be affine, which FiLM is not.
         c: blending coefficients.
     """
-    layers = [layer_at(layer, c) for layer in network.layers]
-    match style:
-        case None:
-            return layers
-        case FiLMStyle():
-            raise TypeError("`style` must not be a Film: it is not affine.")
-        case OneHot(shift=shift):
-            place, (weights, biases) = 0, layer_at(shift, c)
-        case _:
-            place, (weights, biases) = 1, layer_at(style, c)
-    layers[place] = layers[place][0] + weights, layers[place][1] + biases
+    layers = [float64(layer).affine(c) for layer in network.layers]
+    terms = {} if style is None else float64(style).affine_terms(c)
+    for index, (weights, biases) in terms.items():
+        layers[index] = layers[index][0] + weights, layers[index][1] + biases
     return layers
 
 
-def layer_at(layer: Layer, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A layer at coefficients c [K]: weights [O, I] (0 where it has none) and biases [O], float64."""
-
-    def blend(values: jax.Array) -> np.ndarray:
-        return np.tensordot(c, np.asarray(values, np.float64), 1)
-
-    match layer:
-        case BlendedLayer(weights=weights, biases=biases):
-            return blend(weights).T, blend(biases)
-        case CPLayer(a=a, b=b, d=d, bias=bias):
-            a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-            return (a * blend(d)) @ b.T, np.asarray(bias, np.float64)
-        case DiagonalLayer(weights=weights, biases=biases):
-            return np.diag(blend(weights)), blend(biases)
-        case BiasLayer(biases=biases):
-            return np.zeros(()), blend(biases)
-        case DenseLayer(weights=weights, biases=biases):
-            return np.asarray(weights, np.float64).T, np.asarray(biases, np.float64)
-    raise TypeError(f"`layer` must be one of the five records, got {type(layer).__name__}.")
+def float64(tree: Tree) -> Tree:
+    """Returns the tree with its arrays as NumPy arrays in float64."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), tree)
 
 
 def _write_cp(folder: Path, style: ExportStyle) -> dict[str, Any]:
@@ -176,7 +153,7 @@ def _write_experts(folder: Path, run: Run, styles: tuple[ExportStyle, ...]) -> B
     _write_statistics(folder, run.normaliser)
     for n, layer in enumerate(network.layers):
         for expert, one_hot in enumerate(np.eye(experts)):
-            weights, biases = layer_at(layer, one_hot)
+            weights, biases = float64(layer).affine(one_hot)
             _write(folder, f"cp{n}_a{expert}", weights)
             _write(folder, f"cp{n}_b{expert}", biases)
     for n, layer in enumerate(gating.layers):

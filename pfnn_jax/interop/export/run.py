@@ -19,7 +19,7 @@ from pfnn_jax.interop.export.description import FILE, SCHEMA, describe
 from pfnn_jax.interop.export.formats import Format
 from pfnn_jax.interop.export.onnx import write_onnx
 from pfnn_jax.interop.export.stablehlo import write_stablehlo
-from pfnn_jax.interop.export.styles import choose_styles, style_arrays, write_style
+from pfnn_jax.interop.export.styles import choose_styles, write_style
 from pfnn_jax.io.checkpoint import replacing
 from pfnn_jax.io.files import refuse_existing
 from pfnn_jax.run import Run, load_run
@@ -86,7 +86,7 @@ def _write_function(
     x, phase = sample_rows(run.normaliser, run.layout, NUM_ROWS)
     rows = {"x": x, "phase": phase}
     if film_input:
-        films = np.stack([style_arrays(style.parameters)["film"] for style in chosen])
+        films = np.stack([style.parameters.named_arrays()["film"] for style in chosen])
         rows["style"] = films[np.arange(NUM_ROWS) % len(films)].astype(np.float32)
         predictor = assemble_predictor(run.shared, chosen[0].parameters, run.normaliser)
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,8 @@ import numpy as np
 
 from pfnn_jax.control.run_settings import style_label
 from pfnn_jax.inference.mixture import StyleChoice, file_stem, load_choice, need_style
-from pfnn_jax.models.adapters import Style
-from pfnn_jax.models.film import FiLMStyle, film_to_vector
-from pfnn_jax.models.layers import BiasLayer
-from pfnn_jax.run import Run, adapter_form, list_styles, style_note
+from pfnn_jax.models.style import Style
+from pfnn_jax.run import Run, list_styles, style_note
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +33,7 @@ class ExportStyle:
     @property
     def kind(self) -> str:
         """Kind of the style, as in `AdapterConfig`."""
-        return adapter_form(self.parameters).kind
+        return self.parameters.kind
 
 
 def choose_styles(run: Run, choice: StyleChoice, kind: str | None = None) -> tuple[ExportStyle, ...]:
@@ -68,21 +66,10 @@ def write_style(folder: Path, style: ExportStyle) -> dict[str, Any]:
     """
     file = Path("styles") / f"{style.stem}.bin"
     (folder / file).parent.mkdir(exist_ok=True)
-    arrays = style_arrays(style.parameters)
+    arrays = {name: np.asarray(array) for name, array in style.parameters.named_arrays().items()}
     (folder / file).write_bytes(b"".join(np.ascontiguousarray(array, "<f4").tobytes() for array in arrays.values()))
     told = [{"name": name, "shape": list(array.shape)} for name, array in arrays.items()]
     return {"name": style.name, "kind": style.kind, "file": file.as_posix(), "arrays": told}
-
-
-def style_arrays(parameters: Style) -> dict[str, np.ndarray]:
-    """A style's arrays by the names of their fields; a Film as one vector [4H]."""
-    if isinstance(parameters, FiLMStyle):
-        return {"film": np.asarray(film_to_vector(parameters))}
-    found: dict[str, np.ndarray] = {}
-    for field in fields(parameters):
-        value = getattr(parameters, field.name)
-        found |= style_arrays(value) if isinstance(value, BiasLayer) else {field.name: np.asarray(value)}
-    return found
 
 
 def _style(run: Run, choice: str | Mapping[str, float]) -> ExportStyle:

@@ -21,8 +21,8 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import assemble_predictor, evaluate
 from pfnn_jax.interop.released.files import read_array, read_description, read_statistics
-from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.layers import BlendedLayer
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.motion.features.layout import pfnn2017

@@ -17,8 +17,9 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import file_stem
 from pfnn_jax.interop.released.files import DESCRIPTION, read_array, read_description, read_statistics
 from pfnn_jax.interop.released.holden2017 import NUM_TABLES, read_tables, recover_control_points
-from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.layers import BlendedLayer, CPLayer
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.layers.cp import CPLayer
+from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics

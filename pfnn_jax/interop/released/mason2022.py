@@ -17,11 +17,12 @@ import numpy as np
 from pfnn_jax.inference.mixture import file_stem
 from pfnn_jax.inference.predictor import assemble_predictor, evaluate
 from pfnn_jax.interop.released.files import read_array, read_description, read_statistics
-from pfnn_jax.models.adapters import AdapterConfig
-from pfnn_jax.models.film import FiLMStyle
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.gating import Gating
-from pfnn_jax.models.layers import BlendedLayer, DenseLayer
-from pfnn_jax.models.network import Network, NetworkConfig
+from pfnn_jax.models.layers.dense import DenseLayer
+from pfnn_jax.models.layers.film import FiLMStyle
+from pfnn_jax.models.layers.full import BlendedLayer
+from pfnn_jax.models.network import Network
 from pfnn_jax.motion.features.layout import STYLE100_ENDS, layout_for, mason2022
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_forward_up, quat_rotate

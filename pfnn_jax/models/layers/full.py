@@ -1,0 +1,67 @@
+"""The blended layer: K full weight matrices (Holden 2017 Eq. 2)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Self
+
+import chex
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from pfnn_jax.models.style import Affine, Layer, small_uniform
+
+
+@struct.dataclass(kw_only=True)
+class BlendedLayer(Layer):
+    """K full weight matrices: `y = Σ_k c_k (x W_k + b_k)`. As a style: the full residual.
+
+    Under `vmap` the layer is one matrix product over the flattened c ⊗ x, so that no weight matrix of a single sample
+    is ever built.
+    """
+
+    weights: jax.Array  # [K, I, O]
+    biases: jax.Array  # [K, O]
+
+    kind: ClassVar[str] = "full"
+    foldable: ClassVar[bool] = True
+    rank: ClassVar[None] = None
+
+    @classmethod
+    def init(cls, inputs: int, outputs: int, num_experts: int, *, rank: int = 30, key: jax.Array) -> Self:
+        return cls(weights=small_uniform(key, (num_experts, inputs, outputs)), biases=jnp.zeros((num_experts, outputs)))
+
+    @property
+    def num_control_points(self) -> int:
+        return self.weights.shape[0]
+
+    @property
+    def input_size(self) -> int:
+        return self.weights.shape[1]
+
+    @property
+    def output_size(self) -> int:
+        return self.weights.shape[2]
+
+    def __call__(self, coefficients: jax.Array, x: jax.Array) -> jax.Array:
+        chex.assert_rank([coefficients, x], 1)
+        chex.assert_shape(self.weights, (coefficients.shape[0], x.shape[0], None))
+        scaled = (coefficients[:, None] * x[None, :]).reshape(-1)
+        return scaled @ self.weights.reshape(scaled.shape[0], -1) + coefficients @ self.biases
+
+    def at(self, coefficients: jax.Array) -> Self:
+        return type(self)(weights=self._blend(coefficients)[None], biases=(coefficients @ self.biases)[None])
+
+    def affine(self, coefficients: Any) -> Affine:
+        return self._blend(coefficients).T, coefficients @ self.biases
+
+    def plus(self, weights: jax.Array, biases: jax.Array) -> Self:
+        """Returns the layer with weights [O, I] and biases [O] added at every control point."""
+        matrices, vectors = (
+            jnp.broadcast_to(v, of.shape) for v, of in ((weights.T, self.weights), (biases, self.biases))
+        )
+        return type(self)(weights=self.weights + matrices, biases=self.biases + vectors)
+
+    def _blend(self, coefficients: Any) -> Any:
+        """Returns the weights [I, O] at coefficients [K], in the arrays' own library."""
+        return (coefficients @ self.weights.reshape(len(self.weights), -1)).reshape(self.weights.shape[1:])
