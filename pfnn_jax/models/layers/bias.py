@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Self
 import chex
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
 from pfnn_jax.models.style import Affine, Layer
@@ -37,4 +36,5 @@ class BiasLayer(Layer):
         return type(self)(biases=(coefficients @ self.biases)[None])
 
     def affine(self, coefficients: Any) -> Affine:
-        return np.zeros((), self.biases.dtype), coefficients @ self.biases
+        biases = coefficients @ self.biases
+        return biases.__array_namespace__().zeros((), dtype=biases.dtype), biases

@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Self
 import chex
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
 from pfnn_jax.models.style import Affine, Layer, small_uniform
@@ -39,4 +38,5 @@ class DiagonalLayer(Layer):
 
     def affine(self, coefficients: Any) -> Affine:
         diagonal = coefficients @ self.weights
-        return np.eye(len(diagonal), dtype=diagonal.dtype) * diagonal[None], coefficients @ self.biases
+        identity = diagonal.__array_namespace__().eye(len(diagonal), dtype=diagonal.dtype)
+        return identity * diagonal[None], coefficients @ self.biases
