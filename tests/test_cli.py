@@ -21,7 +21,7 @@ import pfnn_jax
 from pfnn_jax.cli import main
 from pfnn_jax.cli.command_line import COMMANDS, in_options, load_command
 from pfnn_jax.cli.predict import Predict
-from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
 from pfnn_jax.run import fingerprint, list_styles, load_run, load_style, style_note, train_step

@@ -1,7 +1,7 @@
 """Mixtures: styles of one run by barycentric weights, combined before modulation (Mason 2022 §5.1).
 
 A mixture adds to the network the weighted sum of what its styles add, wherever it is asked for: here as parameters of
-one style (`models.adapters.mix_styles`), in a controller, whose weights change from frame to frame, as a `MixedLayer`.
+one style (`models.style`), in a controller, whose weights change from frame to frame, as a `MixedLayer`.
 """
 
 from __future__ import annotations
