@@ -15,7 +15,7 @@ from pfnn_jax.control.controller import Controller, make_controller, step
 from pfnn_jax.control.controller_state import ControllerState
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.tracking import TrackingConfig
-from pfnn_jax.models.adapters import AdapterConfig, AdapterKind
+from pfnn_jax.models.config import AdapterConfig, AdapterKind
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import Run

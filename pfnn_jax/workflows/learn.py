@@ -16,7 +16,7 @@ from pfnn_jax.control.run_settings import loop_config
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
-from pfnn_jax.models.adapters import AdapterConfig
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import labelled_features, load_for_layout, match_hands
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
