@@ -49,8 +49,8 @@ from pfnn_jax.control.tracking import (
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import check_weights, need_style, stack_styles
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor
-from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.network import Network
+from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton

@@ -24,8 +24,8 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import table_phase
 from pfnn_jax.inference.modes import Mode
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor, evaluate
-from pfnn_jax.models.adapters import Style
 from pfnn_jax.models.network import Network
+from pfnn_jax.models.style import Style
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.decode import clip_from_outputs
 from pfnn_jax.motion.features.layout import FrameLayout

@@ -17,8 +17,9 @@ from pfnn_jax.control.run_settings import default_speed, loop_config
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.modes import Mode
 from pfnn_jax.inference.predictor import make_predictor
-from pfnn_jax.models.adapters import AdapterConfig, init_style
-from pfnn_jax.models.network import NetworkConfig, init_network
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.network import init_network
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import cut
 from pfnn_jax.motion.features.encode import clip_features
