@@ -16,7 +16,7 @@ import importlib.metadata
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 import jax
 import numpy as np
@@ -278,6 +278,10 @@ def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, A
     return folder
 
 
+@overload
+def load_style(run: Run, name: str) -> Style: ...
+@overload
+def load_style(run: Run, name: None) -> None: ...
 def load_style(run: Run, name: str | None) -> Style | None:
     """One style's adapter, or None for style-agnostic motion where `name` is None.
 
