@@ -1,4 +1,4 @@
-"""A network as the function of a batch that engines evaluate, and rows to try it on."""
+"""Builds the batched function that engines evaluate, and random rows to check it on."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ BatchFunction = Callable[..., jax.Array]
 
 
 def batch_function(predictor: Predictor, film_input: bool = False) -> BatchFunction:
-    """A predictor as a function of a batch of frames, made of operations that every exchange format knows.
+    """Returns a predictor as a function of a batch, built from operations that every exchange format supports.
 
     Args:
         predictor: network, style and statistics, which become constants of the function.
-        film_input: the style is a third argument, its numbers [B, 4H] in the order scale 1, shift 1, scale 2, shift 2.
+        film_input: whether the style is a third argument [B, 4H], in the order scale 1, shift 1, scale 2, shift 2.
     """
 
     def one(x: jax.Array, blending: jax.Array, *film: jax.Array) -> jax.Array:
@@ -60,7 +60,7 @@ def spline_weights(phase: jax.Array, num_control_points: int) -> jax.Array:
 def sample_rows(
     normaliser: Normaliser, layout: FrameLayout, num_rows: int, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Random rows after a run's statistics: x [N, Dx] normal around the mean, phases even or normal; float32."""
+    """Draws random float32 rows from a run's statistics: x [N, Dx] normal; phases uniform, or gating inputs normal."""
     generator = np.random.default_rng(seed)
     inputs, phases = normaliser.inputs, normaliser.phases
     x = inputs.mean + inputs.std * generator.normal(size=(num_rows, layout.input_size))
@@ -72,6 +72,6 @@ def sample_rows(
 
 
 def relative_error(found: np.ndarray, expected: np.ndarray) -> float:
-    """Largest difference of any output [N, Dy] from the expected one, relative to that output's largest magnitude."""
+    """Returns the largest error over outputs [N, Dy], each relative to the largest magnitude of its column."""
     scale = np.maximum(np.abs(expected).max(axis=0), np.finfo(np.float32).tiny)
     return float((np.abs(found - expected) / scale).max())

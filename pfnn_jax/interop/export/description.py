@@ -1,4 +1,4 @@
-"""description.json: what an engine must know beside the numbers of a network."""
+"""Builds description.json: everything an engine needs to run an exported network besides its weights."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ def describe(
     styles: Sequence[Mapping[str, Any]],
     choice: StyleChoice,
 ) -> dict[str, Any]:
-    """Everything that stands in `description.json`.
+    """Returns the contents of `description.json`.
 
     Args:
-        run: exported.
+        run: the exported run.
         format: onnx, stablehlo or bins.
-        layout: of the exported network, the run's own but for `bins` of `mason2018`.
-        normaliser: in that layout's units.
-        network: files of the network and how they are read.
-        styles: name, kind and files of every exported style; where a choice was asked for, of that alone.
-        choice: what was asked for, in whose style the start walks.
+        layout: layout of the exported network: the run's own, except for `bins` of `mason2018`.
+        normaliser: statistics in the units of that layout.
+        network: files of the network and how to read them.
+        styles: name, kind and files of every exported style; of the chosen one alone if there is a choice.
+        choice: the exported choice of style, in which the start pose walks.
 
     Returns:
-        Numbers, strings, lists and dicts.
+        A dict of numbers, strings, lists and dicts, ready for JSON.
     """
     exported = [style["name"] for style in styles] if choice is None else [choice] * len(styles)
     start, *walks = walks_of(run, [choice, *exported])
@@ -66,7 +66,7 @@ def describe(
 
 
 def describe_layout(layout: FrameLayout) -> dict[str, Any]:
-    """Blocks of x and y: columns, the factor to SI units, the unit."""
+    """Describes the blocks of x and y: columns, factor to SI units, unit."""
 
     def blocks(names: Sequence[str], columns: Any, size: int) -> dict[str, Any]:
         return {
@@ -97,7 +97,7 @@ def describe_layout(layout: FrameLayout) -> dict[str, Any]:
 
 
 def describe_normaliser(normaliser: Normaliser) -> dict[str, list[float]]:
-    """Means and deviations, in layout units."""
+    """Returns means and standard deviations, in layout units."""
     sides = {"x": normaliser.inputs, "y": normaliser.outputs, "phase": normaliser.phases}
     return {
         f"{side}_{kind}": np.asarray(getattr(statistics, kind), np.float64).tolist()
@@ -108,11 +108,11 @@ def describe_normaliser(normaliser: Normaliser) -> dict[str, list[float]]:
 
 
 def describe_loop(run: Run) -> dict[str, Any]:
-    """Constants of the published loop (`LoopConfig`), and where the present stands in the trajectory."""
+    """Returns the constants of the published loop (`LoopConfig`) and the current trajectory index."""
     return {**asdict(loop_config(run)), "num_points": NUM_POINTS, "root": ROOT}
 
 
 def describe_start(layout: FrameLayout, normaliser: Normaliser, walk: Walk) -> dict[str, Any]:
-    """A row x and a phase at which a walk along +Z may begin (`starting_row`), and its speeds."""
+    """Returns a row x and a phase from which a walk along +Z can start (`starting_row`), and its speeds."""
     x, phase = (np.asarray(values, np.float64).tolist() for values in starting_row(layout, normaliser, walk.speed))
     return {"x": x, "phase": phase, **asdict(walk)}

@@ -1,4 +1,4 @@
-"""A network as an ONNX file, written only when onnxruntime gives what JAX gives."""
+"""Writes a network as an ONNX file after checking that onnxruntime reproduces JAX."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.interop.export.batch import BatchFunction, relative_error
 
 OPSET = 18
-"""The lowest whose reductions take axes as the converter writes them."""
+"""The lowest opset whose reductions take axes as the converter writes them."""
 
 TOLERANCE = 1e-5
-"""Allowed difference between onnxruntime and JAX, see `relative_error`; measured ones are near 1e-6."""
+"""Largest `relative_error` allowed between onnxruntime and JAX; measured errors are near 1e-6."""
 
 _NOISY = ("jax2onnx", "onnx_ir")
 
@@ -27,16 +27,16 @@ def write_onnx(path: Path, function: BatchFunction, rows: dict[str, np.ndarray])
     """Converts a function of batches to ONNX, checks it on rows and writes it.
 
     Args:
-        path: of the file.
-        function: of the rows' arrays in their order.
-        rows: named inputs [N, ...], float32; the file's inputs have these names, and N may be any number.
+        path: the file to write.
+        function: takes the arrays of `rows` in their order.
+        rows: named inputs [N, ...], float32; the inputs of the file have these names and any batch size.
 
     Returns:
-        Opset, inputs, output and the largest relative error on the rows.
+        Opset, number of rows and the largest relative error on them.
 
     Raises:
-        InputError: if a library is missing, or onnxruntime differs from JAX by more than `TOLERANCE`; nothing is
-            written then.
+        InputError: if a library is missing, or if onnxruntime differs from JAX by more than `TOLERANCE`; nothing is
+            written in that case.
     """
     with _quiet():
         try:
@@ -44,7 +44,9 @@ def write_onnx(path: Path, function: BatchFunction, rows: dict[str, np.ndarray])
             import onnxruntime
             from jax2onnx import to_onnx
         except ImportError as error:
-            raise InputError(path, "format", "onnx", "needs `pip install pfnn-jax[export]`") from error
+            raise InputError(
+                path, "format", "onnx", "install the export extra: `pip install '.[export]'` in the project folder"
+            ) from error
         shapes = [("B", *array.shape[1:]) for array in rows.values()]
         model = to_onnx(
             function, shapes, input_names=list(rows), output_names=["y"], model_name="pfnn_jax", opset=OPSET
@@ -56,14 +58,16 @@ def write_onnx(path: Path, function: BatchFunction, rows: dict[str, np.ndarray])
         expected = np.asarray(jax.jit(function)(*rows.values()))
     error = relative_error(np.asarray(session.run(["y"], rows)[0]), expected)
     if not error <= TOLERANCE:
-        raise InputError(path, "relative error", f"{error:.1e}", f"onnxruntime must agree with JAX to {TOLERANCE:g}")
+        raise InputError(
+            path, "relative error", f"{error:.1e}", f"must be at most {TOLERANCE:g} between onnxruntime and JAX"
+        )
     path.write_bytes(content)
     return {"opset": OPSET, "relative_error": error, "rows": len(expected)}
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The converter warns of every operation of JAX that it does not know, needed or not."""
+    """Silences the converter, which warns about every JAX operation it does not know, needed or not."""
     loggers = [logging.getLogger(name) for name in _NOISY]
     levels = [logger.level for logger in loggers]
     for logger in loggers:

@@ -1,8 +1,9 @@
-"""The loop that an engine runs, in NumPy alone, on a folder that `pfnn-jax export RUN --format bins` has written.
+"""Reference loop for engines, in NumPy alone, on a folder written by `pfnn-jax export RUN --format bins`.
 
-Metres, seconds, radians, 60 frames a second; Y up, +Z ahead, +X left. Ground points are complex numbers z + ix: a
-facing is e^(i yaw), turning a product. In `mason2018` and `pfnn2017` y places this frame's joints and moves the root by
-a velocity; in `mason2022` (`next_frame`) it places the next frame's, and its first trajectory sample is the next root.
+Units are metres, seconds and radians at 60 frames per second; Y up, +Z forward, +X left. Ground points are complex
+numbers z + ix, so that a facing is e^(i yaw) and a rotation is a product. In `mason2018` and `pfnn2017` the output y
+describes the joints of the current frame and moves the root by a velocity; in `mason2022` (`next_frame`) it describes
+the joints of the next frame, and its first trajectory sample is the next root.
 """
 
 import json
@@ -24,26 +25,26 @@ def turn_towards(facing, target, share):
 
 
 def turn(v, facing, point: complex | np.ndarray = 0j):
-    """Vectors [J, 3] of a root with a facing turned into the world, then moved by its place on the ground."""
+    """Rotates vectors [J, 3] from the frame of a root into the world, then translates them on the ground."""
     ground = (v[:, 2] + 1j * v[:, 0]) * facing + point
     return np.stack([ground.imag, v[:, 1], ground.real], -1)
 
 
 def fill(samples):
-    """Samples [M, ...] ten frames apart, filled in linearly: [10 (M - 1) + 1, ...]."""
+    """Interpolates samples [M, ...] that are ten frames apart linearly: [10 (M - 1) + 1, ...]."""
     last, at = samples[-1:], np.arange(10).reshape(1, -1, *[1] * (samples.ndim - 1)) / 10
     return np.concatenate([mix(samples[:-1, None], samples[1:, None], at).reshape(-1, *last.shape[1:]), last])
 
 
 def spline(phase):
-    """Coefficients [4] of the control points at phases 0, π/2, π, 3π/2: cyclic Catmull-Rom."""
+    """Returns the cyclic Catmull-Rom coefficients [4] of the control points at phases 0, π/2, π, 3π/2."""
     k, d, c = int(phase * 2 // np.pi), phase * 2 / np.pi % 1, np.zeros(4)
     c[(k + np.arange(-1, 3)) % 4] = 2 * d**2 - d - d**3, 2 - 5 * d**2 + 3 * d**3, d + 4 * d**2 - 3 * d**3, d**3 - d**2
     return c / 2
 
 
 def load_network(folder, description, style=0):
-    """The function of x [Dx] and phase [] or [8] -> y [Dy], in the layout's units."""
+    """Returns a function of x [Dx] and phase [] or [8] -> y [Dy], in the units of the layout."""
 
     def read(name, rows=1):
         return np.fromfile(Path(folder) / f"{name}.bin", "<f4").astype(np.float64).reshape(rows, -1)
@@ -57,7 +58,7 @@ def load_network(folder, description, style=0):
         layers.append((np.tensordot(mixing, weights, 1), mixing @ biases))
     gates = [(read(w, read(b).size), read(b)[0]) for w, b in net["gating"]]
     film = [(read(scale)[0], read(shift)[0]) for scale, shift in own.get("film", ())]
-    if "cp" in own:  # A diag(D) B h + bias beside the second layer; only D depends on the phase
+    if "cp" in own:  # residual A diag(D) B h + bias on the second layer; only D depends on the phase
         a, b, bias = (read(name, rows) for name, rows in own["cp"])
         d = mixing @ np.concatenate([read(name) for name in own["cp_diagonal"]])
 
@@ -81,23 +82,33 @@ def load_network(folder, description, style=0):
 
 
 class Character:
-    """111 trajectory points, one a frame from -60 to +50, of which 60 is now; the joints in the world; the phase."""
+    """Character state: 111 trajectory points (frames -60 to +50; index 60 is now), joints in the world, phase."""
 
     def __init__(self, folder, style: int | str = 0):
-        told = json.loads((Path(folder) / "description.json").read_text(encoding="utf-8"))
-        numbers = {key: n for n, entry in enumerate(told["styles"] or [{"name": 0}]) for key in (n, entry["name"])}
-        if told["format"] != "bins" or style not in numbers:
-            raise ValueError(f"{folder}: {told['format']}, style {style!r}; must be bins, one of styles {[*numbers]}")
-        self.layout, self.k, self.evaluate = told["layout"], told["loop"], load_network(folder, told, numbers[style])
-        self.late, self.phase = self.layout["next_frame"], np.array(told["start"]["phase"])
-        self.asked_speed = (told["styles"] or [told["start"]])[numbers[style]]["asked_speed"]  # m/s to ask for a walk
-        x = self.read(np.array(told["start"]["x"]), "inputs")
+        description = json.loads((Path(folder) / "description.json").read_text(encoding="utf-8"))
+        numbers = {
+            key: n for n, entry in enumerate(description["styles"] or [{"name": 0}]) for key in (n, entry["name"])
+        }
+        if description["format"] != "bins" or style not in numbers:
+            raise ValueError(
+                f"{folder}: {description['format']}, style {style!r}; must be bins, one of styles {[*numbers]}"
+            )
+        self.layout, self.k, self.evaluate = (
+            description["layout"],
+            description["loop"],
+            load_network(folder, description, numbers[style]),
+        )
+        self.late, self.phase = self.layout["next_frame"], np.array(description["start"]["phase"])
+        self.asked_speed = (description["styles"] or [description["start"]])[numbers[style]][
+            "asked_speed"
+        ]  # m/s to command for a walk
+        x = self.read(np.array(description["start"]["x"]), "inputs")
         self.positions, self.directions, self.gait = fill(x["position"]), unit(fill(x["direction"])), fill(x["gait"])
         self.velocity, self.facing = (self.positions[110] - self.positions[60]) * 60 / 50, self.directions[60]
         self.pose = self.to_world(x, 60 if self.late else 59)
 
     def read(self, values, side="outputs"):
-        """Blocks of x or y in metres, seconds and radians: of joints [J, 3], of the trajectory complex [samples]."""
+        """Returns the blocks of x or y in metres, seconds and radians: joints [J, 3], trajectory complex [samples]."""
         blocks = {name: values[b["columns"]] * b["scale"] for name, b in self.layout[side].items()}
         blocks |= {name: v.reshape(-1, 3) for name, v in blocks.items() if name.startswith("joint_")}
         blocks |= {k: blocks[f"trajectory_{k}_z"] + 1j * blocks[f"trajectory_{k}_x"] for k in ("position", "direction")}
@@ -111,16 +122,18 @@ class Character:
         return pose | {"joint_position": turn(blocks["joint_position"], self.directions[point], self.positions[point])}
 
     def step(self, velocity, direction):
-        """One frame under a command: a velocity in metres per second and a facing, both z + ix. Returns `read` of y."""
+        """Advances one frame under a command (velocity in m/s, facing; both z + ix). Returns the blocks of y."""
         k, here, facing, ahead = self.k, self.positions[60], self.directions[60], np.arange(1, 51) / 60
-        self.velocity = mix(self.velocity, k["command_gain"] * velocity, k["velocity_rate"])  # 1. the future obeys
+        self.velocity = mix(
+            self.velocity, k["command_gain"] * velocity, k["velocity_rate"]
+        )  # 1. blend the future trajectory towards the command
         self.facing = turn_towards(self.facing, direction, k["direction_rate"])
         steps = mix(np.diff(self.positions[60:]), self.velocity / 60, 1 - (1 - ahead) ** k["position_bias"])
         self.positions[61:] = here + np.cumsum(steps)
         self.directions[61:] = turn_towards(self.directions[61:], self.facing, 1 - (1 - ahead) ** k["direction_bias"])
         moving, jog = min(abs(self.velocity) / k["stand_speed"], 1), abs(self.velocity) >= k["jog_speed"]
         self.gait[60:] = mix(self.gait[60], [1 - moving, moving * (1 - jog), moving * jog, 0, 0, 0], k["gait_rate"])
-        # 2. What the network reads: the trajectory as this root sees it, the joints as this or the previous one does.
+        # 2. Network input: the trajectory relative to this root, the joints relative to this or the previous root.
         before, faced = (v[60 if self.late else 59] for v in (self.positions, self.directions))
         blocks = {name: turn(v, faced.conj()) for name, v in self.pose.items()} | {"gait": self.gait[::10].T}
         blocks["joint_position"] = turn(self.pose["joint_position"], faced.conj(), -before * faced.conj())
@@ -129,22 +142,24 @@ class Character:
         x = np.zeros(self.layout["input_size"])  # the ground is flat: terrain heights stay 0
         for name in blocks.keys() & self.layout["inputs"].keys():
             x[self.layout["inputs"][name]["columns"]] = blocks[name].ravel() / self.layout["inputs"][name]["scale"]
-        told = self.read(self.evaluate(x, self.phase))  # 3. the network; 4. body, root, trajectory and phase move on
-        pose = self.to_world(told, 60)
+        predicted = self.read(self.evaluate(x, self.phase))  # 3. evaluate; 4. advance body, root, trajectory and phase
+        pose = self.to_world(predicted, 60)
         moved = self.pose["joint_position"] + (pose if self.late else self.pose)["joint_velocity"] / 60
         self.pose = pose | {"joint_position": mix(moved, pose["joint_position"], k["pose_rate"])}
         if self.late:
-            positions = fill(mix(self.positions[60::10], here + told["position"] * facing, k["trajectory_rate"]))
-            directions = fill(turn_towards(self.directions[60::10], told["direction"] * facing, k["trajectory_rate"]))
-            self.phase = mix(self.phase + told["local_phase_change"], told["local_phase"], k["phase_rate"])
+            positions = fill(mix(self.positions[60::10], here + predicted["position"] * facing, k["trajectory_rate"]))
+            directions = fill(
+                turn_towards(self.directions[60::10], predicted["direction"] * facing, k["trajectory_rate"])
+            )
+            self.phase = mix(self.phase + predicted["local_phase_change"], predicted["local_phase"], k["phase_rate"])
         else:
-            rate = max(1 - self.gait[60, 0], 0) ** 0.25 / 60  # who stands does not drift
-            here = here + rate * facing * (told["root_velocity"] @ [1j, 1])
-            facing = facing * np.exp(1j * rate * told["root_yaw_rate"][0])
-            positions = here + facing * np.append(0, fill(told["position"])[1:])
-            directions = facing * np.append(1, fill(told["direction"])[1:])
-            self.phase = (self.phase + (0.9 * rate + 0.1 / 60) * told["phase_change"][0]) % (2 * np.pi)
+            rate = max(1 - self.gait[60, 0], 0) ** 0.25 / 60  # no drift while standing
+            here = here + rate * facing * (predicted["root_velocity"] @ [1j, 1])
+            facing = facing * np.exp(1j * rate * predicted["root_yaw_rate"][0])
+            positions = here + facing * np.append(0, fill(predicted["position"])[1:])
+            directions = facing * np.append(1, fill(predicted["direction"])[1:])
+            self.phase = (self.phase + (0.9 * rate + 0.1 / 60) * predicted["phase_change"][0]) % (2 * np.pi)
         self.positions = np.append(self.positions[1:61], positions)
         self.directions = np.append(self.directions[1:61], unit(directions))
         self.gait = np.concatenate([self.gait[1:61], self.gait[60:]])
-        return told
+        return predicted

@@ -1,4 +1,4 @@
-"""From a run to a folder that engines read: the network, its styles, and description.json; whole or not at all."""
+"""Exports a run to a folder that engines read: network, styles and description.json, written atomically."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pfnn_jax.io.files import refuse_existing
 from pfnn_jax.run import Run, load_run
 
 NUM_ROWS = 256
-"""Rows on which a network is checked before it is put in place."""
+"""Rows on which an exported network is checked before it is published."""
 
 _FILES = {"onnx": "network.onnx", "stablehlo": "network.stablehlo"}
 
@@ -39,24 +39,24 @@ def export_run(
     film_input: bool = False,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Writes a run's network in a format that engines read.
+    """Exports the network of a run to a format that engines read.
 
     Args:
         run_path: the run.
-        format: `onnx` or `stablehlo`, a function of x and phase with one style inside; or `bins`, see `write_bins`.
-        out: the folder to make.
-        style: a style's name, or weights by name. None is style-agnostic motion, on a FiLM run the mean of its
-            styles; for `bins` and with `film_input` it is all styles.
-        film_input: of a FiLM run: leave the style an input of the network (onnx, stablehlo), so that an engine can
-            change and mix styles; their numbers stand in `styles/`.
-        overwrite: replace an earlier export.
+        format: `onnx` or `stablehlo`, a function of x and phase with one style baked in; or `bins`, see `write_bins`.
+        out: the folder to write.
+        style: a style's name, or weights by name. None exports style-agnostic motion (for a FiLM run, the mean of its
+            styles); for `bins` and with `film_input` it exports all styles.
+        film_input: for a FiLM run, keep the style an input of the network (onnx, stablehlo), so that an engine can
+            switch and mix styles; their parameters are written to `styles/`.
+        overwrite: whether to replace an earlier export.
 
     Returns:
-        What `description.json` tells.
+        The contents of `description.json`.
 
     Raises:
-        InputError: for an unknown style or format, a layout without the format, a check that fails, a missing library,
-            a FiLM run without styles, or if `out` exists and is no export or must not be replaced.
+        InputError: for an unknown style or format, a layout that the format does not support, a failed check, a missing
+            library, a FiLM run without styles, or if `out` exists and is not an export or must not be replaced.
     """
     run, out = load_run(run_path), Path(out)
     if format not in ("onnx", "stablehlo", "bins"):
@@ -66,7 +66,12 @@ def export_run(
         new.mkdir()
         if format == "bins":
             if film_input:
-                raise InputError(run.path, "film input", format, "files of styles are always apart in bins")
+                raise InputError(
+                    run.path,
+                    "film input",
+                    format,
+                    "must be off for bins, which always stores styles in files of their own",
+                )
             made = write_bins(new, run, style)
             description = describe(run, format, made.layout, made.normaliser, made.network, made.styles, style)
         else:
@@ -80,7 +85,7 @@ def _write_function(
     folder: Path, run: Run, format: Literal["onnx", "stablehlo"], choice: StyleChoice, film_input: bool
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     if film_input and run.config.adapter.kind != "film":
-        rule = "only a Film can be an input of the network: export one network for each style"
+        rule = "requires FiLM styles; export one network per style instead"
         raise InputError(run.path, "film input", run.config.adapter.kind, rule)
     chosen = list(choose_styles(run, choice)) if film_input or choice is not None else []
     x, phase = sample_rows(run.normaliser, run.layout, NUM_ROWS)
@@ -101,9 +106,9 @@ def _write_function(
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
-    """Refuses to replace what must not be, or what is no export."""
-    if Path.cwd().is_relative_to(out.resolve()):  # it is put in place as a whole, from under who stands in it
-        raise InputError(out, "output", "holds the working folder", "must be a folder of its own")
+    """Refuses an output folder that must not be replaced or is not an export."""
+    if Path.cwd().is_relative_to(out.resolve()):  # the folder is replaced as a whole
+        raise InputError(out, "output", "contains the working directory", "must be a separate folder")
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     refuse_existing(out, overwrite)
@@ -112,4 +117,6 @@ def _check_place(out: Path, overwrite: bool) -> None:
     except (OSError, ValueError, AttributeError):
         known = False
     if not known:
-        raise InputError(out, "output", "exists and is no export", "only an earlier export is replaced")
+        raise InputError(
+            out, "output", "exists but is not an export", "choose another folder; only an earlier export is replaced"
+        )

@@ -1,4 +1,4 @@
-"""A network as a serialised StableHLO program (`jax.export`)."""
+"""Writes a network as a serialised StableHLO program (`jax.export`)."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
 
 
 def write_stablehlo(path: Path, function: BatchFunction, rows: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Serialises a function of batches for any batch size and reads it back to check it.
+    """Serialises a batched function for any batch size, and checks it by reading it back.
 
     Args:
-        path: of the file; `jax.export.deserialize` reads its bytes, and `.call` runs it.
-        function: of the rows' arrays in their order.
+        path: the file to write; `jax.export.deserialize` reads its bytes, `.call` runs it.
+        function: takes the arrays of `rows` in their order.
         rows: named inputs [N, ...], float32.
 
     Returns:
-        The version of the calling convention, platforms and JAX's version.
+        The version of the calling convention, the platforms and the version of JAX.
 
     Raises:
-        InputError: if the file does not compute bit for bit what the function computes.
+        InputError: if the program does not reproduce the function bit for bit.
     """
     (batch,) = jax.export.symbolic_shape("b")
     shapes = [jax.ShapeDtypeStruct((batch, *array.shape[1:]), array.dtype) for array in rows.values()]
@@ -39,7 +39,7 @@ def write_stablehlo(path: Path, function: BatchFunction, rows: dict[str, np.ndar
     found = np.asarray(jax.export.deserialize(bytearray(content)).call(*rows.values()))
     if not np.array_equal(found, expected):
         worst = float(np.abs(found - expected).max())
-        raise InputError(path, "round trip", f"differs by {worst:.1e}", "must be equal bit for bit")
+        raise InputError(path, "round trip", f"differs by {worst:.1e}", "must reproduce the function bit for bit")
     path.write_bytes(content)
     return {
         "calling_convention_version": exported.calling_convention_version,

@@ -1,4 +1,4 @@
-"""At what speed a style walks, and what speed to ask of its network for that, in the published loop alone."""
+"""Finds the speed at which a style walks, and the speed to command for it in the published loop."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pfnn_jax.run import Run
 
 @dataclass(frozen=True)
 class Walk:
-    """A walk, in metres per second.
+    """Speeds of a walk, in metres per second.
 
     Attributes:
-        speed: at which the style walks.
-        asked_speed: to ask of the network for it; networks answer speeds in their own way.
+        speed: speed at which the style walks.
+        asked_speed: speed to command for it; networks do not walk exactly at the commanded speed.
     """
 
     speed: float
@@ -28,9 +28,9 @@ class Walk:
 
 
 def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
-    """The walks of choices of style, by trials in the published loop (`control.calibration.calibrate_speeds`).
+    """Measures the walks of choices of style in the published loop (`control.calibration.calibrate_speeds`).
 
-    Of a skeleton without roles, which no controller can have, they are the speeds that styles tell.
+    A skeleton without roles cannot have a controller; its walks are the recorded speeds of the styles.
 
     Args:
         run: a loaded run.

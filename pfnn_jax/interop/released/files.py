@@ -1,4 +1,4 @@
-"""Files of released weights: raw little-endian float32 numbers, row by row, without a header."""
+"""Reads files of released weights: raw little-endian float32 values in row-major order, without a header."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from pfnn_jax.motion.features.normaliser import Statistics
 from pfnn_jax.motion.skeleton import skeleton_from_json
 
 DESCRIPTION = "description.json"
-"""Stands beside files that `pfnn-jax export --format bins` has written."""
+"""File written by `pfnn-jax export --format bins` next to the weights; absent in the authors' own releases."""
 
 
 def read_description(directory: Path, layout: str) -> dict[str, Any] | None:
-    """What an export tells of its files, with `skeleton` as a record; None where the files are the authors' own.
+    """Reads the description of an export, with `skeleton` as a record; returns None for the authors' own files.
 
     Raises:
-        InputError: for a description that cannot be read, or of another layout.
+        InputError: if the description cannot be read or describes another layout.
     """
     file = directory / DESCRIPTION
     if not file.exists():
         return None
-    rule = f"must describe an export of layout {layout} in bins"
+    rule = f"must describe an export of layout {layout} in format bins"
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         found = data["layout"]["name"], data["format"]
@@ -42,14 +42,14 @@ def read_description(directory: Path, layout: str) -> dict[str, Any] | None:
 
 
 def read_array(file: Path, shape: tuple[int, ...] | None) -> np.ndarray:
-    """The numbers of a file.
+    """Reads the values of a file.
 
     Args:
-        file: raw float32, last axis fastest.
-        shape: of the array, or None for one axis of any length.
+        file: raw float32, row-major.
+        shape: shape of the array; None for one axis of any length.
 
     Raises:
-        InputError: if the file is absent, of another size, or holds a number that is not finite.
+        InputError: if the file is absent, has another size, or holds a value that is not finite.
     """
     try:
         data = file.read_bytes()
@@ -62,20 +62,20 @@ def read_array(file: Path, shape: tuple[int, ...] | None) -> np.ndarray:
     values = np.frombuffer(data, "<f4")
     if not np.isfinite(values).all():
         where = int(np.argmin(np.isfinite(values)))
-        raise InputError(file, f"value {where}", values[where], "every value must be finite")
+        raise InputError(file, f"value {where}", values[where], "must be finite")
     return values.reshape(shape or -1).astype(np.float32)
 
 
 def read_statistics(directory: Path, name: str, size: int) -> Statistics:
-    """Mean and deviation [size] from `<name>mean.bin` and `<name>std.bin`.
+    """Reads mean and standard deviation [size] from `<name>mean.bin` and `<name>std.bin`.
 
     Raises:
-        InputError: as `read_array`, for an absent directory, and for a deviation that is not above 0.
+        InputError: as `read_array`; also if the directory is absent or a standard deviation is not positive.
     """
     if not directory.is_dir():
-        raise InputError(directory, "directory", "absent", "must hold the released .bin files")
+        raise InputError(directory, "directory", "absent", "must contain the released .bin files")
     mean, std = (read_array(directory / f"{name}{kind}.bin", (size,)) for kind in ("mean", "std"))
     if not (std > 0).all():
         column = int(np.argmin(std))
-        raise InputError(directory / f"{name}std.bin", f"column {column}", std[column], "must be above 0")
+        raise InputError(directory / f"{name}std.bin", f"column {column}", std[column], "must be positive")
     return Statistics(mean, std)

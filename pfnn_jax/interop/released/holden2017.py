@@ -1,8 +1,8 @@
-"""The weights that Holden et al. released with the PFNN (2017), turned into a run of this project.
+"""Imports the weights that Holden et al. (2017) released with the PFNN as a run.
 
-The release holds no control points but the network blended at 50 phases: matrices `W0_iii.bin` and biases
-`b0_iii.bin` (and 1, 2) at phase 2πi/50, little-endian float32, row-major (outputs, inputs). Every entry is a known
-combination of four control points, so that any four or more entries give them back by least squares.
+The release does not contain the control points but the network blended at 50 phases: matrices `W0_iii.bin` and biases
+`b0_iii.bin` (and 1, 2) at phase 2πi/50, little-endian float32, row-major (outputs, inputs). Every table is a known
+linear combination of four control points, so least squares recovers them from any four or more tables.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ NUM_TABLES = 50
 CONTROL_POINTS = 4
 
 MAX_CONDITION = 1e6
-"""Design matrices above this condition number are of lower rank than 4 within rounding."""
+"""Design matrices above this condition number are numerically rank-deficient (rank below 4)."""
 
 MAX_RESIDUAL = 1e-3
-"""Root mean square residual, relative to the values, above which tables are of another spline (float32 gives 1e-7)."""
+"""Relative root mean square residual above which the tables come from another spline (float32 rounding gives 1e-7)."""
 
 # Joint, parent and bone length in centimetres of the released character (the CMU skeleton, scaled by 5.644).
 JOINTS: tuple[tuple[str, int, float], ...] = (
@@ -55,30 +55,30 @@ JOINTS: tuple[tuple[str, int, float], ...] = (
 
 
 def import_released_pfnn(directory: str | Path, out: str | Path, overwrite: bool = False) -> Run:
-    """Makes a run of layout `pfnn2017` from a directory of released tables.
+    """Imports a directory of released tables as a run of layout `pfnn2017`.
 
     Args:
-        directory: holds `Xmean.bin`, `Xstd.bin`, `Ymean.bin`, `Ystd.bin` and, for at least four table indices
-            iii of 000-049, `W0_iii.bin`, `W1_iii.bin`, `W2_iii.bin`, `b0_iii.bin`, `b1_iii.bin`, `b2_iii.bin`. With
-            a `description.json` beside them they are of its skeleton, else of the released character.
-        out: the run directory to make.
-        overwrite: replace an existing run.
+        directory: contains `Xmean.bin`, `Xstd.bin`, `Ymean.bin`, `Ystd.bin` and, for at least four table indices
+            iii of 000-049, `W0_iii.bin`, `W1_iii.bin`, `W2_iii.bin`, `b0_iii.bin`, `b1_iii.bin`, `b2_iii.bin`. A
+            `description.json` next to them gives the skeleton; without one it is that of the released character.
+        out: the run directory to write.
+        overwrite: whether to replace an existing run.
 
     Returns:
-        The run. `config.pretrain` tells the indices used, the condition number of the least squares and the largest
-        residual of each array, relative to its root mean square.
+        The run. `config.pretrain` records the table indices used, the condition number of the least-squares problem
+        and the residual of each array, relative to its root mean square.
 
     Raises:
-        InputError: for a file that is missing, of a wrong size or not finite; for fewer than four tables or tables
-            from which four control points cannot be told apart; for tables of another spline; if `out` exists.
+        InputError: if a file is missing, has the wrong size or is not finite; if there are fewer than four tables, or
+            tables that do not determine four control points; if the tables come from another spline; if `out` exists.
     """
     directory = Path(directory)
-    told = read_description(directory, "pfnn2017")
-    layout = pfnn2017(len(JOINTS) if told is None else told["skeleton"].num_joints)
+    description = read_description(directory, "pfnn2017")
+    layout = pfnn2017(len(JOINTS) if description is None else description["skeleton"].num_joints)
     sides = (("X", layout.input_size), ("Y", layout.output_size))
     normaliser = Normaliser(*(read_statistics(directory, side, size) for side, size in sides))
     shared, facts = read_tables(directory, layout.input_size, layout.output_size)
-    skeleton = _skeleton(shared, normaliser, directory) if told is None else told["skeleton"]
+    skeleton = _skeleton(shared, normaliser, directory) if description is None else description["skeleton"]
     config = RunConfig(
         network=config_of(shared),
         adapter=AdapterConfig(),
@@ -94,22 +94,23 @@ def import_released_pfnn(directory: str | Path, out: str | Path, overwrite: bool
 
 
 def read_tables(directory: Path, inputs: int, outputs: int) -> tuple[Network, dict[str, Any]]:
-    """The network of a directory of tables `W0_iii.bin`, `b0_iii.bin` (and 1, 2).
+    """Recovers a network from a directory of tables `W0_iii.bin`, `b0_iii.bin` (and 1, 2).
 
     Args:
-        directory: holds them for at least four table indices iii.
-        inputs, outputs: sizes of x and y; the hidden size is that of the biases.
+        directory: contains them for at least four table indices iii.
+        inputs, outputs: sizes of x and y; the hidden size is read from the biases.
 
     Returns:
-        The network, and which tables were used, the condition number of the least squares and what it left.
+        The network, and a dict with the table indices, the condition number of the least-squares problem and the
+        relative residuals.
 
     Raises:
-        InputError: as `import_released_pfnn`, for the tables.
+        InputError: for the tables, as in `import_released_pfnn`.
     """
     indices = _find_indices(directory)
     condition = condition_number(indices)
     if condition > MAX_CONDITION:
-        rule = f"the tables must tell 4 control points apart (condition number {condition:.1e}): add others"
+        rule = f"must determine 4 control points (condition number {condition:.1e}): add tables at other phases"
         raise InputError(directory, "tables", ", ".join(map(str, indices)), rule)
     hidden = len(read_array(directory / f"b0_{indices[0]:03d}.bin", None))
     shared, residuals = _read_network(directory, indices, (inputs, hidden, hidden, outputs))
@@ -117,20 +118,20 @@ def read_tables(directory: Path, inputs: int, outputs: int) -> tuple[Network, di
 
 
 def condition_number(indices: Sequence[int]) -> float:
-    """By how much recovery from tables of these indices magnifies errors; infinite where it is impossible."""
+    """Returns the factor by which recovery from these tables amplifies errors; infinite if it is impossible."""
     return float(np.linalg.cond(spline_design(indices)))
 
 
 def recover_control_points(tables: np.ndarray, indices: Sequence[int]) -> tuple[np.ndarray, float]:
-    """The control points of a cyclic Catmull-Rom spline from its values, by least squares in float64.
+    """Recovers the control points of a cyclic Catmull-Rom spline from its values, by least squares in float64.
 
     Args:
         tables: [N, ...] values of the spline at phases 2πi/50, N at least 4.
         indices: the N table indices i.
 
     Returns:
-        Control points [4, ...] at phases 0, π/2, π, 3π/2, and the root mean square of what the spline through them
-        leaves of the tables, relative to the tables' own.
+        Control points [4, ...] at phases 0, π/2, π, 3π/2, and the root mean square residual of the spline through
+        them, relative to the root mean square of the tables.
     """
     flat = tables.reshape(len(tables), -1).astype(np.float64)
     design = spline_design(indices)
@@ -141,7 +142,7 @@ def recover_control_points(tables: np.ndarray, indices: Sequence[int]) -> tuple[
 
 
 def spline_design(indices: Sequence[int]) -> np.ndarray:
-    """[N, 4] spline coefficients at the phases 2πi/50 of tables i, in float64."""
+    """Returns the spline coefficients [N, 4] at the phases 2πi/50 of tables i, in float64."""
     return _all_coefficients()[list(indices)]
 
 
@@ -153,13 +154,13 @@ def _all_coefficients() -> np.ndarray:
 
 
 def _find_indices(directory: Path) -> tuple[int, ...]:
-    """Indices of which any file is there; at least four, each below 50."""
+    """Returns the table indices found in the directory: at least four, each below 50."""
     found = (re.fullmatch(r"[Wb][012]_(\d{3})\.bin", path.name) for path in sorted(directory.iterdir()))
     indices = tuple(sorted({int(match[1]) for match in found if match}))
     if indices and indices[-1] >= NUM_TABLES:
         raise InputError(directory, "table index", indices[-1], f"must be below {NUM_TABLES}")
     if len(indices) < CONTROL_POINTS:
-        rule = f"at least {CONTROL_POINTS} are needed, as W0_000.bin, W1_000.bin, W2_000.bin, b0_000.bin, ..."
+        rule = f"must be at least {CONTROL_POINTS}, named W0_000.bin, W1_000.bin, W2_000.bin, b0_000.bin, ..."
         raise InputError(directory, "tables", len(indices), rule)
     return indices
 
@@ -167,7 +168,7 @@ def _find_indices(directory: Path) -> tuple[int, ...]:
 def _read_network(
     directory: Path, indices: tuple[int, ...], sizes: tuple[int, int, int, int]
 ) -> tuple[Network, dict[str, float]]:
-    """The recovered network and each array's relative residual."""
+    """Returns the recovered network and the relative residual of each array."""
     layers, residuals = [], {}
     for layer, (i, o) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
         points = {}
@@ -175,19 +176,19 @@ def _read_network(
             tables = np.stack([read_array(directory / f"{name}_{index:03d}.bin", shape) for index in indices])
             points[name[0]], residuals[name] = recover_control_points(tables, indices)
             if residuals[name] > MAX_RESIDUAL:
-                rule = f"a spline through {CONTROL_POINTS} points must leave at most {MAX_RESIDUAL:g} of the tables"
-                raise InputError(directory, f"tables {name}", f"{residuals[name]:.1e} is left", rule)
+                rule = f"must fit a spline through {CONTROL_POINTS} points to {MAX_RESIDUAL:g}"
+                raise InputError(directory, f"tables {name}", f"relative residual {residuals[name]:.1e}", rule)
         weights, biases = (jnp.asarray(points[key], jnp.float32) for key in "Wb")
         layers.append(BlendedLayer(weights=weights.swapaxes(1, 2), biases=biases))
     return Network(layers=(layers[0], layers[1], layers[2])), residuals
 
 
 def _skeleton(shared: Network, normaliser: Normaliser, source: Path) -> Skeleton:
-    """The released character's skeleton, whose rest pose is not among the released tables.
+    """Reconstructs the skeleton of the released character, whose rest pose is not part of the release.
 
-    The network writes positions and rotations of all joints. A bone's direction at rest is its direction in the pose,
-    turned back by the parent's rotation, averaged over the poses of the mean input around the phase (within 4 degrees
-    of the original rest pose); its length is the known one.
+    The network predicts positions and rotations of all joints. The rest direction of a bone is its direction in the
+    pose, rotated back by the parent's rotation and averaged over the poses predicted from the mean input at all phases
+    (within 4 degrees of the original rest pose); the bone lengths are known.
     """
     layout, predictor = pfnn2017(len(JOINTS)), assemble_predictor(shared, None, normaliser)
     phases = jnp.arange(NUM_TABLES) * (2 * math.pi / NUM_TABLES)
@@ -196,8 +197,8 @@ def _skeleton(shared: Network, normaliser: Normaliser, source: Path) -> Skeleton
         y[:, layout.output_slice(block)].reshape(NUM_TABLES, -1, 3) for block in ("joint_position", "joint_rotation")
     )
     parents = np.array([parent for _, parent, _ in JOINTS])
-    turned_back = quat_rotate(quat_conjugate(quat_exp(rotations))[:, parents], positions - positions[:, parents])
-    bones = turned_back.mean(axis=0)
+    rest_bones = quat_rotate(quat_conjugate(quat_exp(rotations))[:, parents], positions - positions[:, parents])
+    bones = rest_bones.mean(axis=0)
     lengths = np.array([length for _, _, length in JOINTS]) * layout.length_unit
     directions = bones / np.maximum(np.linalg.norm(bones, axis=1, keepdims=True), 1e-6)
     offsets = directions * lengths[:, None]

@@ -1,8 +1,8 @@
-"""Networks with CP styles in the files of the 2018 authors' demo, turned into a run.
+"""Imports networks with CP styles, in the file format of the 2018 authors' demo, as a run.
 
-The network stands in tables over the phase like the PFNN's (`released`). A style NAME has its factors A diag(D) B in
-`NAME_W2.bin` (A), `NAME_W1_iii.bin` (D at phase 2πi/50), `NAME_W0.bin` (B) and a bias in `NAME_b.bin`. The files
-alone do not name the joints: a `description.json` as `pfnn-jax export` writes it must stand beside them.
+The network is stored as tables over the phase like the PFNN's (`holden2017`). The factors A diag(D) B of a style NAME
+are stored in `NAME_W2.bin` (A), `NAME_W1_iii.bin` (D at phase 2πi/50) and `NAME_W0.bin` (B), its bias in `NAME_b.bin`.
+The files do not name the joints, so a `description.json` as written by `pfnn-jax export` must accompany them.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from pfnn_jax.run import Run, RunConfig, create_run, load_run, save_shared, save
 
 
 def import_released_cp(directory: str | Path, out: str | Path, overwrite: bool = False) -> Run:
-    """Makes a run of layout `mason2018` from a directory of tables and of CP styles.
+    """Imports a directory of tables and CP styles as a run of layout `mason2018`.
 
     Args:
-        directory: holds `Xmean.bin`, `Xstd.bin`, `Ymean.bin`, `Ystd.bin`, the tables, the styles' files and
-            `description.json`, in the units of the authors' run time (`units.authors2018`).
-        out: the run directory to make.
-        overwrite: replace an existing run.
+        directory: contains `Xmean.bin`, `Xstd.bin`, `Ymean.bin`, `Ystd.bin`, the tables, the styles' files and
+            `description.json`, in the units of the authors' runtime (`units.authors2018`).
+        out: the run directory to write.
+        overwrite: whether to replace an existing run.
 
     Raises:
-        InputError: for a file that is missing, of a wrong size or not finite; for tables of another spline; if `out`
-            exists.
+        InputError: if a file is missing, has the wrong size or is not finite; if the tables come from another spline;
+            if `out` exists.
     """
     directory = Path(directory)
-    told = read_description(directory, "mason2018")
-    if told is None:
-        rule = "must stand beside the files: they do not name the joints"
+    description = read_description(directory, "mason2018")
+    if description is None:
+        rule = "must accompany the .bin files, which do not name the joints"
         raise InputError(directory / DESCRIPTION, "file", "absent", rule)
-    theirs, ours = (make(told["skeleton"].num_joints) for make in (authors2018, mason2018))
+    theirs, ours = (make(description["skeleton"].num_joints) for make in (authors2018, mason2018))
     sides = (("X", "inputs", theirs.input_size), ("Y", "outputs", theirs.output_size))
     statistics = []
     for side, name, size in sides:
@@ -56,7 +56,7 @@ def import_released_cp(directory: str | Path, out: str | Path, overwrite: bool =
         statistics.append(Statistics(*values))
     shared, facts = read_tables(directory, theirs.input_size, theirs.output_size)
     shared = _reorder(shared, convert_columns(theirs, ours, "outputs")[0])
-    styles = {file_stem(s["name"]): s for s in told["styles"] if s["files"]}
+    styles = {file_stem(s["name"]): s for s in description["styles"] if s["files"]}
     hidden = config_of(shared).hidden
     layers = {name: _read_style(directory, Path(s["files"]["cp"][1][0]).name, hidden) for name, s in styles.items()}
     rank = next((layer.d.shape[1] for layer in layers.values()), AdapterConfig().rank)
@@ -66,7 +66,7 @@ def import_released_cp(directory: str | Path, out: str | Path, overwrite: bool =
         layout=ours.name,
         num_joints=ours.num_joints,
         styles=tuple(styles),
-        skeleton=skeleton_to_json(told["skeleton"]),
+        skeleton=skeleton_to_json(description["skeleton"]),
         pretrain={"source": f"tables with CP styles in {directory}", **facts},
     )
     create_run(out, config, Normaliser(*statistics), overwrite)
@@ -77,7 +77,7 @@ def import_released_cp(directory: str | Path, out: str | Path, overwrite: bool =
 
 
 def _reorder(network: Network, columns: np.ndarray) -> Network:
-    """The network with its outputs in another order."""
+    """Returns the network with its outputs permuted."""
     first, second, last = network.layers
     assert isinstance(last, BlendedLayer)
     last = BlendedLayer(weights=last.weights[:, :, columns], biases=last.biases[:, columns])
@@ -85,7 +85,7 @@ def _reorder(network: Network, columns: np.ndarray) -> Network:
 
 
 def _read_style(directory: Path, down: str, hidden: int) -> CPLayer:
-    """The factors of the style whose first file's name without suffix is `down`, `NAME_W0`."""
+    """Reads the factors of the style whose first file is `down`, i.e. NAME_W0, without suffix."""
     stem = down.removesuffix("_W0")
     rank = len(read_array(directory / f"{stem}_W1_000.bin", None))
     tables = np.stack([read_array(directory / f"{stem}_W1_{index:03d}.bin", (rank,)) for index in range(NUM_TABLES)])

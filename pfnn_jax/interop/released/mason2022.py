@@ -1,8 +1,9 @@
-"""The weights that Mason et al. released with local phases and FiLM (2022), turned into a run with its 100 styles.
+"""Imports the local-phase network with 100 FiLM styles that Mason et al. (2022) released, as a run.
 
-The release holds little-endian float32 numbers, matrices as (outputs, inputs): experts `cp{layer}_a{expert}.bin` and
-biases `cp{layer}_b{expert}.bin`, the gating network `wc{layer}_w.bin` and `wc{layer}_b.bin`, statistics of inputs,
-outputs and local phases, and for every style four vectors made by the FiLM generator, which is not released.
+The release consists of little-endian float32 values, matrices as (outputs, inputs): experts
+`cp{layer}_a{expert}.bin` and biases `cp{layer}_b{expert}.bin`, the gating network `wc{layer}_w.bin` and
+`wc{layer}_b.bin`, statistics of inputs, outputs and local phases, and for every style four vectors predicted by the
+FiLM generator, which is not released.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ from pfnn_jax.run import Run, RunConfig, create_run, load_run, save_shared, save
 HIDDEN, EXPERTS, GATING_HIDDEN = 512, 8, 32
 
 COMMAND_GAIN = 7.2
-"""The authors' demo steers a walk with 6 where steps are velocity / 50: at 60 frames a second that asks for 7.2 m/s,
-and the characters walk at about 1."""
+"""The authors' demo commands a walk with a speed of 6 and moves by velocity / 50 per frame: at 60 frames per second
+that requests 7.2 m/s, for which the characters walk at about 1 m/s."""
 
 SPEED = 1.0
-"""Metres per second that stand for the demo's walk."""
+"""Recorded speed of the imported styles, m/s: the demo's walk."""
 
-# Joints 0 to 24 of the 100STYLE skeleton with the ends of the hands, and their parents.
+# Joints 0 to 24 of the 100STYLE skeleton, including the end sites of the wrists, and their parents.
 JOINTS: tuple[tuple[str, int], ...] = (
     ("Hips", -1), ("Chest", 0), ("Chest2", 1), ("Chest3", 2), ("Chest4", 3), ("Neck", 4), ("Head", 5),
     ("RightCollar", 4), ("RightShoulder", 7), ("RightElbow", 8), ("RightWrist", 9), ("RightWristSite", 10),
@@ -48,7 +49,7 @@ JOINTS: tuple[tuple[str, int], ...] = (
     ("LeftHip", 0), ("LeftKnee", 21), ("LeftAnkle", 22), ("LeftToe", 23),
 )  # fmt: skip
 
-# In the order of the release: 95 training styles by name, then the five that were learned afterwards.
+# In the order of the release: 95 training styles by name, then the five styles learned afterwards.
 STYLES: tuple[str, ...] = tuple(
     """Aeroplane Akimbo Angry ArmsAboveHead ArmsBehindBack ArmsBySide ArmsFolded Balance BeatChest BentForward
     BentKnees BigSteps BouncyLeft BouncyRight Cat Chicken CrossOver Crouched CrowdAvoidance Depressed Dinosaur
@@ -64,28 +65,32 @@ STYLES: tuple[str, ...] = tuple(
 
 
 def import_released_lpn(directory: str | Path, out: str | Path, overwrite: bool = False) -> Run:
-    """Makes a run of layout `mason2022` from a directory of released weights.
+    """Imports a directory of released weights as a run of layout `mason2022`.
 
     Args:
-        directory: holds `Xmean.bin`, `Xstd.bin`, `Ymean.bin`, `Ystd.bin`, `GT_Xmean.bin`, `GT_Xstd.bin`,
+        directory: contains `Xmean.bin`, `Xstd.bin`, `Ymean.bin`, `Ystd.bin`, `GT_Xmean.bin`, `GT_Xstd.bin`,
             `cp{0-2}_a{0-7}.bin`, `cp{0-2}_b{0-7}.bin`, `wc{0-2}_w.bin`, `wc{0-2}_b.bin` and
-            `Style_{000-099}_{scale1,shift1,scale2,shift2}.bin`. With a `description.json` beside them they are of its
-            skeleton, sizes and styles, else of the released character.
-        out: the run directory to make.
-        overwrite: replace an existing run.
+            `Style_{000-099}_{scale1,shift1,scale2,shift2}.bin`. A `description.json` next to them gives
+            skeleton, sizes and styles; without one they are those of the released character.
+        out: the run directory to write.
+        overwrite: whether to replace an existing run.
 
     Returns:
-        The run, with the styles of `STYLES`, or of the description.
+        The run, with the styles of `STYLES` or of the description.
 
     Raises:
-        InputError: for a file that is missing, of a wrong size or not finite; if `out` exists.
+        InputError: if a file is missing, has the wrong size or is not finite; if `out` exists.
     """
     directory = Path(directory)
-    told = read_description(directory, "mason2022")
-    layout = mason2022(len(JOINTS)) if told is None else layout_for("mason2022", told["skeleton"])
+    description = read_description(directory, "mason2022")
+    layout = mason2022(len(JOINTS)) if description is None else layout_for("mason2022", description["skeleton"])
     sides = (("X", layout.input_size), ("Y", layout.output_size), ("GT_X", layout.phase_size))
     normaliser = Normaliser(*(read_statistics(directory, side, size) for side, size in sides))
-    sizes = {"hidden": HIDDEN, "experts": EXPERTS, "gating_hidden": GATING_HIDDEN} if told is None else told["network"]
+    sizes = (
+        {"hidden": HIDDEN, "experts": EXPERTS, "gating_hidden": GATING_HIDDEN}
+        if description is None
+        else description["network"]
+    )
     network = NetworkConfig(
         layout.input_size,
         layout.output_size,
@@ -95,10 +100,12 @@ def import_released_lpn(directory: str | Path, out: str | Path, overwrite: bool 
         gating_hidden=sizes["gating_hidden"],
     )
     speeds = (
-        dict.fromkeys(STYLES, SPEED) if told is None else {file_stem(s["name"]): s["speed"] for s in told["styles"]}
+        dict.fromkeys(STYLES, SPEED)
+        if description is None
+        else {file_stem(s["name"]): s["speed"] for s in description["styles"]}
     )
     shared = _read_network(directory, network)
-    films = _read_films(directory, len(speeds), network.hidden)
+    styles = _read_styles(directory, len(speeds), network.hidden)
     config = RunConfig(
         network=network,
         adapter=AdapterConfig(kind="film"),
@@ -106,16 +113,16 @@ def import_released_lpn(directory: str | Path, out: str | Path, overwrite: bool 
         num_joints=layout.num_joints,
         styles=tuple(speeds),
         skeleton=skeleton_to_json(
-            _skeleton(shared, films, normaliser, directory) if told is None else told["skeleton"]
+            _skeleton(shared, styles, normaliser, directory) if description is None else description["skeleton"]
         ),
         pretrain={"source": f"LPN weights in {directory}"},
-        command_gain=COMMAND_GAIN if told is None else told["loop"]["command_gain"],
+        command_gain=COMMAND_GAIN if description is None else description["loop"]["command_gain"],
     )
     create_run(out, config, normaliser, overwrite)
     save_shared(out, shared)
     for index, (name, speed) in enumerate(speeds.items()):
         info = {"source": f"FiLM vectors in {directory}", "speed": speed}
-        save_style(out, name, jax.tree.map(lambda leaf, i=index: leaf[i], films), info)
+        save_style(out, name, jax.tree.map(lambda leaf, i=index: leaf[i], styles), info)
     return load_run(out, layout.name)
 
 
@@ -139,8 +146,8 @@ def _read_network(directory: Path, config: NetworkConfig) -> Network:
     return Network(layers=(layers[0], layers[1], layers[2]), gating=Gating(layers=(gating[0], gating[1], gating[2])))
 
 
-def _read_films(directory: Path, num_styles: int, hidden: int) -> FiLMStyle:
-    """All styles, stacked: leaves [S, 2, H]."""
+def _read_styles(directory: Path, num_styles: int, hidden: int) -> FiLMStyle:
+    """Returns all styles stacked: leaves [S, 2, H]."""
 
     def read(kind: str) -> np.ndarray:
         rows = [
@@ -153,11 +160,11 @@ def _read_films(directory: Path, num_styles: int, hidden: int) -> FiLMStyle:
     return FiLMStyle(scale=jnp.asarray(read("scale")), shift=jnp.asarray(read("shift")))
 
 
-def _skeleton(shared: Network, films: FiLMStyle, normaliser: Normaliser, source: Path) -> Skeleton:
-    """The skeleton of 100STYLE, whose offsets are not among the released files.
+def _skeleton(shared: Network, styles: FiLMStyle, normaliser: Normaliser, source: Path) -> Skeleton:
+    """Reconstructs the skeleton of 100STYLE, whose offsets are not part of the release.
 
-    The network writes positions and rotations of all joints. A bone's offset is its vector in the pose, turned back by
-    the parent's rotation, in the mean over one pose of every style.
+    The network predicts positions and rotations of all joints. The offset of a bone is its vector in the pose, rotated
+    back by the parent's rotation and averaged over one pose of every style.
     """
     layout, predictor = mason2022(len(JOINTS)), assemble_predictor(shared, None, normaliser)
 
@@ -167,7 +174,7 @@ def _skeleton(shared: Network, films: FiLMStyle, normaliser: Normaliser, source:
         assert phase is not None
         return jax.vmap(lambda style: evaluate(replace(predictor, style=style), x, phase))(bank)
 
-    y = np.asarray(poses(films), np.float64)
+    y = np.asarray(poses(styles), np.float64)
     positions, forward, up = (
         y[:, layout.output_slice(f"joint_{block}")].reshape(len(y), -1, 3) for block in ("position", "forward", "up")
     )
