@@ -48,3 +48,11 @@ def mocap() -> Path:
 def reference() -> Path:
     """Folder of the authors' weights and golden files; skips where it is absent."""
     return _folder("PFNN_JAX_REFERENCE", SHARED / "reference")
+
+
+@pytest.fixture(scope="session")
+def lpn_run(reference, tmp_path_factory):
+    """The authors' local-phase network with its 100 styles, imported once per worker."""
+    from pfnn_jax.interop.released.mason2022 import import_released_lpn
+
+    return import_released_lpn(reference / "lpn", tmp_path_factory.mktemp("released") / "lpn")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control import calibration as standing
-from pfnn_jax.errors import InputError
 from pfnn_jax.interop.export import reference_loop
 from pfnn_jax.interop.export.run import export_run
 from pfnn_jax.interop.export.walks import walks_of
@@ -17,26 +16,27 @@ from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
 from pfnn_jax.run import load_run
 from tests.interop.small_runs import make_run
+from tests.raising import assert_refused
 
 
-def test_description_tells_what_an_engine_needs(runs, tmp_path):
+def test_description_contains_what_an_engine_needs(runs, tmp_path):
     run = runs("mason2018", "cp")
     export_run(run.path, "bins", tmp_path / "out")
-    told = json.loads((tmp_path / "out" / "description.json").read_text())
-    assert (told["schema"], told["version"], told["format"]) == ("pfnn_jax.export", 1, "bins")
-    columns = [column for block in told["layout"]["outputs"].values() for column in block["columns"]]
+    description = json.loads((tmp_path / "out" / "description.json").read_text())
+    assert (description["schema"], description["version"], description["format"]) == ("pfnn_jax.export", 1, "bins")
+    columns = [column for block in description["layout"]["outputs"].values() for column in block["columns"]]
     assert sorted(columns) == list(range(run.layout.output_size))
     # Authors' units: half metres, frames, degrees and cycles a frame.
-    scales = {name: block["scale"] for name, block in told["layout"]["outputs"].items()}
+    scales = {name: block["scale"] for name, block in description["layout"]["outputs"].items()}
     assert scales["joint_velocity"] == pytest.approx(30.0) and scales["joint_position"] == 0.5
     assert scales["root_yaw_rate"] == pytest.approx(np.deg2rad(60.0))
     assert scales["phase_change"] == pytest.approx(120 * np.pi)
-    assert [style["speed"] for style in told["styles"]] == pytest.approx([1.0, 1.1])
-    assert told["loop"]["pose_rate"] == 0.5 and told["skeleton"]["names"] == list(run.skeleton.names)
-    assert len(told["normaliser"]["y_std"]) == run.layout.output_size
+    assert [style["speed"] for style in description["styles"]] == pytest.approx([1.0, 1.1])
+    assert description["loop"]["pose_rate"] == 0.5 and description["skeleton"]["names"] == list(run.skeleton.names)
+    assert len(description["normaliser"]["y_std"]) == run.layout.output_size
 
 
-def test_description_tells_what_to_ask_for_a_walk(runs, tmp_path, monkeypatch):
+def test_description_contains_the_speed_to_command(runs, tmp_path, monkeypatch):
     """The speed to ask of the network, which is not the speed at which the style walks: found by trying."""
     run = runs("mason2018", "cp")
 
@@ -45,8 +45,8 @@ def test_description_tells_what_to_ask_for_a_walk(runs, tmp_path, monkeypatch):
 
     monkeypatch.setattr(standing, "settle", settle)
     asked = [1.0, 1.1 * 0.4]
-    told = export_run(run.path, "bins", tmp_path / "all")
-    assert [style["asked_speed"] for style in told["styles"]] == pytest.approx(asked)
+    description = export_run(run.path, "bins", tmp_path / "all")
+    assert [style["asked_speed"] for style in description["styles"]] == pytest.approx(asked)
     assert [reference_loop.Character(tmp_path / "all", n).asked_speed for n in range(2)] == pytest.approx(asked)
     one = export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
     assert one["styles"][0]["asked_speed"] == one["start"]["asked_speed"] == pytest.approx(asked[1])
@@ -61,8 +61,8 @@ def test_a_run_without_roles_is_exported(runs, tmp_path):
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     config["skeleton"]["roles"] = None
     (tmp_path / "run" / "config.json").write_text(json.dumps(config))
-    told = export_run(tmp_path / "run", "bins", tmp_path / "out")
-    assert [(style["speed"], style["asked_speed"]) for style in told["styles"]] == [(1.0, 1.0), (1.1, 1.1)]
+    description = export_run(tmp_path / "run", "bins", tmp_path / "out")
+    assert [(style["speed"], style["asked_speed"]) for style in description["styles"]] == [(1.0, 1.0), (1.1, 1.1)]
 
 
 @pytest.mark.parametrize(
@@ -81,36 +81,35 @@ def test_a_mixture_has_one_name_in_every_format(runs, tmp_path, layout, kind, im
 
 
 @pytest.mark.parametrize("settings", [{"format": "bins"}, {"format": "stablehlo", "film_input": True}])
-def test_a_film_network_without_styles_is_not_exported(tmp_path, settings):
+def test_film_network_without_styles_is_refused(tmp_path, settings):
     run = make_run(tmp_path / "run", "mason2022", "film", 0)
-    with pytest.raises(InputError, match="styles: none; a FiLM run needs at least one style to move"):
-        export_run(run.path, out=tmp_path / "out", **settings)
+    assert_refused(lambda: export_run(run.path, out=tmp_path / "out", **settings), place="styles", value="none")
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 @pytest.mark.parametrize("out", [".", "..", "inner/.."])
-def test_the_folder_that_a_command_runs_in_is_not_replaced(runs, tmp_path, monkeypatch, out):
+def test_working_directory_is_never_replaced(runs, tmp_path, monkeypatch, out):
     here = tmp_path / "above" / "here"
     here.mkdir(parents=True)
     monkeypatch.chdir(here)
-    with pytest.raises(InputError, match="output: holds the working folder; must be a folder of its own"):
-        export_run(runs("mason2018", "cp").path, "bins", out, overwrite=True)
+    path = runs("mason2018", "cp").path
+    assert_refused(lambda: export_run(path, "bins", out, overwrite=True), place="output")
     assert not list(here.iterdir())
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "settings", "said"),
+    ("name", "kind", "settings", "place", "value"),
     [
-        ("mason2022_mann", "film", {"format": "bins"}, "mason2022_mann with film styles; only pfnn2017, mason2018"),
-        ("mason2022", "dense", {"format": "bins"}, "knows Films alone"),
-        ("mason2018", "cp", {"format": "bins", "style": "nobody"}, "nobody; must be one of style0, style1"),
-        ("mason2018", "cp", {"format": "onnx", "film_input": True}, "only a Film can be an input"),
-        ("mason2018", "cp", {"format": "fbx"}, "fbx; must be onnx, stablehlo or bins"),
+        ("mason2022_mann", "film", {"format": "bins"}, "layout", "mason2022_mann with film styles"),
+        ("mason2022", "dense", {"format": "bins"}, "layout", "mason2022 with dense styles"),
+        ("mason2018", "cp", {"format": "bins", "style": "nobody"}, "style", "nobody"),
+        ("mason2018", "cp", {"format": "onnx", "film_input": True}, "film input", "cp"),
+        ("mason2018", "cp", {"format": "fbx"}, "format", "fbx"),
     ],
 )
-def test_what_cannot_be_is_said(runs, tmp_path, name, kind, settings, said):
-    with pytest.raises(InputError, match=said):
-        export_run(runs(name, kind).path, out=tmp_path / "out", **settings)
+def test_impossible_exports_are_refused_and_leave_nothing(runs, tmp_path, name, kind, settings, place, value):
+    path = runs(name, kind).path
+    assert_refused(lambda: export_run(path, out=tmp_path / "out", **settings), place=place, value=value)
     assert not list(tmp_path.iterdir())
 
 
@@ -118,23 +117,21 @@ def test_only_an_export_is_replaced(runs, tmp_path):
     path, out = runs("mason2018", "cp").path, tmp_path / "out"
     out.mkdir()
     export_run(path, "bins", out, style="style0")
-    with pytest.raises(InputError, match="--overwrite"):
-        export_run(path, "bins", out)
+    assert_refused(lambda: export_run(path, "bins", out), file="out", place="output", rule_mentions="overwrite")
     export_run(path, "bins", out, style="style1", overwrite=True)
     assert (out / "style1_W0.bin").exists() and not (out / "style0_W0.bin").exists()
-    with pytest.raises(InputError, match="is no export"):
-        export_run(path, "bins", path, overwrite=True)
+    assert_refused(lambda: export_run(path, "bins", path, overwrite=True), place="output")
     load_run(path)
 
 
 def test_files_of_the_2018_demo_need_their_description(runs, tmp_path):
     export_run(runs("mason2018", "cp").path, "bins", tmp_path / "out")
     (tmp_path / "out" / "description.json").unlink()
-    with pytest.raises(InputError, match="they do not name the joints"):
-        import_released_cp(tmp_path / "out", tmp_path / "run")
+    error = assert_refused(lambda: import_released_cp(tmp_path / "out", tmp_path / "run"), value="absent")
+    assert error.file.endswith("description.json")
 
 
-def test_the_loop_in_numpy_takes_a_style_by_name_and_says_what_it_cannot_run(runs, tmp_path):
+def test_reference_loop_takes_style_names_and_refuses_other_formats(runs, tmp_path):
     run = runs("mason2018", "cp")
     export_run(run.path, "bins", tmp_path / "all")
     by_name, by_place = (reference_loop.Character(tmp_path / "all", style) for style in ("style1", 1))
@@ -143,8 +140,8 @@ def test_the_loop_in_numpy_takes_a_style_by_name_and_says_what_it_cannot_run(run
         *(c.evaluate(np.ones(len(run.normaliser.inputs.mean)), 0.3) for c in (by_name, by_place))
     )
     for style in ("style2", 2):
-        with pytest.raises(ValueError, match=f"all: bins, style {style!r}; must be bins, one of styles .*style1"):
+        with pytest.raises(ValueError, match=f"style {style!r}"):
             reference_loop.Character(tmp_path / "all", style)
     export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
-    with pytest.raises(ValueError, match="one: stablehlo, style 0; must be bins"):
+    with pytest.raises(ValueError, match="stablehlo"):
         reference_loop.Character(tmp_path / "one")

@@ -16,7 +16,6 @@ from pfnn_jax.control.ground import turn_towards
 from pfnn_jax.control.loop.state import ROOT, initial_state, straight_row
 from pfnn_jax.control.loop.step import Command, published_step
 from pfnn_jax.control.run_settings import default_speed, loop_config
-from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_bank
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import RowStyles, predict_file, predict_rows
@@ -26,6 +25,7 @@ from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.motion.paths import circle
 from pfnn_jax.run import list_styles, style_note
+from tests.raising import assert_refused
 
 # Deviations of the outputs: float32 differs from the float64 goldens by 5e-6.
 GOLDEN = 1e-4
@@ -87,38 +87,36 @@ def test_no_style_is_the_mean_of_all(lpn_run, bank):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "place", "value"),
     [
-        ({"weights": [[0.5, 0.3, 0.1]]}, "array weights, row 0: 0.5 \\+ 0.3 \\+ 0.1 = 0.9; must sum to one"),
-        ({"styles": [[0, 1, 100]]}, "array styles, row 0: 100; must be an index into the 100 styles"),
-        ({"styles": [[0.0, 1.0, 2.0]]}, "array styles: float64; must hold whole numbers"),
-        ({"weights": [[0.5, 0.5]]}, "array weights: shape \\(1, 2\\); must have the shape of styles"),
-        ({"gating_x": [[0.0] * 7]}, "array gating_x: shape \\(1, 7\\); must hold 8 numbers for each of 1 rows"),
+        ({"weights": [[0.5, 0.3, 0.1]]}, "array weights, row 0", "0.5 + 0.3 + 0.1 = 0.9"),
+        ({"styles": [[0, 1, 100]]}, "array styles, row 0", 100),
+        ({"styles": [[0.0, 1.0, 2.0]]}, "array styles", "float64"),
+        ({"weights": [[0.5, 0.5]]}, "array weights", "shape (1, 2)"),
+        ({"gating_x": [[0.0] * 7]}, "array gating_x", "shape (1, 7)"),
     ],
 )
-def test_bad_rows(lpn_run, tmp_path, change, message):
+def test_bad_rows_are_refused(lpn_run, tmp_path, change, place, value):
     rows = {"x": np.zeros((1, 348)), "gating_x": np.zeros((1, 8)), "styles": [[0, 1, 2]], "weights": [[0.5, 0.3, 0.2]]}
     x, gating_x, styles, weights = (np.asarray((rows | change)[name]) for name in rows)
     np.savez(tmp_path / "in.npz", x=x, gating_x=gating_x, styles=styles, weights=weights)
-    with pytest.raises(InputError, match=message):
-        predict_file(lpn_run.path, tmp_path / "in.npz", tmp_path / "out.npz")
+    predicting = partial(predict_file, lpn_run.path, tmp_path / "in.npz", tmp_path / "out.npz")
+    assert_refused(predicting, place=place, value=value)
     assert not (tmp_path / "out.npz").exists()
 
 
 def test_tables_need_a_global_phase(lpn_run):
-    with pytest.raises(InputError, match="mode: nearest50; must be cubic: layout mason2022 has no global phase"):
-        predict_rows(lpn_run, np.zeros((1, 348)), np.zeros((1, 8)), RowStyles(np.zeros((1, 1), int), np.ones((1, 1))),
-                     "nearest50")  # fmt: skip
+    styles = RowStyles(np.zeros((1, 1), int), np.ones((1, 1)))
+    predicting = partial(predict_rows, lpn_run, np.zeros((1, 348)), np.zeros((1, 8)), styles, "nearest50")
+    assert_refused(predicting, place="mode", value="nearest50")
 
 
 def test_a_file_of_wrong_size_is_named(tmp_path):
     (tmp_path / "cp0_a3.bin").write_bytes(bytes(12))
-    with pytest.raises(InputError, match="cp0_a3.bin: size: 12 bytes; must be 712704 bytes of 512 x 348 float32"):
-        read_array(tmp_path / "cp0_a3.bin", (512, 348))
-    with pytest.raises(InputError, match="Xmean.bin: file: No such file"):
-        read_statistics(tmp_path, "X", 348)
-    with pytest.raises(InputError, match="nowhere: directory: absent"):
-        import_released_lpn(tmp_path / "nowhere", tmp_path / "run")
+    file, absent = tmp_path / "cp0_a3.bin", tmp_path / "nowhere"
+    assert_refused(lambda: read_array(file, (512, 348)), file="cp0_a3.bin", place="size", value="12 bytes")
+    assert_refused(lambda: read_statistics(tmp_path, "X", 348), file="Xmean.bin", place="file")
+    assert_refused(lambda: import_released_lpn(absent, tmp_path / "run"), file="nowhere", place="directory")
     assert not (tmp_path / "run").exists()
 
 
