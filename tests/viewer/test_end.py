@@ -38,8 +38,8 @@ with background.ends_with():
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 def test_a_signal_ends_the_page_while_it_compiles(played_run, tmp_path: Path):
     pytest.importorskip("viser", reason="viser is not installed")
-    told = tmp_path / "told.json"
-    command = [sys.executable, "-c", PROGRAM, "play", str(played_run), "--port", "0", "--json", str(told)]
+    result = tmp_path / "result.json"
+    command = [sys.executable, "-c", PROGRAM, "play", str(played_run), "--port", "0", "--json", str(result)]
     with (
         open(tmp_path / "errors", "w+") as errors,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as program,
@@ -56,7 +56,7 @@ def test_a_signal_ends_the_page_while_it_compiles(played_run, tmp_path: Path):
         complaints = [line for line in errors if any(word in line for word in ("Traceback", "FATAL", "terminate"))]
     assert (program.returncode, complaints) == (0, [])
     assert rest.endswith("Ended.\n")
-    assert json.loads(told.read_text()) == {"runs": [str(played_run)]}
+    assert json.loads(result.read_text()) == {"runs": [str(played_run)]}
 
 
 @pytest.mark.parametrize(("left", "ended"), [(2, 2), (0, 2), (0, 0)])
@@ -74,7 +74,7 @@ def test_a_result_that_cannot_be_written_sets_the_exit_code(monkeypatch, played_
     monkeypatch.setattr(background, "_left", True)
     monkeypatch.setattr(play, "play", lambda *_, **__: background.leave_work(0))
     with pytest.raises(SystemExit):
-        main(["play", str(played_run), "--json", str(tmp_path / "nowhere" / "told.json")])
+        main(["play", str(played_run), "--json", str(tmp_path / "nowhere" / "result.json")])
     assert codes == [0, 2]
 
 

@@ -51,7 +51,7 @@ def test_shift_runs_and_keys_combine(visitor):
     assert wanted(visitor) > 0.0
     visitor.page.keyboard.up("q")
     visitor.page.keyboard.up("w")
-    visitor.wait(lambda: wanted(visitor) == 0.0, "it stands again")
+    visitor.wait(lambda: wanted(visitor) == 0.0, "the character stands again")
 
 
 def test_the_on_screen_stick_moves_the_root(visitor):
@@ -95,7 +95,7 @@ def test_fingers_are_independent(visitor):
     visitor.wait(lambda: turned(heading(visitor), yaw) > 0.2, "which still turns a character that walks by key")
     visitor.lift("b")
     visitor.page.keyboard.up("w")
-    visitor.wait(lambda: wanted(visitor) == 0.0, "it stands again")
+    visitor.wait(lambda: wanted(visitor) == 0.0, "the character stands again")
 
 
 def test_reset_returns_to_the_middle(visitor):
@@ -285,7 +285,7 @@ def wanted(visitor) -> float:
 
 
 def heading(visitor) -> float:
-    return np.deg2rad(float(visitor.read("heading").strip("°")))
+    return np.deg2rad(float(visitor.read("facing").strip("°")))
 
 
 def turned(yaw: float, before: float) -> float:

@@ -84,13 +84,13 @@ class Client:
 
     def __init__(self, server: Any) -> None:
         self.gui, self.scene = server.gui, server.scene
-        self.told: list[tuple[str, ...]] = []
+        self.received: list[tuple[str, ...]] = []
 
     def send_file_download(self, name: str, content: bytes, save_immediately: bool) -> None:
-        self.told.append((name, content[:9].decode()))
+        self.received.append((name, content[:9].decode()))
 
     def add_notification(self, title: str, body: str, **_: Any) -> None:
-        self.told.append((title, body))
+        self.received.append((title, body))
 
 
 @pytest.fixture
@@ -164,17 +164,17 @@ def seen(**values: Any) -> Any:
 
 
 def test_a_style_chosen_while_standing_has_a_hint(panel):
-    def told(**values: Any) -> bool:
+    def hinted(**values: Any) -> bool:
         panel.show(seen(**values), 0.0, 60.0)
         return widgets.UNSEEN in panel._readout.content
 
-    assert not told()
+    assert not hinted()
     panel._picker.select("run", "proud")
-    assert told() and told() and not told(wanted_speed=1.0) and not told()
+    assert hinted() and hinted() and not hinted(wanted_speed=1.0) and not hinted()
     panel._picker.select("run", "proud")
-    assert not told()
+    assert not hinted()
     panel.learned("run", "neutral")
-    assert told() and widgets.UNSEEN in panel._message.content and not told(speed=0.5)
+    assert hinted() and widgets.UNSEEN in panel._message.content and not hinted(speed=0.5)
 
 
 def test_an_ended_recording_can_be_downloaded(panel):
@@ -205,12 +205,12 @@ def test_a_download_is_written_in_the_background(panel, client, monkeypatch):
     written, free = panel_module.bvh_bytes, threading.Event()
     monkeypatch.setattr(panel_module, "bvh_bytes", lambda clip: free.wait(SOON) and written(clip))
     panel._record_or_stop()
-    assert panel._character.recording and not client.told
+    assert panel._character.recording and not client.received
     panel._character.clip = synthesise("zombie", np.zeros(30), np.ones(30))[0]
     panel._record_or_stop()  # returns while the file is being written
-    assert not client.told
+    assert not client.received
     free.set()
-    assert soon(lambda: client.told) == [("angry_30.bvh", "HIERARCHY")]
+    assert soon(lambda: client.received) == [("angry_30.bvh", "HIERARCHY")]
 
 
 def tab_of(client: Any) -> Tab:
@@ -246,7 +246,7 @@ def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
     tab._learn(panel._character, panel, files[1])
     free.set()
     first.join(SOON)
-    assert client.told == [
+    assert client.received == [
         ("second.bvh is not learned", "Another file is being learned; upload this one again afterwards.")
     ]
 
@@ -260,7 +260,7 @@ def test_an_error_of_the_simulation_is_shown(client, monkeypatch):
     tab = tab_of(client)
     tab.start()
     soon(lambda: not tab.alive)
-    assert client.told == [("Simulation stopped; reload the page", "RuntimeError: no legs")]
+    assert client.received == [("Simulation stopped; reload the page", "RuntimeError: no legs")]
 
 
 def transfer(name: str, size: int) -> dict[str, Any]:

@@ -51,10 +51,10 @@ def test_contacts_are_the_same_intervals_at_every_frame_rate(fps):
     data = payload(player_html([annotated], fps=fps))["clips"][0]
     assert annotated.contacts is not None
     for foot, runs in enumerate(data["contacts"]):
-        stands = np.zeros(annotated.clip.num_frames, bool)
+        down = np.zeros(annotated.clip.num_frames, bool)
         for first, past in runs:
-            stands[round(first * 60 / fps) : round(past * 60 / fps)] = True
-        np.testing.assert_array_equal(stands, annotated.contacts[:, 2 * foot : 2 * foot + 2].any(axis=1))
+            down[round(first * 60 / fps) : round(past * 60 / fps)] = True
+        np.testing.assert_array_equal(down, annotated.contacts[:, 2 * foot : 2 * foot + 2].any(axis=1))
 
 
 def test_a_second_takes_at_most_eight_kilobytes_and_a_kilometre_fits():
@@ -155,19 +155,19 @@ def test_standing_has_contacts_and_a_note_instead_of_a_phase():
 def test_a_note_says_that_a_part_has_no_steps():
     speed = np.where(np.arange(360) < 180, 1.2, 0.0)
     clip, _ = synthesise("neutral", np.zeros(360), speed)
-    stands = dataclasses.replace(
+    stopping = dataclasses.replace(
         clip,
         root_positions=np.append(clip.root_positions[:180], clip.root_positions[180:181].repeat(180, 0), 0),
         rotations=np.append(clip.rotations[:180], clip.rotations[180:181].repeat(180, 0), 0),
     )
-    annotated = annotate(stands, "stops")
+    annotated = annotate(stopping, "stops")
     assert annotated.phase is not None and np.isnan(annotated.phase[-30:]).all()
     assert annotated.note == "phase only where there are steps"
     assert annotated.cut_seconds(1.0, 1.0).note == ""
     assert annotated.cut_seconds(5.5, None).note == "no steps: no phase"
-    told = dataclasses.replace(annotated, note="mine")
-    assert told.cut_seconds(1.0, 1.0).note == "mine"
-    local = dataclasses.replace(told, phase=np.ones((360, 4, 2)))
+    noted = dataclasses.replace(annotated, note="mine")
+    assert noted.cut_seconds(1.0, 1.0).note == "mine"
+    local = dataclasses.replace(noted, phase=np.ones((360, 4, 2)))
     assert local.cut_seconds(1.0, 1.0).note == "mine"
 
 

@@ -118,12 +118,12 @@ def test_long_videos_scroll_their_time_line(short):
 def test_every_format(short, tmp_path: Path, monkeypatch):
     monkeypatch.setattr(rendering, "GIF_DPI", 40)
     monkeypatch.setattr(rendering, "MP4_DPI", 40)
-    told: list[tuple[int, int]] = []
+    calls: list[tuple[int, int]] = []
     for suffix in (".html", ".png", ".gif", ".mp4"):
         path = tmp_path / f"walk{suffix}"
-        written = render([short, short], path, fps=FPS, progress_callback=lambda done, of: told.append((done, of)))
+        written = render([short, short], path, fps=FPS, progress_callback=lambda done, of: calls.append((done, of)))
         assert written == path.stat().st_size > 0
-    assert told == [(k + 1, 7) for k in range(7)] * 2
+    assert calls == [(k + 1, 7) for k in range(7)] * 2
     assert sorted(p.suffix for p in tmp_path.iterdir()) == [".gif", ".html", ".mp4", ".png"]  # and nothing else
     page = (tmp_path / "walk.html").read_text(encoding="utf-8")
     check_page(page.removeprefix("<!doctype html>"))

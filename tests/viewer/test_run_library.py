@@ -108,7 +108,7 @@ def test_a_change_of_run_ends_a_recording(library):
     assert character.advance(now).recorded_seconds is None and character.stop_recording() is None
 
 
-def test_a_style_joins_and_disturbs_no_other(library, two_runs):
+def test_adding_a_style_changes_no_other(library, two_runs):
     version, before = library.version, walked(library, "neutral")
     compile_calibration(library.get("one/run").controller)
     compiled = compilations()
@@ -212,6 +212,6 @@ def test_styles_can_be_added_to_a_run_without_styles(played_run, tmp_path, monke
     assert after(1.5).style_weights["neutral"] == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_style_of_another_kind_cannot_join(library):
+def test_a_style_of_another_kind_is_refused(library):
     loaded = library.get("one/run")
     assert_refused(lambda: add_to_bank(loaded.run, loaded.controller, "new", np.zeros(3)), place="style", value="new")

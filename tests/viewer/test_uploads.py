@@ -65,16 +65,16 @@ def contents(folder: Path) -> dict[str, bytes | None]:
 
 def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_path):
     prepare_learning(library, "run")
-    told: list[tuple[float, str]] = []
+    calls: list[tuple[float, str]] = []
     before = set(contents(run_path))
     name = learn_upload(
-        library, "run", "C:\\clips\\zombie walk.bvh", zombie_bvh.read_bytes(), lambda *t: told.append(t)
+        library, "run", "C:\\clips\\zombie walk.bvh", zombie_bvh.read_bytes(), lambda *t: calls.append(t)
     )
     assert name == "zombie walk" and ("run", name) in library.styles
     assert all(new.startswith(("uploads", "styles/zombie walk")) for new in set(contents(run_path)) - before)
     assert (run_path / "uploads" / "zombie walk.bvh").read_bytes() == zombie_bvh.read_bytes()
-    shares = [share for share, _ in told]
-    assert shares == sorted(shares) and shares[0] == 0.0 and told[-1] == (1.0, "done") and len(told) > 5
+    shares = [share for share, _ in calls]
+    assert shares == sorted(shares) and shares[0] == 0.0 and calls[-1] == (1.0, "done") and len(calls) > 5
 
     again = tmp_path / "again"
     shutil.copytree(run_path, again)

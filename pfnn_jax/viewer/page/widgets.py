@@ -148,7 +148,7 @@ def readout(view: View, drawn: float, browser: float, hint: str = "") -> str:
     rows = {
         "Style": styles,
         "Root": f"x {view.root[0]:+.2f} m, z {view.root[1]:+.2f} m",
-        "Heading": f"{math.degrees(math.atan2(view.facing[0], view.facing[1])):+.0f}°",
+        "Facing": f"{math.degrees(math.atan2(view.facing[0], view.facing[1])):+.0f}°",
         "Speed": f"{view.speed:.2f} m/s <span style='color:{MUTED}'>of {view.wanted_speed:.2f} wanted</span>",
         "Steps": f"{view.steps_per_second:.0f} per s",
         "Pictures": f"{drawn:.0f} per s" + (f", browser {browser:.0f}" if browser else ""),
