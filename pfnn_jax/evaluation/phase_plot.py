@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pfnn_jax.evaluation.plots import SERIES
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.ground import facing_of, to_local
 from pfnn_jax.motion.labels.local_phase import (
@@ -34,7 +33,7 @@ from pfnn_jax.motion.labels.local_phase import (
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.viewer.draw.body import body_capsules, body_points, capsule_ends
 from pfnn_jax.viewer.draw.drawing import draw_body
-from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED
+from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED, SERIES
 
 PHASE, CONTACT, AXIS = SERIES[0], SERIES[2], SERIES[3]
 LEFT, RIGHT, TOP, BODIES, PANEL, GAP, BOTTOM = 1.0, 0.55, 0.62, 2.0, 0.85, 0.12, 0.5  # inches

@@ -9,9 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pfnn_jax.viewer.draw.drawing import blank_figure
-from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED
-
-SERIES = ("#2f6fde", "#e0662f", "#2f9e77", "#9a5bd0", "#c2892b", "#d04a78", "#4aa3c4", "#7a8699", "#5b7f2b", "#a0522d")
+from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED, SERIES
 
 
 def _figure(width: float, height: float) -> Figure:

@@ -8,6 +8,9 @@ SIDES = {"left": "#2f6fde", "right": "#e0662f", "middle": "#8a94a3"}
 """Colours of the body: left limbs blue, right limbs orange, trunk grey."""
 SHADOW, SHADE = "#141e32", 0.16  # colour and opacity of the shadow on the ground
 
+SERIES = ("#2f6fde", "#e0662f", "#2f9e77", "#9a5bd0", "#c2892b", "#d04a78", "#4aa3c4", "#7a8699", "#5b7f2b", "#a0522d")
+"""Colours of the curves of a plot, in order."""
+
 BRIGHT = {
     **SIDES,
     "grid": GROUND,
