@@ -45,10 +45,10 @@ def save(folder: Path, text: str | bytes) -> Path:
 
 @st.composite
 def bvh_files(draw):
-    """A random tree with random channels, its rows, and its text in a random dress."""
+    """A random tree with random channels, its rows, and its text in random formatting."""
     count = draw(st.integers(1, 5))
     parents = [-1]
-    for joint in range(1, count):  # depth first: a joint hangs from the last one or from one above it
+    for joint in range(1, count):  # depth first: the parent is the last joint or one of its ancestors
         above = [joint - 1]
         while parents[above[-1]] >= 0:
             above.append(parents[above[-1]])
@@ -102,7 +102,7 @@ def test_any_channel_order_equals_the_product_of_its_transforms(tmp_path_factory
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), joints=st.integers(1, 12), frames=st.integers(1, 4))
-def test_write_then_read_gives_the_clip_back(tmp_path_factory, seed, joints, frames):
+def test_writing_and_reading_is_identity(tmp_path_factory, seed, joints, frames):
     clip = random_clip(np.random.default_rng(seed), joints, frames)
     path = tmp_path_factory.getbasetemp() / "written.bvh"
     write_bvh(path, clip, overwrite=True)
@@ -326,7 +326,7 @@ def test_geometry_agrees_with_the_names_of_real_files(mocap, tmp_path, name):
 
 
 def test_root_motion_above_the_hips_is_kept(mocap):
-    """In a few Bandai-Namco clips joint_Root moves and Hips rests; the walk must not be lost."""
+    """In a few Bandai-Namco clips joint_Root moves and Hips is still; the walk must be kept."""
     clip = read_bvh(mocap / "bandai-namco-1/dataset-1_walk_normal_001.bvh")
     assert clip.skeleton.names[0] == "Hips"
     walked = np.linalg.norm((clip.root_positions[-1] - clip.root_positions[0])[[0, 2]])

@@ -31,7 +31,7 @@ def same_motion(a: MotionClip, b: MotionClip, tolerance: float = FLOAT64) -> Non
     np.testing.assert_allclose(alike, 1.0, atol=tolerance)
 
 
-def test_cut_keeps_the_frames_asked_for():
+def test_cut_keeps_the_given_frames():
     clip = body_clip(frames=9)
     part = cut(clip, 2, 5)
     assert part.num_frames == 3
@@ -110,7 +110,7 @@ def test_mirroring_turns_facing_and_keeps_up():
         )
 
 
-def test_bones_of_different_length_stay_with_their_side():
+def test_mirroring_keeps_the_skeletons_bone_lengths():
     clip = body_clip(frames=9)
     offsets = clip.skeleton.offsets.copy()
     offsets[13, 1] -= 0.02  # a left thigh 2 cm longer
@@ -123,7 +123,7 @@ def test_bones_of_different_length_stay_with_their_side():
 
 
 def reframed(clip: MotionClip, seed: int) -> MotionClip:
-    """The same motion on joints whose frames are turned, each pair of sides alike under its own reflection."""
+    """Returns the same motion on joints with rotated frames, each pair of sides mirrored by its own reflection."""
     random = np.random.default_rng(seed)
     joints, parents = clip.skeleton.num_joints, clip.skeleton.parents
     quarter = np.array([[1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.5, 0.5], [0.5, -0.5, -0.5, -0.5]])
@@ -140,7 +140,7 @@ def reframed(clip: MotionClip, seed: int) -> MotionClip:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_joints_whose_frames_are_turned_mirror_as_well(seed):
+def test_mirroring_does_not_depend_on_the_joints_frames(seed):
     """Bones along any local axis, as in the Bandai-Namco files; each frame's own reflection is found."""
     clip = body_clip(frames=40, spread=0.2)
     turned = reframed(clip, seed)
@@ -150,7 +150,7 @@ def test_joints_whose_frames_are_turned_mirror_as_well(seed):
 
 
 @pytest.mark.parametrize("content", ["bandai-namco-2/dataset-2_walk-turn-left_active_003.bvh"])
-def test_a_real_turn_mirrors_to_the_other_side(mocap, content):
+def test_mirroring_a_recorded_turn_reverses_it(mocap, content):
     clip = read_bvh(mocap / content)
     mirrored = mirror_clip(clip)
     expected = (positions(clip) * REFLECTION)[:, clip.skeleton.mirror]

@@ -1,4 +1,4 @@
-"""Foot contacts: right on exact ground truth, blind to size and floor, sensible on real walks."""
+"""Foot contacts: correct on exact ground truth, invariant to size and floor height, plausible on real walks."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_contacts_do_not_change_with_size_or_floor(walk):
 
 
 @pytest.mark.parametrize("style", ["neutral", "angry", "old", "zombie"])
-def test_each_foot_stands_through_its_half_of_the_phase(style):
+def test_each_foot_is_in_contact_during_its_half_of_the_phase(style):
     clip, labels = synthesise(style, np.zeros(400), np.full(400, STYLES[style].speed))
     contacts = contacts_of(clip)
     # the middle of a foot's support, clear of both double supports
@@ -47,12 +47,12 @@ def test_each_foot_stands_through_its_half_of_the_phase(style):
     assert contacts[left][:, LEFT].mean() > 0.95 and contacts[left][:, RIGHT].mean() < 0.05
 
 
-def test_leg_length_is_that_of_a_nearly_straight_leg(walk):
+def test_measured_leg_length_is_that_of_a_nearly_straight_leg(walk):
     positions, _ = forward_kinematics(walk.skeleton, walk.root_positions, walk.rotations)
     assert 0.93 * (THIGH + SHIN) < measured_leg_length(positions, need_roles(walk.skeleton)) <= THIGH + SHIN + 1e-9
 
 
-def test_slow_feet_know_only_speed(walk):
+def test_slow_feet_depend_only_on_speed(walk):
     roles = need_roles(walk.skeleton)
     still = np.zeros((5, walk.skeleton.num_joints, 3))
     assert slow_feet(still + [0.0, 9.0, 0.0], roles, 60.0, 0.01).all()

@@ -1,4 +1,4 @@
-"""Features: golden frames of the authors' pipeline, laws of invariance and symmetry, and the way back to a clip."""
+"""Features: golden frames of the authors' pipeline, laws of invariance and symmetry, and decoding back to a clip."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.raising import assert_refused
 
 GOLDEN = 1e-3  # standard deviations: the golden file's own rounding is float32
 GOLDEN_UNIT = 0.05644  # metres per file unit: the golden frames were made with 5.644 cm, four digits of CMU's scale
-MASKED = 1e6  # inputs that the authors switched off have deviations far above this
+MASKED = 1e6  # inputs that the authors disabled have stds far above this
 STEM = "LocomotionFlat04_000"
 
 
@@ -81,7 +81,7 @@ def test_outputs_equal_the_golden_frames_up_to_quaternion_sign(golden_rows, refe
 
 
 def _nearest_pole(logs: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """The logarithm of q or of -q, whichever lies nearer to the mean: the golden file's choice."""
+    """Returns the logarithm of q or -q, whichever is nearer to the mean, as the golden file does."""
     logs = logs.reshape(len(logs), -1, 3)
     half = np.linalg.norm(logs, axis=-1, keepdims=True)
     other = logs * (half - np.pi) / np.maximum(half, 1e-12)
@@ -113,7 +113,7 @@ def moved(clip: MotionClip, yaw: float, shift: tuple[float, float, float]) -> Mo
 
 
 @pytest.mark.parametrize("layout", POSE_LAYOUTS, ids=lambda layout: layout.name)
-def test_features_do_not_depend_on_where_the_clip_stands_or_faces(walk, layout):
+def test_features_are_invariant_under_rigid_motion_on_the_ground(walk, layout):
     clip, labels = walk
     there = clip_features(moved(clip, 2.1, (4.0, 0.0, -7.0)), layout, labels)
     here = clip_features(clip, layout, labels)
@@ -123,7 +123,7 @@ def test_features_do_not_depend_on_where_the_clip_stands_or_faces(walk, layout):
 
 
 @pytest.mark.parametrize("layout", POSE_LAYOUTS, ids=lambda layout: layout.name)
-def test_joints_of_an_input_are_those_of_the_output_before(walk, layout):
+def test_joints_of_an_input_equal_those_of_the_previous_output(walk, layout):
     features = clip_features(walk[0], layout, walk[1])
     assert (np.diff(features.frames) == 1).all()
     for block in ("joint_position", "joint_velocity"):
@@ -132,7 +132,7 @@ def test_joints_of_an_input_are_those_of_the_output_before(walk, layout):
 
 
 @pytest.mark.parametrize("layout", POSE_LAYOUTS, ids=lambda layout: layout.name)
-def test_outputs_foresee_the_next_inputs_trajectory(walk, layout):
+def test_outputs_hold_the_trajectory_of_the_next_input(walk, layout):
     features = clip_features(walk[0], layout, walk[1])
     for block in ("position_x", "position_z", "direction_x", "direction_z"):
         future = features.x[1:, layout.input_slice(f"trajectory_{block}")][:, NOW:]
@@ -144,7 +144,7 @@ def test_every_frame_but_the_ends_is_used(walk):
     assert (features.frames == np.arange(1, walk[0].num_frames - 1)).all()
 
 
-def test_only_frames_whose_next_is_labelled_too_are_used(walk):
+def test_only_pairs_of_labelled_frames_are_used(walk):
     clip, labels = walk
     labelled = np.ones(clip.num_frames, bool)
     labelled[[100, 200, 201]] = False
@@ -154,7 +154,7 @@ def test_only_frames_whose_next_is_labelled_too_are_used(walk):
 
 
 @pytest.mark.parametrize("layout", POSE_LAYOUTS, ids=lambda layout: layout.name)
-def test_units_are_those_that_the_layout_states(walk, layout):
+def test_units_are_those_of_the_layout(walk, layout):
     clip, labels = walk
     positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     root = root_motion(positions, need_roles(clip.skeleton), 60.0)
@@ -168,7 +168,7 @@ def test_units_are_those_that_the_layout_states(walk, layout):
 
 
 def mirror_rows(rows: np.ndarray, blocks, mirror: np.ndarray) -> np.ndarray:
-    """Rows of the mirrored motion: x changes sign, joints change places with their partners."""
+    """Returns the rows of the mirrored motion: x changes sign, joints and their partners are exchanged."""
     parts, start = [], 0
     for name, size in blocks:
         block = rows[:, start : start + size].copy()
@@ -201,7 +201,7 @@ def test_features_of_the_mirrored_clip_are_the_mirrored_features(walk, layout):
 
 
 @pytest.mark.parametrize("layout", POSE_LAYOUTS, ids=lambda layout: layout.name)
-def test_outputs_give_the_clip_back(walk, layout):
+def test_decoding_outputs_restores_the_clip(walk, layout):
     clip, labels = walk
     features = clip_features(clip, layout, labels)
     positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
@@ -216,7 +216,7 @@ def test_outputs_give_the_clip_back(walk, layout):
     assert back.fps == 60.0 and back.skeleton is clip.skeleton
 
 
-def test_real_motion_comes_back_too(mocap):
+def test_decoding_outputs_restores_recorded_motion(mocap):
     clip = load_clip(list_clips(mocap / "bandai-namco-2")[200])
     layout = mason2018(21)
     features = clip_features(clip, layout)
@@ -227,7 +227,7 @@ def test_real_motion_comes_back_too(mocap):
     assert np.abs(found - positions[frames]).max() < BONES
 
 
-def test_integrating_root_velocity_and_yaw_rate_walks_the_path(walk):
+def test_integrating_root_velocity_and_yaw_rate_gives_the_path(walk):
     clip, labels = walk
     layout = mason2018(21)
     features = clip_features(clip, layout, labels)
@@ -268,7 +268,7 @@ def test_gait_is_estimated_from_speed(speed, gait):
     np.testing.assert_allclose(estimate_gait(path, 0.85, 60.0), np.tile(np.eye(6)[gait], (120, 1)), atol=1e-9)
 
 
-def test_gait_windows_hold_the_first_and_last_label_beyond_the_clip(walk):
+def test_gait_windows_repeat_the_outermost_labels_beyond_the_clip(walk):
     clip, labels = walk
     layout = pfnn2017(21)
     gait = np.zeros((clip.num_frames, 6))

@@ -1,4 +1,4 @@
-"""Hand ends as joints: the 25 joints of 100STYLE, and nothing where there is no hand end."""
+"""Hand ends as joints: the 25 joints of 100STYLE, and no change where a hand has no end."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_bandai_has_no_hand_ends(mocap):
     assert extend_hands(clip) is clip and clip.skeleton.num_joints == 21
 
 
-def test_hand_ends_stand_where_the_end_sites_were():
+def test_hand_ends_are_at_the_end_sites():
     clip = body_clip()
     longer = extend_hands(clip)
     old, turns = positions(clip)

@@ -73,7 +73,7 @@ def test_euler_order_is_the_order_of_the_channels(order):
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_euler_angles_come_back(order):
+def test_euler_angles_round_trip(order):
     angles = np.random.default_rng(5).uniform(-1, 1, (200, 3)) * np.array([np.pi, np.pi / 2 - 1e-3, np.pi])
     np.testing.assert_allclose(quat_to_euler(quat_from_euler(angles, order), order), angles, atol=1e-9)
 
@@ -93,7 +93,7 @@ def test_euler_order_must_name_three_axes():
         quat_from_euler(np.zeros(3), "XXZ")
 
 
-def test_matrices_come_back_at_every_half_turn():
+def test_matrices_round_trip_at_every_half_turn():
     half_turns = quat_from_axis_angle(np.eye(3), np.pi)
     q = np.concatenate((rotations(), half_turns, IDENTITY[None]))
     assert same_rotation(quat_from_matrix(quat_to_matrix(q)), q)
@@ -108,14 +108,14 @@ def test_log_is_half_the_angle_and_exp_its_inverse():
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-300, 1e-12, 1e-9, 1e-6])
-def test_log_and_exp_are_smooth_at_no_rotation(size):
+def test_log_and_exp_are_smooth_at_the_identity(size):
     v = size * np.array([1.0, -2.0, 2.0]) / 3
     q = quat_exp(v)
     assert np.all(np.isfinite(q))
     np.testing.assert_allclose(quat_log(q), v, atol=1e-15, rtol=1e-6)
 
 
-def test_slerp_ends_middle_and_shorter_arc():
+def test_slerp_takes_the_shorter_arc_through_its_ends_and_middle():
     a, b = rotations(seed=7), rotations(seed=8)
     assert same_rotation(quat_slerp(a, b, 0.0), a) and same_rotation(quat_slerp(a, b, 1.0), b)
     assert same_rotation(quat_slerp(a, b, 0.3), quat_slerp(a, -b, 0.3))
@@ -124,7 +124,7 @@ def test_slerp_ends_middle_and_shorter_arc():
     np.testing.assert_allclose(quat_slerp(a, a, 0.5), a, atol=FLOAT64)
 
 
-def test_between_turns_one_direction_into_the_other():
+def test_quat_between_maps_one_direction_to_the_other():
     random = np.random.default_rng(9)
     u, v = random.normal(size=(50, 3)), random.normal(size=(50, 3))
     u[0], v[0] = (2.0, 0.0, 0.0), (-1.0, 0.0, 0.0)  # opposite: any axis across
@@ -134,11 +134,11 @@ def test_between_turns_one_direction_into_the_other():
     np.testing.assert_allclose(quat_rotate(quat_between(u, v), unit[0]), unit[1], atol=1e-9)
 
 
-def test_yaw_turns_forward_to_the_left():
+def test_positive_yaw_turns_forward_to_the_left():
     np.testing.assert_allclose(quat_rotate(quat_from_yaw(np.pi / 2), [0.0, 0.0, 1.0]), [1.0, 0.0, 0.0], atol=FLOAT64)
 
 
-def test_forward_and_up_come_back_from_any_frame():
+def test_forward_and_up_round_trip():
     q = rotations()
     forward, up = quat_rotate(q, [0.0, 0.0, 1.0]), quat_rotate(q, [0.0, 1.0, 0.0])
     assert same_rotation(quat_from_forward_up(3.0 * forward, 0.5 * up + 0.2 * forward), q)

@@ -137,7 +137,7 @@ def test_samples_and_joints_are_interleaved_as_in_the_published_weights():
     assert layout.output_slice("foot_contacts") == slice(340, 342)
 
 
-def test_backbones_differ_in_their_last_outputs_and_in_what_blends_them():
+def test_backbones_differ_in_their_last_outputs_and_gating_input():
     local, velocity, scalar = mason2022(), mason2022_mann(), mason2022_pfnn()
     assert (local.phase_size, velocity.phase_size, scalar.phase_size, mason2018().phase_size) == (8, 12, 0, 0)
     assert local.inputs == velocity.inputs == scalar.inputs

@@ -45,7 +45,7 @@ def swing(frequency: float, phase: float = 0.0, frames: int = 300) -> np.ndarray
 
 
 def arms(left: np.ndarray, right: np.ndarray) -> EndEffectors:
-    """Hands that swing forwards by `left` and `right` metres beside the hips; toes that stand."""
+    """Hands that swing forwards by `left` and `right` metres next to the hips; toes stay on the ground."""
     local = np.zeros((len(left), 4, 3))
     local[:, LEFT_HAND] = np.stack([np.full_like(left, 0.3), 0.1 * left**2, left], axis=-1)
     local[:, RIGHT_HAND] = np.stack([np.full_like(left, -0.3), 0.1 * right**2, right], axis=-1)
@@ -64,7 +64,7 @@ def test_a_sinusoid_has_its_own_phase_and_length():
     turned = wrap_angle(angle(phases) - 2 * np.pi * frequency * np.arange(300) / FPS)
     assert np.abs(turned[middle]).max() < 0.02
     length = np.linalg.norm(phases, axis=-1)[middle]
-    np.testing.assert_allclose(length, np.sqrt(2) * speed, rtol=0.05)  # a deviation of 1 is an amplitude of √2
+    np.testing.assert_allclose(length, np.sqrt(2) * speed, rtol=0.05)  # a std of 1 is an amplitude of √2
 
 
 def test_a_later_source_has_a_later_phase():
@@ -80,7 +80,7 @@ def test_scale_and_offset_of_the_source_do_not_matter(scale):
     np.testing.assert_allclose(local_phases(scale * source + 3 * scale, np.ones(300), FPS), phases, atol=1e-4)
 
 
-def test_arms_in_step_are_equal_and_arms_in_turn_are_half_a_cycle_apart():
+def test_alternating_arms_are_half_a_cycle_apart():
     way = 0.3 * swing(0.9)
     together, apart = clip_local_phases(arms(way, way)), clip_local_phases(arms(way, -way))
     np.testing.assert_allclose(together[:, LEFT_HAND], together[:, RIGHT_HAND], atol=ROUNDING)
@@ -96,7 +96,7 @@ def test_a_bone_that_never_moves_has_length_zero():
     assert np.linalg.norm(phases[:, RIGHT_HAND], axis=-1).min() > 0.5
 
 
-def test_noise_is_not_blown_up_to_a_cycle():
+def test_noise_is_not_amplified_to_a_cycle():
     """A hand that trembles by a tenth of a millimetre: its source is normalised, its speed is not."""
     noise = 1e-4 * np.random.default_rng(0).normal(size=300).cumsum() / 10
     phases = clip_local_phases(arms(noise, 0.3 * swing(1.0)))
@@ -104,7 +104,7 @@ def test_noise_is_not_blown_up_to_a_cycle():
     assert length[LEFT_HAND] < 0.002 * length[RIGHT_HAND]
 
 
-def test_a_clip_that_stops_has_no_phase_after_it():
+def test_phases_vanish_after_the_character_stops():
     way = 0.3 * swing(1.0, frames=600)
     way[300:] = way[300]
     length = np.linalg.norm(clip_local_phases(arms(way, way))[:, LEFT_HAND], axis=-1)
@@ -152,7 +152,7 @@ def test_a_mirrored_clip_has_mirrored_phases(style):
     np.testing.assert_allclose(mirrored, mirror_local_phases(clip_local_phases(clip)), atol=1e-4)
 
 
-def test_mirroring_twice_gives_the_phases_back(walk):
+def test_mirroring_phases_twice_is_identity(walk):
     phases = clip_local_phases(walk)
     np.testing.assert_array_equal(mirror_local_phases(mirror_local_phases(phases)), phases)
     np.testing.assert_array_equal(mirror_local_phases(phases)[:, LEFT_HAND], phases[:, RIGHT_HAND])
@@ -163,7 +163,7 @@ def test_the_same_clip_gives_the_same_phases(walk):
     np.testing.assert_array_equal(clip_local_phases(end_effectors(walk)), clip_local_phases(walk))
 
 
-def test_where_the_walk_is_and_which_way_it_goes_do_not_matter(walk):
+def test_phases_are_invariant_under_rigid_motion_on_the_ground(walk):
     turn = quat_from_yaw(2.0)
     rotations = walk.rotations.copy()
     rotations[:, 0] = quat_multiply(turn, rotations[:, 0])
@@ -185,7 +185,7 @@ def test_a_rig_whose_hips_are_turned_gives_the_same_local_frame(walk):
     np.testing.assert_allclose(end_effectors(rig).local, end_effectors(walk).local, atol=1e-12)
 
 
-def test_toes_stand_through_their_half_of_the_phase():
+def test_toes_are_in_contact_during_their_half_of_the_phase():
     clip, labels = synthesise("neutral", np.zeros(400), np.full(400, 1.2))
     right, left = toe_contacts(clip).T
     middle_right, middle_left = (np.abs(labels.phase - centre) < 0.4 for centre in (0.5 * np.pi, 1.5 * np.pi))
@@ -216,8 +216,8 @@ def test_the_majority_filter_removes_short_gaps():
     assert contact_source(points, FPS, LocalPhaseConfig(majority_seconds=5 / 60)).all()
 
 
-def test_a_foot_without_contacts_goes_by_its_movement(walk):
-    """As in hopping on one leg: the other foot never stands, yet it swings."""
+def test_a_foot_without_contacts_uses_its_movement_as_source(walk):
+    """As in hopping on one leg: the other foot swings but never touches the ground."""
     ends = end_effectors(walk)
     world = ends.world.copy()
     world[:, LEFT_TOE, 0] += 0.02 * np.arange(len(world))  # never slow
@@ -278,7 +278,7 @@ def test_toes_of_a_real_walk_are_near_phase_zero_at_contact(angry):
         assert 0.0 < np.angle(mean) < 0.4 and np.abs(mean) > 0.95  # 0.2 to 0.3 in what the authors' network makes
 
 
-def test_phases_of_a_real_walk_go_forwards_without_jumps(angry):
+def test_phases_of_a_recorded_walk_increase_without_jumps(angry):
     phases = clip_local_phases(angry)
     length, step = np.linalg.norm(phases, axis=-1), wrap_angle(np.diff(angle(phases), axis=0))
     clear = length[1:] > 0.5 * np.median(length, axis=0)

@@ -59,7 +59,7 @@ def joints(layout: FrameLayout, rows: np.ndarray, block: str, side: str) -> np.n
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_joints_are_those_of_this_frame_and_of_the_next_seen_from_this_root(walk, name):
+def test_joints_of_this_and_the_next_frame_are_relative_to_this_root(walk, name):
     clip = walk[0]
     layout, rows = rows_of(walk, name)
     positions, rotations, root = seen(clip)
@@ -128,12 +128,12 @@ def test_right_foot_comes_first_among_contacts(walk):
         assert 0.1 < stands.mean() < 0.9 and speed[stands, foot].mean() < 0.2 * speed[~stands, foot].mean()
 
 
-def test_local_phases_are_computed_where_they_are_not_given(walk):
+def test_local_phases_are_computed_if_not_given(walk):
     layout, rows = rows_of(walk, "mason2022")
     np.testing.assert_array_equal(clip_features(walk[0], layout).phase, rows.phase)
 
 
-def test_only_labelled_frames_are_used_where_the_phase_is_global(walk):
+def test_layouts_with_a_global_phase_use_only_labelled_frames(walk):
     clip, labels, _ = walk
     labelled = np.ones(clip.num_frames, bool)
     labelled[[100, 200, 201]] = False
@@ -147,7 +147,7 @@ def test_only_labelled_frames_are_used_where_the_phase_is_global(walk):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_features_do_not_depend_on_where_the_clip_stands_or_faces(walk, name):
+def test_features_are_invariant_under_rigid_motion_on_the_ground(walk, name):
     clip = walk[0]
     turn = quat_from_yaw(np.array(2.1))
     rotations = clip.rotations.copy()
@@ -155,13 +155,13 @@ def test_features_do_not_depend_on_where_the_clip_stands_or_faces(walk, name):
     positions = quat_rotate(turn, clip.root_positions) + np.array([4.0, 0.0, -7.0])
     moved = dataclasses.replace(clip, rotations=rotations, root_positions=positions)
     layout, here = rows_of(walk, name)
-    there = clip_features(moved, layout, walk[1])  # local phases are computed anew
+    there = clip_features(moved, layout, walk[1])  # local phases are computed again
     for side in ("x", "y", "phase"):
         np.testing.assert_allclose(getattr(there, side), getattr(here, side), atol=WORLD)
 
 
 def mirror_columns(layout: FrameLayout, rows: np.ndarray, side: str, mirror: np.ndarray) -> np.ndarray:
-    """Rows of the mirrored motion: x changes sign, joints and bones change places with their partners."""
+    """Returns the rows of the mirrored motion: x changes sign, joints and their partners are exchanged."""
     found = np.empty_like(rows)
     for block in layout.input_blocks if side == "x" else layout.output_blocks:
         columns = layout.input_slice(block) if side == "x" else layout.output_slice(block)
@@ -201,11 +201,11 @@ def assert_comes_back(clip: MotionClip, layout: FrameLayout, labels: PhaseLabels
 
 
 @pytest.mark.parametrize("name", (*NAMES, "mason2018"))
-def test_outputs_give_the_clip_back(walk, name):
+def test_decoding_outputs_restores_the_clip(walk, name):
     assert_comes_back(walk[0], layout_for(name, walk[0].skeleton), walk[1])
 
 
-def test_real_motion_comes_back_too(mocap):
+def test_decoding_outputs_restores_recorded_motion(mocap):
     clip = extend_hands(load_clip(list_clips(mocap / "bandai-namco-2")[200]))
     assert clip.skeleton.num_joints == 21
     for name in NAMES[:2]:
@@ -217,7 +217,7 @@ def test_real_motion_comes_back_too(mocap):
 
 
 @pytest.mark.parametrize("name", (*NAMES, "mason2018", "pfnn2017"))
-def test_integrating_root_steps_walks_the_path(walk, name):
+def test_integrating_root_steps_gives_the_path(walk, name):
     clip = walk[0]
     layout, rows = rows_of(walk, name)
     positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
@@ -251,7 +251,7 @@ def test_phases_and_end_effectors_must_fit_the_clip(walk):
     assert_refused(lambda: clip_features(cut(clip, 0, 29), layout), place="frames", value=29, rule_mentions="30")
 
 
-def test_a_clip_that_stands_still_has_finite_rows(walk):
+def test_a_standing_clip_has_finite_rows(walk):
     clip = cut(walk[0], 0, 90)
     still = dataclasses.replace(
         clip,
@@ -262,7 +262,7 @@ def test_a_clip_that_stands_still_has_finite_rows(walk):
     assert not rows.phase.any() and np.isfinite(rows.y).all()
 
 
-def test_old_layouts_keep_their_root(walk):
+def test_layouts_before_2022_use_the_smoothed_root(walk):
     positions = seen(walk[0])[0]
     roles = need_roles(walk[0].skeleton)
     smooth, hips = (layout_root(positions, roles, layout) for layout in (mason2018(23), mason2022(23)))

@@ -29,7 +29,7 @@ def rows() -> tuple[np.ndarray, np.ndarray]:
     return x.astype(np.float32), y.astype(np.float32)
 
 
-def test_normalised_rows_have_zero_mean_and_unit_deviation(rows):
+def test_normalised_rows_have_zero_mean_and_unit_std(rows):
     normaliser = fit_normaliser(rows[0], rows[1], LAYOUT)
     z = normaliser.inputs.apply(rows[0].astype(np.float64))
     np.testing.assert_allclose(z.mean(axis=0), 0.0, atol=1e-5)
@@ -45,7 +45,7 @@ def test_invert_undoes_apply_and_constant_columns_stay_finite(rows):
     np.testing.assert_allclose(normaliser.inputs.invert(normaliser.inputs.apply(x)), x, rtol=1e-5, atol=1e-5)
 
 
-def test_rounding_of_a_constant_column_does_not_count_as_deviation(rows):
+def test_rounding_of_a_constant_column_does_not_count_as_std(rows):
     x, y = rows
     x[:, 6] = 1.0 + 1e-7 * np.sign(x[:, 0])
     assert fit_normaliser(x, y, LAYOUT).inputs.std[6] == 1.0
@@ -60,7 +60,7 @@ def test_several_arrays_and_several_chunks_count_as_one(rows):
     np.testing.assert_allclose(parts.outputs.std, whole.outputs.std, rtol=FLOAT32)
 
 
-def test_grouped_deviations_are_block_averages_with_joint_inputs_divided_by_a_tenth(rows):
+def test_grouped_stds_are_block_averages_with_joint_inputs_divided_by_a_tenth(rows):
     plain, grouped = (fit_normaliser(rows[0], rows[1], LAYOUT, grouped=g) for g in (False, True))
     for block, weight in (("trajectory_position_x", 1.0), ("joint_position", 0.1), ("joint_velocity", 0.1)):
         at = LAYOUT.input_slice(block)
@@ -74,7 +74,7 @@ def test_grouped_deviations_are_block_averages_with_joint_inputs_divided_by_a_te
 
 
 def test_grouped_blocks_are_those_of_the_published_statistics(reference):
-    """The released PFNN's deviations are constant over exactly the blocks averaged here."""
+    """The released PFNN's stds are constant over exactly the blocks averaged here."""
     layout = pfnn2017()
     std = np.fromfile(reference / "pfnn" / "Ystd.bin", "<f4")
     rng = np.random.default_rng(1)

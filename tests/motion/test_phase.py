@@ -1,4 +1,4 @@
-"""Phase labels: against labels made by hand, on every real gait at hand, refused where there are no steps; files."""
+"""Phase labels: agreement with labels made by hand, coverage of recorded gaits, refusal without steps, and files."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def mean_difference(found: PhaseLabels, wanted: PhaseLabels) -> float:
 
 
 def check_laws(labels: PhaseLabels) -> None:
-    """In range, never backwards, right and left in turn, contacts where the phase says."""
+    """Asserts a phase in range that never decreases, alternating feet, and contacts where the phase has them."""
     assert ((labels.phase >= 0) & (labels.phase < CYCLE)).all() and not labels.phase[~labels.labelled].any()
     together = labels.labelled[1:] & labels.labelled[:-1]
     step = wrap_angle(np.diff(labels.phase))[together]
@@ -107,13 +107,13 @@ def test_a_long_take_with_many_turns_is_labelled_within_its_cut(mocap):
 
 
 @pytest.mark.parametrize("name", ["depressed_18_000", "neutral_16_000"])
-def test_a_punch_and_a_jump_have_no_phase(mocap, name):
+def test_a_punch_and_a_jump_are_refused(mocap, name):
     path = mocap / "xia" / f"{name}.bvh"
     with pytest.raises(NoGaitError, match=rf"{name}.bvh: phase: 0 foot contacts"):
         label_phase(read_bvh(path))
 
 
-def test_standing_has_no_phase(mocap):
+def test_a_standing_clip_is_refused(mocap):
     file = next(file for file in list_clips(mocap / "100style") if file.path.stem == "Neutral_ID")
     with pytest.raises(NoGaitError, match="no steps"):
         label_phase(load_clip(file))
@@ -158,7 +158,7 @@ def test_mirrored_motion_has_mirrored_labels():
     np.testing.assert_allclose(wrap_angle(mirrored.phase - wanted.phase), 0.0, atol=1e-6)
 
 
-def test_size_does_not_matter():
+def test_labels_do_not_depend_on_size():
     clip, _ = synthesise("proud", *mixed_schedule("proud", 8, 1), seed=4)
     skeleton = dataclasses.replace(clip.skeleton, offsets=clip.skeleton.offsets * 2.5)
     giant = dataclasses.replace(clip, skeleton=skeleton, root_positions=clip.root_positions * 2.5)

@@ -105,7 +105,7 @@ def answer(released, take, rows) -> np.ndarray:
     return released.answer(rows[0], rows[2], STYLES[take[0]])
 
 
-def test_the_next_frame_is_foreseen(released, rows, answer):
+def test_the_network_predicts_the_next_frame(released, rows, answer):
     y = rows[1]
     mean = np.tile(released.read("Ymean"), (ROWS, 1))
     assert rmse(answer, y, "joint_position") < POSITION
@@ -118,7 +118,7 @@ def test_the_next_frame_is_foreseen(released, rows, answer):
         assert rmse(answer, y, *blocks) < SHARE * rmse(mean, y, *blocks), blocks
 
 
-def test_the_next_root_is_foreseen(rows, answer):
+def test_the_network_predicts_the_next_root(rows, answer):
     y = rows[1]
     for kind, tolerance in (("position", 0.005), ("direction", 0.02)):  # metres, and radians: a frame's advance is 0.02
         for axis in "xz":
@@ -127,13 +127,13 @@ def test_the_next_root_is_foreseen(rows, answer):
             assert np.sqrt(np.mean(error**2)) < tolerance
 
 
-def test_the_next_contacts_are_foreseen(rows, answer):
+def test_the_network_predicts_the_next_contacts(rows, answer):
     contacts = LAYOUT.output_slice("foot_contacts")
     agree = (answer[:, contacts] > 0.5) == (rows[1][:, contacts] > 0.5)
     assert (agree.mean(axis=0) > CONTACTS).all()
 
 
-def test_the_next_phases_are_foreseen(rows, answer):
+def test_the_network_predicts_the_next_phases(rows, answer):
     ours, theirs = (complex_phases(v[:, LAYOUT.output_slice("local_phase")]) for v in (rows[1], answer))
     product = np.abs((ours.conj() * theirs).sum(axis=0))
     coherence = product / (np.linalg.norm(ours, axis=0) * np.linalg.norm(theirs, axis=0))
@@ -173,14 +173,14 @@ WRONG = {
 
 @pytest.mark.parametrize("take", ["Angry_FW"], indirect=True)
 @pytest.mark.parametrize("reading", WRONG)
-def test_no_other_reading_is_foreseen_as_well(released, rows, answer, take, reading):
+def test_no_other_reading_of_the_layout_is_predicted_as_well(released, rows, answer, take, reading):
     x, y, phase = rows
     wrong = released.answer(*WRONG[reading](x, phase), STYLES[take[0]])
     assert rmse(wrong, y, "joint_velocity") > WORSE * rmse(answer, y, "joint_velocity")
 
 
 @pytest.mark.parametrize("take", ["Angry_FW"], indirect=True)
-def test_phases_of_another_time_or_style_foresee_less(released, rows, answer, take):
+def test_phases_of_another_time_or_style_predict_worse(released, rows, answer, take):
     """Twelve frames, 0.2 s, are a quarter of the take's gait cycle."""
     x, y, phase = rows
     features = take[1]
@@ -193,8 +193,8 @@ def test_phases_of_another_time_or_style_foresee_less(released, rows, answer, ta
     assert rmse(other, y, "joint_position") > WORSE * rmse(answer, y, "joint_position")
 
 
-def test_postures_are_those_of_the_published_statistics(released, take):
-    """Means over one take and over 95 styles: the same body, within what a style changes."""
+def test_mean_postures_agree_with_the_published_statistics(released, take):
+    """Means over one take and over 95 styles: the same body, up to the differences between styles."""
     ours = take[1].x.mean(axis=0)[48:].reshape(25, 12)
     theirs = released.read("Xmean")[48:].reshape(25, 12)
     for part, least in ((slice(0, 3), 0.99), (slice(3, 6), 0.93), (slice(6, 9), 0.93)):

@@ -84,7 +84,7 @@ def test_names_give_roles_and_partners(convention):
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.5, np.pi, -2.0])
-def test_geometry_gives_roles_where_names_say_nothing(yaw):
+def test_geometry_finds_roles_without_names(yaw):
     skeleton = body(tuple(f"joint{chr(97 + joint)}" for joint in range(len(NAMES))))
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (1, len(NAMES), 1))
     turns[:, 0] = quat_from_yaw(yaw)
@@ -94,11 +94,11 @@ def test_geometry_gives_roles_where_names_say_nothing(yaw):
     np.testing.assert_array_equal(found.mirror, MIRROR)
 
 
-def test_geometry_passes_over_duplicates_of_zero_length():
+def test_geometry_skips_duplicates_of_zero_length():
     names = ("a", "b", "c", "d", "e", "f", "g", "h", "i", "j", "k", "m", "n", "o", "p", "q", "s", "t", "u", "v")
     parents, offsets = np.insert(PARENTS, 12, 0), np.insert(OFFSETS, 12, 0.0, axis=0)
     parents = np.where(parents >= 12, parents + 1, parents)
-    parents[13] = 12  # the left thigh hangs from a duplicate of the hips, as under LHipJoint
+    parents[13] = 12  # the left thigh is a child of a duplicate of the hips, as with LHipJoint
     skeleton = Skeleton((*names[:12], "dummy", *names[12:]), parents, offsets, (), np.arange(21))
     roles = find_roles(skeleton)
     assert (roles.left_hip, roles.left_foot, roles.right_hip) == (13, (15, 16), 17)
@@ -112,7 +112,7 @@ def test_a_foot_without_toes_is_the_ankle_twice():
     assert roles.left_foot == (names.index("l_foot"),) * 2
 
 
-def test_a_named_pelvis_beside_the_legs_gives_way_to_the_joint_above_them():
+def test_hips_are_the_joint_above_both_legs_whatever_is_called_pelvis():
     names = tuple("body" if name == "hips" else "hips" if name == "spine" else name for name in NAMES)
     assert find_roles(body(names)).hips == 0
 
@@ -123,7 +123,7 @@ def test_leg_length_is_hip_to_ankle():
 
 
 @pytest.mark.parametrize("name", ["Hips", "mixamorig:Hips", "Bip01 Pelvis", "CC_Base_Pelvis_01"])
-def test_hips_are_known_by_name(name):
+def test_hips_are_recognised_by_name(name):
     assert is_hips_name(name) and not is_hips_name("joint_Root")
 
 
@@ -170,7 +170,7 @@ def test_a_skeleton_without_legs_has_no_roles():
 
 
 def test_partners_have_partners_as_parents():
-    # a left prop without a right one, and a pair whose parents are no pair
+    # a left prop without a right one, and a pair whose parents are not a pair
     names = ("hips", "l_arm", "r_arm", "l_prop", "l_strap", "r_strap")
     mirror = find_mirror(names, np.array([-1, 0, 0, 1, 1, 1]))
     np.testing.assert_array_equal(mirror, [0, 2, 1, 3, 4, 5])

@@ -133,7 +133,7 @@ def test_a_shift_in_time_moves_the_phase():
 
 
 @pytest.mark.parametrize("windows", [random_windows(1, 200), sinusoids(2, 200, 0.25, 4.0)[0]], ids=["random", "sine"])
-def test_bounds_hold_and_the_error_is_what_is_left(windows):
+def test_bounds_hold_and_the_error_is_the_residual(windows):
     fit = fit_sinusoids(windows, FPS)
     low, high = windows.min(axis=1), windows.max(axis=1)
     rounding = 1e-12 * (high - low)
@@ -211,7 +211,7 @@ def test_no_windows_give_no_fits():
 
 
 @pytest.mark.parametrize("shape", [(3, 30), (3, 3), (31,)])
-def test_windows_have_a_centre(shape):
+def test_windows_must_have_a_centre(shape):
     with pytest.raises(ValueError, match="W odd and at least 5"):
         fit_sinusoids(np.zeros(shape), FPS)
 

@@ -1,4 +1,4 @@
-"""Laws of the procedural walkers: feet planted, bones rigid, phase and path exact, people-like for every style."""
+"""Laws of the procedural walkers: feet planted, bones rigid, phase and path exact, and plausible for every style."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_clip_is_the_same_after_writing_and_reading_it_as_bvh(tmp_path):
     np.testing.assert_allclose(joints(read), joints(clip), atol=WRITTEN)
 
 
-def test_there_are_eight_styles_and_an_unseen_ninth():
+def test_there_are_eight_styles_and_a_held_out_ninth():
     assert len(synthetic.PRETRAINING_STYLES) == 8
     assert list(synthetic.STYLES) == [*synthetic.PRETRAINING_STYLES, synthetic.UNSEEN_STYLE]
 
@@ -108,7 +108,7 @@ def test_phase_is_zero_at_right_contact_and_pi_at_left(style):
         np.testing.assert_array_equal(lands, frames)
 
 
-def test_the_swinging_foot_is_the_one_that_moves():
+def test_only_the_swinging_foot_moves():
     clip, labels = walk("neutral", 1.25)
     speed = np.linalg.norm(np.diff(feet_of(clip), axis=0), axis=-1) * FPS
     left_swing = np.abs(labels.phase[:-1] - 0.5 * np.pi) < 0.2  # halfway to its contact at π
@@ -137,7 +137,7 @@ def test_the_walk_starts_at_the_origin_facing_forward_whatever_the_schedule():
     assert np.abs(clip.root_positions[0, [0, 2]]).max() < 0.15
 
 
-def test_seeds_repeat_and_differ():
+def test_equal_seeds_repeat_and_different_seeds_differ():
     first, again, other = (walk("angry", seed=seed)[0] for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.rotations, again.rotations)
     assert np.abs(first.rotations - other.rotations).max() > 1e-3
@@ -165,7 +165,7 @@ def test_motion_is_smooth():
     assert acceleration.max() < 90.0  # ankles at contact
 
 
-def test_mixed_clips_cover_turns_speeds_and_the_time_asked_for():
+def test_mixed_clips_cover_turns_speeds_and_the_given_time():
     clips = synthetic.synthetic_clips("old", 40.0, seed=2)
     assert sum(labelled.clip.num_frames for labelled in clips) == pytest.approx(40 * FPS, abs=len(clips))
     assert all(len(labelled.labels.phase) == labelled.clip.num_frames for labelled in clips)
@@ -201,7 +201,7 @@ def test_unknown_styles_and_bad_parameters_are_refused():
         synthetic.SyntheticStyle("still", cadence=0.0)
 
 
-def test_standing_still_is_stepping_in_place():
+def test_speed_zero_is_stepping_in_place():
     clip, labels = walk("neutral", 0.0)
     assert np.abs(clip.root_positions[:, [0, 2]]).max() < 0.15
     assert len(labels.contacts_right) > 0 and np.isfinite(clip.rotations).all()

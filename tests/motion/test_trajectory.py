@@ -1,4 +1,4 @@
-"""Root and trajectory windows: exact on straight and circular walks, blind to where the clip stands."""
+"""Root and trajectory windows: exact on straight and circular walks, invariant to where the clip is."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_windows_of_a_circle_are_the_same_in_every_frame_away_from_the_ends():
     np.testing.assert_allclose(angle, OFFSETS * 0.02, atol=EXACT)
 
 
-def test_a_clip_of_one_frame_stands():
+def test_the_trajectory_of_a_single_frame_stands_still():
     positions, directions = trajectory_windows(straight(1, 60.0), 60.0)
     assert not positions.any()
     np.testing.assert_allclose(directions, np.broadcast_to([0.0, 1.0], (1, 12, 2)), atol=EXACT)
@@ -62,7 +62,7 @@ def test_samples_must_fall_on_frames():
         sample_offsets(25.0)
 
 
-def test_root_faces_where_the_walker_was_told_to():
+def test_root_facing_follows_the_commanded_turns():
     turn = np.full(240, 0.5)
     clip, _ = synthesise("neutral", turn, np.full(240, 1.2))
     positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
@@ -73,7 +73,7 @@ def test_root_faces_where_the_walker_was_told_to():
     assert (root.positions == positions[:, 0][:, [0, 2]]).all()
 
 
-def test_smoothing_takes_the_same_time_at_any_frame_rate():
+def test_smoothing_does_not_depend_on_frame_rate():
     slow, fast = (synthesise("proud", np.zeros(2 * f), np.full(2 * f, 1.2), fps=float(f), seed=1) for f in (60, 120))
     roots = []
     for clip, _ in (slow, fast):
@@ -83,7 +83,7 @@ def test_smoothing_takes_the_same_time_at_any_frame_rate():
     assert np.abs(wrap_angle(roots[0].yaw - roots[1].yaw[::2])).max() < sway
 
 
-def test_heading_of_the_hip_joints_is_that_of_the_hips_own_axis(mocap):
+def test_heading_of_the_hip_joints_agrees_with_the_hips_own_axis(mocap):
     """In 100STYLE files the hips' own +Z points forward, and is what the authors took; other rigs have no such axis."""
     take = next(clip for clip in list_clips(mocap / "100style") if clip.path.stem == "Angry_FW")
     clip = load_clip(take)

@@ -40,7 +40,7 @@ class LocalMotion:
 
     @cached_property
     def axes(self) -> dict[str, np.ndarray]:
-        """[T, J, 3] directions of the joints' own +Z (`joint_forward`) and +Y (`joint_up`), seen from the root."""
+        """[T, J, 3] directions of the joints' own +Z (`joint_forward`) and +Y (`joint_up`), relative to the root."""
         return {block: quat_rotate(self.rotations, axis) for block, axis in AXES.items()}
 
 
