@@ -37,10 +37,11 @@ from flax import struct
 from pfnn_jax.control.calibration import start_standing
 from pfnn_jax.control.controller import Controller, make_controller, step
 from pfnn_jax.control.controller_state import ControllerParams, ControllerSetup
-from pfnn_jax.control.ground import lift, to_local
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.tracking import TrackingConfig
+from pfnn_jax.control.vectors import to_3d
 from pfnn_jax.io.files import write_whole
+from pfnn_jax.motion.ground import to_local
 from pfnn_jax.run import list_styles, load_run
 
 FPS = 60
@@ -113,7 +114,7 @@ def walk(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *as
 
     def frame(state, row):
         state = step(setup, params, state, Command(velocity=row[0], direction=row[1], style=style))
-        local = to_local(state.next.joints - lift(state.next.root)[None], state.next.facing) / layout.length_unit
+        local = to_local(state.next.joints - to_3d(state.next.root)[None], state.next.facing) / layout.length_unit
         return state, Track(
             root=state.root,
             facing=state.facing,
@@ -242,7 +243,7 @@ def wander(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *
     def frame(carry, row):
         before, worst = carry
         state = step(setup, params, before, Command(velocity=row[0], direction=row[1], style=style))
-        local = to_local(state.next.joints - lift(state.next.root)[None], state.next.facing)
+        local = to_local(state.next.joints - to_3d(state.next.root)[None], state.next.facing)
         now = {
             "pose distance": jnp.mean(((local.reshape(-1) / setup.layout.length_unit - mean) / std) ** 2),
             "speed of a joint, m/s": FPS * jnp.max(jnp.linalg.norm(state.joints - before.joints, axis=-1)),

@@ -14,7 +14,7 @@ import numpy as np
 from experiments.common.seven_models import Model
 from experiments.common.seven_takes import Take, Takes, common_columns, rows_of, windows_of
 from pfnn_jax.control.loop.rollout import stability
-from pfnn_jax.control.stability import PEAK_RATIO, TURN_RATE, is_sound, walk_circles
+from pfnn_jax.control.stability import PEAK_RATIO, TURN_RATE, is_stable_turn, walk_circles
 from pfnn_jax.evaluation.metrics import bone_length_error, foot_skating, resting_heights
 from pfnn_jax.evaluation.motion_windows import motion_windows
 from pfnn_jax.evaluation.style_classifier import (
@@ -200,7 +200,7 @@ def rollout_test(
     return {
         "walks": len(finite),
         "finite": float(finite.mean()),
-        "sound": float(is_sound(found, PEAK_RATIO * own).mean()),
+        "sound": float(is_stable_turn(found, PEAK_RATIO * own).mean()),
         "pose_peak": _mean(np.asarray(found.pose_peak)[finite] / own),
         "path_error": _mean(np.asarray(found.trajectory_error)[finite]),
         "speed": _mean(np.asarray(found.speed)[finite] / speed),

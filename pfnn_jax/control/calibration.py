@@ -20,7 +20,6 @@ from pfnn_jax.control.controller_state import (
     predicted_frame,
     style_speed,
 )
-from pfnn_jax.control.ground import heading, root_yaw
 from pfnn_jax.control.ik.foot_lock import initial_locks
 from pfnn_jax.control.ik.pose import Pose, Rig
 from pfnn_jax.control.loop.rollout import warm_up
@@ -29,6 +28,7 @@ from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.tracking import MIN_WALK_SPEED, init_tracking
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.motion.ground import facing_of, yaw_of
 
 TRIAL_GAINS = (0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0)
 """Requested speeds that `calibrate_speeds` tries, as multiples of a style's natural speed."""
@@ -92,8 +92,8 @@ def calibrate_speeds(
 def _best_request(requested: np.ndarray, measured: np.ndarray, natural: np.ndarray) -> np.ndarray:
     """Returns the requested speed [S] of [S, A] that is most robustly answered by a style's natural speed [S].
 
-    The error of a request is that of the worst of it and its two neighbours. A style of which all rollouts diverge is
-    asked for its natural speed.
+    The error of a request is that of the worst of it and its two neighbours. For a style of which all rollouts
+    diverge, it is the natural speed.
     """
     error = np.nan_to_num(np.abs(np.log(measured / natural[:, None])), nan=np.inf)
     padded = np.pad(error, ((0, 0), (1, 1)), mode="edge")
@@ -138,7 +138,7 @@ def start_standing(
     """
     speed = style_speed(params, style)
     motion, y, facing = _lowest_frame(setup, params, style)
-    angle, direction = yaw - root_yaw(motion.directions[ROOT]), heading(yaw)
+    angle, direction = yaw - yaw_of(motion.directions[ROOT]), facing_of(yaw)
     motion = place_state(motion, position, yaw)
     frame = predicted_frame(setup, params, motion, y, facing, angle)
     clearance = feet_clearance(setup, params, motion.joint_positions)

@@ -31,7 +31,6 @@ from pfnn_jax.control.controller_state import (
     predicted_frame,
     style_speed,
 )
-from pfnn_jax.control.ground import mix
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
 from pfnn_jax.control.ik.pose import make_rig
 from pfnn_jax.control.loop.state import ROOT, straight_row, turn_state
@@ -46,6 +45,7 @@ from pfnn_jax.control.tracking import (
     update_time_scale,
     update_tracking,
 )
+from pfnn_jax.control.vectors import lerp
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import check_weights, need_style, stack_styles
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor
@@ -258,7 +258,7 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
 
 def _moved_style(style: jax.Array, target: jax.Array) -> jax.Array:
     """Returns the weights [C] after one frame on their way to the target [C]."""
-    moved = mix(style, target, STYLE_RATE)
+    moved = lerp(style, target, STYLE_RATE)
     return jnp.where(jnp.abs(moved - target) < STYLE_SNAP, target, moved)
 
 

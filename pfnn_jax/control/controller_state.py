@@ -15,16 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.ground import mix, root_yaw, turn_towards
 from pfnn_jax.control.ik.foot_lock import FootLockConfig, FootLocks, lock_feet
 from pfnn_jax.control.ik.limb import reach_arms
 from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics, pose_from_world
 from pfnn_jax.control.loop.state import CharacterState, contacts_of_output, joint_root, read_block
 from pfnn_jax.control.loop.step import Command, LoopConfig, published_step
 from pfnn_jax.control.tracking import MIN_WALK_SPEED, StyleSpeed, TrackingConfig, TrackingState, limit_lookahead
+from pfnn_jax.control.vectors import lerp
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.motion.ground import turn_towards, yaw_of
 from pfnn_jax.motion.kinematics import quat_exp, quat_from_forward_up, quat_from_yaw, quat_multiply
 from pfnn_jax.motion.labels.contacts import MAX_HEIGHT, MAX_SPEED
 
@@ -184,8 +185,8 @@ def predicted_frame(
 def interpolate_pose(setup: ControllerSetup, state: ControllerState) -> ControllerState:
     """Returns the state with the displayed body at its position between two predicted frames."""
     before, after, share = state.previous, state.next, state.progress
-    predicted = mix(before.joints, after.joints, share)
-    contacts = mix(before.contacts, after.contacts, share)
+    predicted = lerp(before.joints, after.joints, share)
+    contacts = lerp(before.contacts, after.contacts, share)
     pose = pose_from_world(setup.rig, predicted[0], _mix_rotations(before.rotations, after.rotations, share))
     feet = state.feet
     if setup.foot_lock is not None:
@@ -195,7 +196,7 @@ def interpolate_pose(setup: ControllerSetup, state: ControllerState) -> Controll
     joints, world = forward_kinematics(setup.rig, pose)
     return replace(
         state,
-        root=mix(before.root, after.root, share),
+        root=lerp(before.root, after.root, share),
         facing=turn_towards(before.facing, after.facing, share),
         contacts=contacts,
         feet=feet,
@@ -222,7 +223,7 @@ def _predicted_rotations(layout: FrameLayout, y: jax.Array, facing: jax.Array) -
         local = quat_exp(read_block(layout, y, "joint_rotation", 3))
     else:
         local = quat_from_forward_up(*(read_block(layout, y, name, 3) for name in ("joint_forward", "joint_up")))
-    return _turn_rotations(local, root_yaw(facing))
+    return _turn_rotations(local, yaw_of(facing))
 
 
 def _turn_rotations(rotations: jax.Array, angle: jax.Array) -> jax.Array:

@@ -1,4 +1,4 @@
-"""Does a style survive turns? Rollouts on circles to both sides, by which few-shot learning chooses its setting."""
+"""Stability of a style on turns: rollouts on circles to both sides, by which few-shot learning chooses a setting."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ TURN_RATE = np.deg2rad(45.0)
 """Radians per second of the circles: a brisk turn, a full circle in 8 seconds."""
 
 SECONDS = 4.0
-"""Length of each rollout: half a circle, and several steps in which to go wrong."""
+"""Duration of each rollout: half a circle, and several steps in which to diverge."""
 
 PEAK_RATIO = 3.0
-"""A pose further from the mean than this many times the clip's own peak (mean squared, normalised) has fallen apart."""
+"""A rollout diverges if a pose is further from the mean than this many times the clip's own peak (mean squared,
+normalised)."""
 
-LEAST_TURN = 0.5
-"""Share of the commanded turn rate that must be achieved, and that it may be exceeded by."""
+MIN_TURN_SHARE = 0.5
+"""Share of the commanded turn rate that must be reached. The excess may be as large as the allowed shortfall."""
 
 
 def predictor_of(trained: Any, shared: Network, normaliser: Normaliser) -> Predictor:
-    """A predictor from few-shot training's result: an adapter beside `shared`, or a whole network."""
+    """Returns the predictor of few-shot training's result: an adapter of `shared`, or a whole network."""
     network, adapter = assemble(trained, shared)
     return assemble_predictor(network, adapter, normaliser)
 
@@ -50,16 +51,16 @@ def walk_circles(
     seconds: float,
     config: LoopConfig | None = None,
 ) -> Frames:
-    """Rollouts on two circles at `TURN_RATE`, left and right, from the pose of a real row.
+    """Runs a style on two circles at `TURN_RATE`, left and right, from the pose of a real row.
 
     Args:
         predictor: the network and style.
         layout: of its rows.
         x: [Dx] a row of the style, in layout units.
-        phase: [] radians of that row, or [G] in layout units.
+        phase: gating input of that row: [] radians, or [G] in layout units.
         speed: metres per second.
-        seconds: length of the rollouts.
-        config: constants of the controller, by default those of the layout.
+        seconds: duration of the rollouts.
+        config: constants of the published loop, by default those of the layout.
 
     Returns:
         Frames with a leading axis of 2: turning left, then right.
@@ -72,13 +73,13 @@ def walk_circles(
     return _walk(predictor, layout, tracks, points, yaws, *start)
 
 
-def is_sound(found: Stability, allowed_peak: float) -> np.ndarray:
-    """Whether rollouts at `TURN_RATE` (any leading axes) stayed finite and whole, and turned as asked."""
+def is_stable_turn(found: Stability, allowed_peak: float) -> np.ndarray:
+    """Returns whether rollouts at `TURN_RATE` (any leading axes) are finite, stay near the data and turn enough."""
     turned = np.abs(np.asarray(found.turn_rate)) / TURN_RATE
     return (
         np.asarray(found.finite)
         & (np.asarray(found.pose_peak) <= allowed_peak)
-        & (np.abs(turned - 1.0) <= 1.0 - LEAST_TURN)
+        & (np.abs(turned - 1.0) <= 1.0 - MIN_TURN_SHARE)
     )
 
 
@@ -91,13 +92,13 @@ def make_stability_check(
     phase: np.ndarray,
     config: LoopConfig | None = None,
 ) -> Callable[[Any], bool]:
-    """A judge of trained parameters for `choose`: do both circles stay sound?
+    """Returns a function that says whether trained parameters walk both circles without diverging, for `choose`.
 
     Args:
         shared, normaliser, layout: of the run.
-        x, y, phase: [N, ...] rows of the clip, in layout units: its first row starts the rollouts, its speed is
-            asked for, and its own range of poses is the measure of what is whole.
-        config: constants of the controller, by default those of the layout.
+        x, y, phase: [N, ...] rows of the clip, in layout units: rollouts start from its first row, request its
+            speed, and are compared with its range of poses.
+        config: constants of the published loop, by default those of the layout.
     """
     pose = layout.output_slice("joint_position")
     own = np.mean(normaliser.outputs.apply(y)[:, pose] ** 2, axis=1).max()
@@ -107,7 +108,7 @@ def make_stability_check(
     def is_stable(trained: Any) -> bool:
         predictor = jax.device_put(predictor_of(trained, shared, normaliser), jax.devices()[0])
         found = _stability(layout, walk_circles(predictor, layout, x[0], phase[0], speed, SECONDS, config), mean, std)
-        return bool(is_sound(found, PEAK_RATIO * own).all())
+        return bool(is_stable_turn(found, PEAK_RATIO * own).all())
 
     return is_stable
 

@@ -23,9 +23,10 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.control.ground import angle_between, length, mix, root_yaw, to_local, turn, turn_towards, unit, wrapped
 from pfnn_jax.control.loop.state import ROOT, CharacterState
 from pfnn_jax.control.loop.step import Command
+from pfnn_jax.control.vectors import length, lerp, unit
+from pfnn_jax.motion.ground import angle_between, to_local, turn, turn_towards, wrap_angle, yaw_of
 
 STOP_SPEED = 0.05
 """Metres per second; a slower command means stop."""
@@ -150,7 +151,7 @@ def init_tracking(velocity: jax.Array, clearance: jax.Array, time_scale: float) 
 
 
 def is_moving(command: Command) -> jax.Array:
-    """Returns [] bool, whether a command asks the character to move."""
+    """Returns [] bool, whether a command is to move, not to stop."""
     return length(command.velocity) > STOP_SPEED
 
 
@@ -209,8 +210,8 @@ def update_tracking(
     """
     moving, facing = is_moving(command), before.directions[ROOT]
     step = (after.positions[ROOT] - before.positions[ROOT]) * config.fps
-    velocity = mix(tracking.velocity, to_local(step, facing), config.velocity_rate)
-    heading_error = _heading_error(tracking, turn(facing, root_yaw(velocity)), command, config)
+    velocity = lerp(tracking.velocity, to_local(step, facing), config.velocity_rate)
+    heading_error = _heading_error(tracking, turn(facing, yaw_of(velocity)), command, config)
     # While waiting to stop, raise the height that counts as "foot down" each frame so that stopping always terminates.
     waiting_rise = STOPPING_CLEARANCE_RISE / jnp.maximum(tracking.time_scale, config.min_time_scale)
     rise = jnp.where(moving, CLEARANCE_RISE, waiting_rise)
@@ -230,7 +231,7 @@ def update_tracking(
 def _heading_error(tracking: TrackingState, heading: jax.Array, command: Command, config: TrackingConfig) -> jax.Array:
     """Returns the running mean [] of the angle from a heading [2] to the commanded one."""
     error = jnp.where(is_moving(command), angle_between(heading, unit(command.velocity)), 0.0)
-    return wrapped(tracking.heading_error + config.heading_rate * wrapped(error - tracking.heading_error))
+    return wrap_angle(tracking.heading_error + config.heading_rate * wrap_angle(error - tracking.heading_error))
 
 
 def _strafe_failure(
@@ -262,6 +263,6 @@ def update_time_scale(tracking: TrackingState, command: Command, config: Trackin
     walking = jnp.clip(reachable, config.min_time_scale, config.max_time_scale)
     waiting = jnp.where(stopping, 0.0, jnp.minimum(time_scale, config.stopping_time_scale))
     target = jnp.where(moving, walking, waiting)
-    time_scale = mix(time_scale, target, jnp.where(stopping, config.freeze_rate, config.time_scale_rate))
+    time_scale = lerp(time_scale, target, jnp.where(stopping, config.freeze_rate, config.time_scale_rate))
     frozen = stopping & (time_scale < FREEZE_TIME_SCALE)
     return replace(tracking, time_scale=jnp.where(frozen, 0.0, time_scale), stopping=stopping)

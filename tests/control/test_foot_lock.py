@@ -160,5 +160,5 @@ def test_arrays_that_do_not_fit_and_settings_out_of_range_are_refused():
         fix_feet(clip, contacts, joints=np.zeros((FRAMES, 2, 3)))
     with pytest.raises(ValueError, match="lock_threshold"):
         FootLockConfig(lock_threshold=0.2, release_threshold=0.3)
-    with pytest.raises(ValueError, match="release"):
-        FootLockConfig(release=0.0)
+    with pytest.raises(ValueError, match="release_time"):
+        FootLockConfig(release_time=0.0)

@@ -52,7 +52,7 @@ def test_recorded_motion_comes_back(name):
     clip, labels = synthesise("neutral", np.full(frames, 0.4), np.full(frames, SPEED), seed=1)
     layout = LAYOUTS[name](clip.skeleton.num_joints)
     rows = clip_features(clip, layout, labels)
-    first, count = 60, 50  # less than a cycle, so that the phase tells the frame
+    first, count = 60, 50  # less than a cycle, so that the phase determines the frame
     y, phase = jnp.asarray(rows.y[first : first + count]), jnp.asarray(rows.phase[first : first + count])
     state = initial_state(layout, rows.x[first], phase[0], jnp.zeros(2), jnp.zeros(()))
     ahead = jnp.tile(jnp.asarray([[0.0, 1.0]]), (count, 1))

@@ -261,7 +261,7 @@ def test_standing_character_stands():
     frames = rollout(ORACLES[layout.name], WALK, layout, state, straight_on(120, speed=0.0))
     np.testing.assert_allclose(frames.root_positions, np.ones((120, 2)), atol=REORDERED)
     np.testing.assert_allclose(frames.root_yaw, np.ones(120), atol=REORDERED)
-    # The phase goes on at a tenth of its pace.
+    # The phase advances at a tenth of its rate.
     np.testing.assert_allclose(frames.phase, np.arange(120) * 0.1 * WALK["cadence"] / 60.0, atol=DRIFT)
 
 

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.ground import lift, to_world
 from pfnn_jax.control.loop.rollout import locked_rollout, rollout
 from pfnn_jax.control.loop.state import ROOT, initial_state, place_state, write_input
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, network_input, published_step, steer
+from pfnn_jax.control.vectors import to_3d
 from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.features.layout import LAYOUTS, layout_for
+from pfnn_jax.motion.ground import to_world
 from pfnn_jax.motion.synthetic.walks import synthesise
 from tests.control.walkers import JOINTS, WALK, arc, pose
 
@@ -43,7 +44,7 @@ def blocks_of(walk, angle, layout):
     turn, travel = -walk["turn_rate"] * dt, walk["speed"] * dt
     here, before = jnp.asarray(pose(angle)), jnp.asarray(pose(angle - walk["cadence"] * dt))
     # The root steps straight ahead, then turns: the pose before, seen from this root.
-    before = to_world(before - lift(jnp.stack([jnp.zeros(()), travel]))[None], facing_of(turn))
+    before = to_world(before - to_3d(jnp.stack([jnp.zeros(()), travel]))[None], facing_of(turn))
     axes = jnp.zeros((JOINTS, 3))
     return {
         "joint_position": here,
@@ -70,7 +71,7 @@ def oracle(layout):
         after = angle + walk["cadence"] * dt
         facing, travel = facing_of(walk["turn_rate"] * dt), jnp.stack([jnp.zeros(()), walk["speed"] * dt])
         blocks = {name: to_world(block, facing) for name, block in blocks_of(walk, after, layout).items()}
-        blocks["joint_position"] += lift(travel)[None]
+        blocks["joint_position"] += to_3d(travel)[None]
         positions, directions = arc(walk["speed"], walk["turn_rate"], jnp.arange(6) / 6.0)
         samples = (*(to_world(positions, facing) + travel[None]).T, *to_world(directions, facing).T)
         blocks |= dict(
@@ -116,7 +117,7 @@ def test_known_walk_comes_back(layout, turn_rate):
     np.testing.assert_allclose(frames.root_positions, roots[:120], atol=DRIFT)
     np.testing.assert_allclose(np.unwrap(frames.root_yaw), yaw[:120], atol=DRIFT)
     last = jax.jit(blocks_of, static_argnums=2)(walk, jnp.float32(walk["cadence"] * 2.0), layout)["joint_position"]
-    expected = to_world(last, facing_of(jnp.float32(yaw[120]))) + lift(jnp.float32(roots[120]))[None]
+    expected = to_world(last, facing_of(jnp.float32(yaw[120]))) + to_3d(jnp.float32(roots[120]))[None]
     np.testing.assert_allclose(frames.joint_positions[-1], expected, atol=DRIFT)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control.calibration import _best_request
-from pfnn_jax.control.ground import angle_between, length
 from pfnn_jax.control.loop.state import ROOT, initial_state, turn_state
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, held_command, steer
 from pfnn_jax.control.tracking import (
@@ -24,6 +23,8 @@ from pfnn_jax.control.tracking import (
     update_time_scale,
     update_tracking,
 )
+from pfnn_jax.control.vectors import length
+from pfnn_jax.motion.ground import angle_between
 from tests.control.walkers import LAYOUT, WALK, input_row
 
 CONFIG = TrackingConfig()

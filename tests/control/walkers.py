@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.ground import to_world
 from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout
+from pfnn_jax.motion.ground import to_world
 
 JOINTS = 5
 LAYOUT = {name: LAYOUTS[name](JOINTS) for name in ("mason2018", "pfnn2017")}

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control.generation import clip_from_frames, loop_frames
-from pfnn_jax.control.ground import turn_towards
 from pfnn_jax.control.loop.state import ROOT, initial_state, straight_row
 from pfnn_jax.control.loop.step import Command, published_step
 from pfnn_jax.control.run_settings import default_speed, loop_config
@@ -23,6 +22,7 @@ from pfnn_jax.interop.released.files import read_array, read_statistics
 from pfnn_jax.interop.released.mason2022 import STYLES, import_released_lpn
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import num_parameters
+from pfnn_jax.motion.ground import turn_towards
 from pfnn_jax.motion.paths import circle
 from pfnn_jax.run import list_styles, style_note
 from tests.raising import assert_refused

@@ -1,4 +1,4 @@
-"""Feet of a whole clip held where they are in contact: `foot_lock`, frame by frame."""
+"""Removal of foot sliding from a whole clip, by foot locking frame by frame."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def fix_feet(
     config: FootLockConfig | None = None,
     joints: np.ndarray | None = None,
 ) -> MotionClip:
-    """The clip with feet that do not slide.
+    """Returns the clip with feet that do not slide.
 
     Args:
         clip: T frames of a skeleton with roles.
         contacts: [T, 4] in [0, 1], left heel, left toe, right heel, right toe, as a network predicts them; by default
-            what `motion.contacts.foot_contacts` finds in the clip.
-        config: of the locks; its rate is replaced by the clip's.
-        joints: [T, J, 3] metres in the world; where given, arms are laid along these positions.
+            the labels of `motion.labels.contacts.foot_contacts`.
+        config: of the locks; its `fps` is replaced by the clip's.
+        joints: [T, J, 3] metres in the world; if given, arms are laid along these positions.
 
     Returns:
         A clip that differs in the rotations of hips, knees and ankles (joints of the legs), the height of its root,
@@ -55,7 +55,7 @@ def fix_feet(
         if found != needed:
             raise InputError(clip.source or "clip", name, f"shape {found}", f"must be {needed}")
     config = replace(config or FootLockConfig(), fps=float(clip.fps))
-    # Computed near the origin, where float32 is finest.
+    # Computed near the origin, where float32 has the finest resolution.
     origin = clip.root_positions[0] * np.array([1.0, 0.0, 1.0])
     given = [clip.root_positions - origin, clip.rotations, contacts, *([] if joints is None else [joints - origin])]
     pose = _fix(rig, config, *(jnp.asarray(values, jnp.float32) for values in given))

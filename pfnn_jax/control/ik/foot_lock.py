@@ -1,9 +1,9 @@
-"""Feet that stay where they stand: contacts hold heels and toes in place, release lets them go without a jerk.
+"""Foot locking: heels and toes are held in place during contact and released smoothly.
 
 A foot joint is held where the corrected body has it when its contact begins. While it is held, its offset from the
-unheld motion is whatever keeps it there; when it is let go, the offset dies away like a critically damped spring that
-starts with the offset's own speed, so that neither place nor speed jumps. Heel and toe of a foot are one rigid piece:
-the one that is not held is drawn to the offset of the other.
+predicted motion keeps it there; when it is released, the offset decays like a critically damped spring that starts with
+the offset's velocity, so neither position nor velocity jumps. Heel and toe of a foot are one rigid piece: the one that
+is not held is drawn to the offset of the other.
 """
 
 from __future__ import annotations
@@ -17,43 +17,44 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.ground import length
 from pfnn_jax.control.ik.limb import bend, forward_of
 from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics
+from pfnn_jax.control.vectors import length
 from pfnn_jax.motion.kinematics import quat_between, quat_conjugate, quat_multiply, quat_rotate
 
 PARTNER = (1, 0, 3, 2)
 """The other joint of the same foot, in the order of contacts: left heel, left toe, right heel, right toe."""
 
-SETTLED = 4.74
-"""Time constants after which a twentieth of a critically damped motion is left: (1 + t) exp(-t) = 0.05."""
+DECAYED = 4.74
+"""Time constants after which 5 % of a critically damped motion are left: (1 + t) exp(-t) = 0.05."""
 
 
 @dataclass(frozen=True)
 class FootLockConfig:
-    """When feet are held and let go. Lengths are shares of the leg's, so that one setting fits all skeletons.
+    """When feet are held and released. Lengths are shares of the leg length, so that one setting fits all skeletons.
 
     Attributes:
         lock_threshold: contact from which a foot joint is held.
-        release_threshold: contact below which it is let go.
-        hold: seconds in which a toe that is held takes the lead of its foot.
-        release: seconds after which a twentieth of a released offset is left.
-        heel_limit, toe_limit: a joint further than this from where the unheld motion has it is let go.
-        heel_rise: how much more a heel's height counts than its place: it rises early, and is not to be kept down.
-        hold_within: a joint is held anew only when its offset is below this.
-        floor: metres, the height below which no foot joint sinks.
-        max_drop: how far the hips may be lowered so that the feet reach their places.
+        release_threshold: contact below which it is released.
+        lock_time: seconds until a toe that is held decides where its foot is.
+        release_time: seconds after which 5 % of a released offset are left.
+        heel_limit, toe_limit: a joint further than this from its predicted position is released.
+        heel_rise: weight of a heel's height in that distance: heels rise before the contact ends, and must not be kept
+            down.
+        max_lock_offset: a joint is held again only when its offset is below this.
+        floor: metres, lower bound of the height of all foot joints.
+        max_drop: how far the hips may be lowered so that the feet reach their targets.
         fps: steps per second.
     """
 
     lock_threshold: float = 0.6
     release_threshold: float = 0.4
-    hold: float = 0.05
-    release: float = 0.4
+    lock_time: float = 0.05
+    release_time: float = 0.4
     heel_limit: float = 0.08
     toe_limit: float = 0.15
     heel_rise: float = 4.0
-    hold_within: float = 0.04
+    max_lock_offset: float = 0.04
     floor: float = 0.0
     max_drop: float = 0.06
     fps: float = 60.0
@@ -62,22 +63,22 @@ class FootLockConfig:
         if not 0.0 <= self.release_threshold <= self.lock_threshold <= 1.0:
             found = f"{self.release_threshold} and {self.lock_threshold}"
             raise ValueError(f"FootLockConfig needs 0 <= release_threshold <= lock_threshold <= 1, got {found}.")
-        for name in ("hold", "release", "heel_rise", "heel_limit", "toe_limit", "hold_within", "fps"):
+        for name in ("lock_time", "release_time", "heel_rise", "heel_limit", "toe_limit", "max_lock_offset", "fps"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"FootLockConfig.{name} must be above 0, got {getattr(self, name)}.")
 
 
 @struct.dataclass(kw_only=True)
 class FootLocks:
-    """What is held between steps: left heel, left toe, right heel, right toe.
+    """The state of the locks: left heel, left toe, right heel, right toe.
 
     Attributes:
-        positions: [4, 3] metres, where each joint is held, or was last.
+        positions: [4, 3] metres, where each joint is held, or was held last.
         held: [4] bool.
-        strength: [4] in [0, 1]: rises to 1 when a joint is held, and dies away when it is let go.
-        offsets: [4, 3] metres from the unheld to the corrected joint.
+        strength: [4] in [0, 1]: rises to 1 while a joint is held, and falls to 0 after its release.
+        offsets: [4, 3] metres from the predicted to the corrected joint.
         velocities: [4, 3] metres per second, of the offsets.
-        drop: [2] metres by which the hips are lowered, and its speed in metres per second.
+        drop: [2] metres by which the hips are lowered, and its velocity in metres per second.
     """
 
     positions: jax.Array
@@ -89,7 +90,7 @@ class FootLocks:
 
 
 def initial_locks(rig: Rig, dtype: Any = jnp.float32) -> FootLocks:
-    """Nothing held; the rig is that of the body whose feet it is for."""
+    """Returns locks of a rig that hold nothing."""
     zero, none = jnp.zeros((len(rig.feet), 3), dtype), jnp.zeros(len(rig.feet), dtype)
     return FootLocks(
         positions=zero, held=none > 0.0, strength=none, offsets=zero, velocities=zero, drop=jnp.zeros(2, dtype)
@@ -99,17 +100,18 @@ def initial_locks(rig: Rig, dtype: Any = jnp.float32) -> FootLocks:
 def lock_feet(
     rig: Rig, pose: Pose, contacts: jax.Array, locks: FootLocks, config: FootLockConfig | None = None
 ) -> tuple[Pose, FootLocks]:
-    """One frame: the pose with its feet held where they are in contact.
+    """Holds the feet of one frame in place where they are in contact.
 
     Args:
         rig: the body.
-        pose: as the network predicts it, before any correction of its feet.
+        pose: as predicted, before any correction of its feet.
         contacts: [4] in [0, 1]: left heel, left toe, right heel, right toe.
-        locks: after the frame before; `initial_locks` at first.
+        locks: after the previous frame; `initial_locks` for the first.
         config: thresholds and times.
 
     Returns:
-        The corrected pose: of its joints only hips' place, hip, knee and heel joints differ; and the locks.
+        The corrected pose, in which only the position of the hips and the hip, knee and heel joints differ; and the
+        locks.
 
     Source: Mason et al. 2022, section 4.4; thresholds after the demo of Holden et al. 2017.
     """
@@ -130,18 +132,18 @@ def lock_feet(
 
 
 def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, config: FootLockConfig) -> FootLocks:
-    """The locks of this frame: offsets [4, 3] that hold, follow the held partner, or die away."""
+    """Returns the locks of this frame: offsets [4, 3] that hold, follow the held partner, or decay."""
     limits = np.array([config.heel_limit, config.toe_limit] * 2) * rig.leg_length
     gap = locks.positions - feet
-    rise = np.array([[1.0, config.heel_rise, 1.0], [1.0, 1.0, 1.0]] * 2)  # as heels leave the ground before toes do
+    rise = np.array([[1.0, config.heel_rise, 1.0], [1.0, 1.0, 1.0]] * 2)  # heels leave the ground before toes
     kept = locks.held & (contacts >= config.release_threshold) & (_squared(gap * rise) < limits**2)
-    # What is not held dies away towards the offset of its partner, which moves: towards, and beside, it.
+    # The offset of a joint that is not held decays towards the offset of its held partner, which moves itself.
     leads = kept[np.array(PARTNER), None]
     goal, before, speed = (
         jnp.where(leads, values[np.array(PARTNER)], 0.0) for values in (gap, locks.offsets, locks.velocities)
     )
     away, away_velocity = critically_damped_step(locks.offsets - before, locks.velocities - speed, config)
-    free, near = goal + away, _squared(away) < (config.hold_within * rig.leg_length) ** 2
+    free, near = goal + away, _squared(away) < (config.max_lock_offset * rig.leg_length) ** 2
     starting = ~locks.held & (contacts >= config.lock_threshold) & near
     held = kept | starting
     offsets = jnp.where(kept[:, None], gap, free)
@@ -151,7 +153,7 @@ def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, c
         positions=jnp.where(starting[:, None], feet + free, locks.positions),
         held=held,
         strength=jnp.clip(
-            locks.strength + jnp.where(held, 1.0 / config.hold, -1.0 / config.release) / config.fps, 0.0, 1.0
+            locks.strength + jnp.where(held, 1.0 / config.lock_time, -1.0 / config.release_time) / config.fps, 0.0, 1.0
         ),
         offsets=offsets,
         velocities=jnp.where(kept[:, None], (offsets - locks.offsets) * config.fps, moving),
@@ -161,18 +163,18 @@ def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, c
 def critically_damped_step(
     offset: jax.Array, velocity: jax.Array, config: FootLockConfig
 ) -> tuple[jax.Array, jax.Array]:
-    """A critically damped spring at rest at 0, one frame later: exact for any step."""
-    dt, rate = 1.0 / config.fps, SETTLED / config.release
+    """Advances a critically damped spring with rest position 0 by one frame; exact for any frame rate."""
+    dt, rate = 1.0 / config.fps, DECAYED / config.release_time
     push, fade = velocity + rate * offset, math.exp(-rate * dt)
     return (offset + push * dt) * fade, (velocity - push * (rate * dt)) * fade
 
 
 def _needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: FootLockConfig) -> jax.Array:
-    """[] metres by which the hips must sink for both heels to be within reach."""
+    """Returns the distance [] in metres by which the hips must sink for both heels to be within reach."""
     drops = []
     for side, (hip, knee, heel, _) in enumerate(rig.legs):
         reach = 0.995 * (length(positions[knee] - positions[hip]) + length(positions[heel] - positions[knee]))
-        # No further than the unheld leg is stretched: the hips sink for a target, not for a straight leg.
+        # At least as far as the predicted leg is stretched: the hips sink for a target, not for a straight leg.
         reach = jnp.maximum(reach, length(positions[heel] - positions[hip]))
         to = targets[2 * side] - positions[hip]
         level = to[0] * to[0] + to[2] * to[2]
@@ -183,7 +185,7 @@ def _needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: Foo
 def _place_feet(
     rig: Rig, pose: Pose, positions: jax.Array, world: jax.Array, targets: jax.Array, toe_shares: jax.Array
 ) -> Pose:
-    """The pose with heels and toes at targets [2, 2, 3], both legs at once."""
+    """Places heels and toes at targets [2, 2, 3], both legs at once."""
     hips, knees, heels, toes = (np.array(joints) for joints in zip(*rig.legs, strict=True))
     points = positions[hips], positions[knees], positions[heels], positions[toes]
     over, under, turn = jax.vmap(_solve_leg, in_axes=(0, 0, 0, 0, 0, 0, None))(
@@ -206,9 +208,10 @@ def _solve_leg(
     toe_share: jax.Array,
     pole: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Turns [4] of hip, knee and foot for heel and toe at targets [2, 3], made as far apart as they are.
+    """Returns the rotations [4] of hip, knee and foot that bring heel and toe to targets [2, 3].
 
-    Where the two do not fit, the toe's decides as far as its share goes, and the heel's otherwise.
+    The foot is rigid. If the distance of the targets differs from its length, the toe decides by `toe_share` [], the
+    heel by the rest.
     """
     along = targets[1] - targets[0]
     turn = quat_between(toe - heel, along)
@@ -218,10 +221,10 @@ def _solve_leg(
 
 
 def _squared(v: jax.Array) -> jax.Array:
-    """[4] squared lengths of v [4, 3]."""
+    """Returns the squared lengths [4] of v [4, 3]."""
     return jnp.sum(v * v, axis=-1)
 
 
 def _smooth(share: jax.Array) -> jax.Array:
-    """A share in [0, 1] that begins and ends level."""
+    """Returns the smoothstep of a share in [0, 1]."""
     return share * share * (3.0 - 2.0 * share)

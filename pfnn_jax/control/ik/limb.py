@@ -1,7 +1,8 @@
 """Inverse kinematics of limbs: two bones to a target in closed form, and arms to predicted positions, bone by bone.
 
-A limb keeps the plane in which it bends. Near full stretch it has none, and bends as knees and elbows do; there its
-reach grows ever more slowly, so that it never snaps straight. Bones keep their lengths because only rotations change.
+A limb keeps the plane in which it bends. A stretched limb has none and bends as knees and elbows do. Close to full
+length its reach grows more and more slowly, so that it never snaps straight. Bones keep their lengths because only
+rotations change.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.ground import length
 from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics, turn_joint
+from pfnn_jax.control.vectors import length
 from pfnn_jax.motion.kinematics import (
     quat_between,
     quat_conjugate,
@@ -21,10 +22,10 @@ from pfnn_jax.motion.kinematics import (
 )
 
 SOFT = 0.97
-"""Share of a limb's full length up to which targets are reached exactly; beyond, it approaches its full length."""
+"""Share of a limb's full length up to which targets are reached exactly; beyond it the limb approaches full length."""
 
-STRAIGHT = 1e-5  # of the cosine: a limb bends by at least a quarter of a degree, so that slopes stay finite
-LEAN = 0.17  # sine of 10 degrees: a limb bent by less than that bends as its pole says
+STRAIGHT = 1e-5  # of the cosine: a limb bends by at least a quarter of a degree, so that gradients stay finite
+LEAN = 0.17  # sine of 10 degrees: a limb bent by less bends towards its pole
 BENT = 0.5  # sine of 30 degrees: one bent by more keeps its own plane
 
 Limb = tuple[int, int, int]
@@ -32,19 +33,19 @@ Limb = tuple[int, int, int]
 
 
 def two_bone(rig: Rig, pose: Pose, limb: Limb, target: jax.Array, pole: jax.Array | None = None) -> Pose:
-    """The pose with the end joint of a limb at the target, or as near as it reaches.
+    """Moves the end joint of a limb to the target, or as near as it reaches.
 
-    Only the upper and the middle joint turn; what hangs from the end joint keeps its local rotation.
+    Only the upper and the middle joint turn; the end joint and its descendants keep their local rotations.
 
     Args:
         rig, pose: the body.
         limb: its joints.
         target: [3] metres in the world.
-        pole: [3] where the middle joint points when the limb is straight; by default forward, seen from the hips, which
-            is right for legs.
+        pole: [3] where the middle joint points when the limb is straight; by default in front of the hips, which is
+            right for legs.
 
-    Targets nearer than `SOFT` of the limb's length (or than it is stretched already) are reached; from there on the
-    limb stretches towards its full length, and so points at what it cannot reach.
+    Targets within `SOFT` of the limb's length (or within its present stretch) are reached; beyond, the limb stretches
+    towards its full length and points at the target.
     """
     positions, world = forward_kinematics(rig, pose)
     pole = forward_of(rig, positions) if pole is None else pole
@@ -54,7 +55,7 @@ def two_bone(rig: Rig, pose: Pose, limb: Limb, target: jax.Array, pole: jax.Arra
 
 
 def forward_of(rig: Rig, positions: jax.Array) -> jax.Array:
-    """[3] where the hips face: across the line between the hip joints, level; of any length."""
+    """Returns the horizontal direction [3], not unit, that the hips face: perpendicular to the line between them."""
     across = positions[rig.legs[0][0]] - positions[rig.legs[1][0]]
     return jnp.stack([-across[2], jnp.zeros_like(across[0]), across[0]])
 
@@ -62,20 +63,20 @@ def forward_of(rig: Rig, positions: jax.Array) -> jax.Array:
 def bend(
     upper: jax.Array, middle: jax.Array, end: jax.Array, target: jax.Array, pole: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """How the two joints of a limb must turn in the world to bring its end to a target.
+    """Returns the rotations in the world of a limb's two joints that bring its end to a target.
 
     With u and v the vectors of the two bones and n the axis of bending across u, the turned lower bone makes
     u·R(n, δ)v = B cos δ + C sin δ; the law of cosines gives δ exactly even where v leans out of the plane. Then the
     shortest arc takes the end onto the ray to the target.
 
     Args:
-        upper, middle, end: [3] where the joints are.
+        upper, middle, end: [3] positions of the joints.
         target: [3].
         pole: [3] where the middle joint points when the limb is straight.
 
     Returns:
-        Turn [4] of the upper joint, turn [4] of the middle joint (before that of the upper one, which carries it), and
-        where the end comes to be, [3].
+        Rotation [4] of the upper joint, rotation [4] of the middle joint (applied before that of the upper one), and
+        the new position [3] of the end.
     """
     u, v = middle - upper, end - middle
     axis = _hinge(u, v, pole)
@@ -86,8 +87,8 @@ def bend(
     distance = _soft(length(target - upper), length(end - upper), jnp.sqrt(jnp.maximum(squares + 2.0 * both, 1e-12)))
     cosine = (distance * distance - squares) / (2.0 * jnp.maximum(both, 1e-9))
     wanted = jnp.arccos(jnp.clip(cosine, STRAIGHT - 1.0, 1.0 - STRAIGHT))
-    # A limb bent the wrong way, by the little that noise bends one, stays so until more bending is asked for, and then
-    # goes through straight. The rule is continuous, and the identity where the target is the end itself.
+    # A limb that is slightly bent the wrong way, as by noise, stays so until more bending is needed, and then passes
+    # through straight. The rule is continuous, and the identity if the target is the end itself.
     back = jnp.maximum(-bent, 0.0)
     wanted = jnp.minimum(wanted, jnp.maximum(-wanted, 3.0 * wanted - 4.0 * back))
     under = quat_from_axis_angle(axis, wanted - bent)
@@ -97,10 +98,10 @@ def bend(
 
 
 def reach_arms(rig: Rig, pose: Pose, predicted: jax.Array) -> Pose:
-    """The pose with its arms laid along predicted positions, bone by bone from the shoulders.
+    """Lays the arms along predicted positions, bone by bone from the shoulders.
 
-    Every bone is turned by the shortest arc towards the place predicted for its far end; its length stays. Mixed styles
-    can predict rotations that do not fit the positions; positions mix well.
+    Each bone is turned by the shortest arc towards the predicted position of its far end; its length stays. Mixed
+    styles can predict rotations that do not fit the positions; positions mix well.
 
     Args:
         rig, pose: the body.
@@ -123,7 +124,7 @@ def reach_arms(rig: Rig, pose: Pose, predicted: jax.Array) -> Pose:
 def _turn_carried(
     rig: Rig, pose: Pose, world: jax.Array, joint: int, carried: jax.Array | None, turn: jax.Array
 ) -> tuple[Pose, jax.Array]:
-    """Turns a joint that those above it have `carried` along already; gives the pose and the turn of both."""
+    """Turns a joint whose ancestors have turned it by `carried`; returns the pose and the composed rotation."""
     if carried is None:
         return turn_joint(rig, pose, world, joint, turn), turn
     both = quat_multiply(turn, carried)
@@ -131,7 +132,8 @@ def _turn_carried(
 
 
 def _hinge(u: jax.Array, v: jax.Array, pole: jax.Array) -> jax.Array:
-    """Unit axis [3] across u about which the limb bends: of its own plane, near straight that of the pole."""
+    """Returns the unit axis [3] perpendicular to u about which the limb bends: of its own plane, or of the pole's if
+    it is nearly straight."""
     natural = _unit(jnp.cross(pole, u), _across(u))
     own = jnp.cross(u, v) / jnp.maximum(length(u) * length(v), 1e-9)
     share = jnp.clip(jnp.sum(own * own) / BENT**2, 0.0, 1.0)
@@ -140,7 +142,7 @@ def _hinge(u: jax.Array, v: jax.Array, pole: jax.Array) -> jax.Array:
 
 
 def _soft(wanted: jax.Array, now: jax.Array, longest: jax.Array) -> jax.Array:
-    """A distance that grows towards the longest ever more slowly, once beyond both `SOFT` of it and the present."""
+    """Returns a distance that approaches the longest beyond both `SOFT` of it and the present distance."""
     start = jnp.maximum(SOFT * longest, jnp.minimum(now, longest))
     room = jnp.maximum(longest - start, 1e-6)
     beyond = jnp.clip((wanted - start) / room, 0.0, 50.0)
@@ -148,20 +150,20 @@ def _soft(wanted: jax.Array, now: jax.Array, longest: jax.Array) -> jax.Array:
 
 
 def _angle(y: jax.Array, x: jax.Array) -> jax.Array:
-    """arctan2, with slope 0 at the origin."""
+    """Returns arctan2, with gradient 0 at the origin."""
     found = (jnp.abs(x) > 0.0) | (jnp.abs(y) > 0.0)
     return jnp.arctan2(y, jnp.where(found, x, 1.0))
 
 
 def _unit(v: jax.Array, otherwise: jax.Array) -> jax.Array:
-    """v at length 1, or `otherwise` where it has none."""
+    """Returns v at length 1, or `otherwise` if it has no direction."""
     squared = jnp.sum(v * v)
     found = squared > 1e-10
     return jnp.where(found, v / jnp.sqrt(jnp.where(found, squared, 1.0)), otherwise)
 
 
 def _across(u: jax.Array) -> jax.Array:
-    """Some unit vector across u: the one of X and Z that is less along it, made perpendicular."""
+    """Returns a unit vector perpendicular to u: X or Z, whichever is less along u, made perpendicular."""
     x, z = np.eye(3, dtype=u.dtype)[[0, 2]]
     other = jnp.where(jnp.abs(u[0]) < jnp.abs(u[2]), x, z)
     other = other - jnp.sum(other * u) / jnp.maximum(jnp.sum(u * u), 1e-12) * u

@@ -1,7 +1,7 @@
-"""A character's body while it runs: local joint rotations on rigid bones, in JAX, of one character.
+"""The pose of one character on rigid bones, in JAX: local joint rotations and forward kinematics.
 
-What `motion.skeleton.Skeleton` and `motion.kinematics.forward_kinematics` are to a clip, `Rig` and `forward_kinematics`
-are to a step: a rig is static and hashable, a pose holds arrays, and everything is differentiable and can be batched.
+`Rig` and `forward_kinematics` are for one frame what `motion.skeleton.Skeleton` and `motion.kinematics` are for a clip:
+a rig is static and hashable, a pose holds arrays, and everything is differentiable and works under `vmap`.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_rotat
 from pfnn_jax.motion.roles import chain_up
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 
-SHORTEST = 1e-4  # metres; a shorter bone has no direction to be aimed in
+MIN_BONE_LENGTH = 1e-4  # metres; a shorter bone has no direction
 
 
 @dataclass(frozen=True)
 class Rig:
-    """The static numbers of a skeleton that poses need. Hashable: a static argument of compiled functions.
+    """The static part of a body. Hashable: a static argument of compiled functions.
 
     Attributes:
         parents: J parent indices, -1 for the root.
         offsets: J offsets in metres from the parent, in the parent's frame.
-        legs: (hip, knee, heel, toe) of the left and of the right leg; the heel is the ankle joint. Where a skeleton has
-            no toe, toe and heel are one joint.
-        arms: joints from shoulder to hand of the left and of the right arm, those without length between them left
-            out; empty where there are none.
+        legs: (hip, knee, heel, toe) of the left and of the right leg; the heel is the ankle joint. In a skeleton
+            without toes, toe and heel are one joint.
+        arms: joints from shoulder to hand of the left and of the right arm, without those of zero length; empty if
+            there are none.
         leg_length: metres from hip to ankle along the bones, the mean of both legs.
     """
 
@@ -45,18 +45,19 @@ class Rig:
 
     @property
     def num_joints(self) -> int:
+        """Returns J."""
         return len(self.parents)
 
     @property
     def feet(self) -> tuple[int, int, int, int]:
-        """Joints in the order of contacts: left heel, left toe, right heel, right toe."""
+        """Returns the joints in the order of contacts: left heel, left toe, right heel, right toe."""
         (_, _, *left), (_, _, *right) = self.legs
         return (left[0], left[1], right[0], right[1])
 
 
 @struct.dataclass(kw_only=True)
 class Pose:
-    """A body with rigid bones.
+    """A pose of a body with rigid bones.
 
     Attributes:
         hips: [3] metres, position of joint 0 in the world.
@@ -68,17 +69,17 @@ class Pose:
 
 
 def make_rig(skeleton: Skeleton, source: str | Path = "skeleton") -> Rig:
-    """The rig of a skeleton with roles.
+    """Returns the rig of a skeleton with roles.
 
-    The knee is the joint between hip and ankle that bends the leg most evenly; joints without length, twist joints and
-    the like between them are carried along.
+    The knee is the joint between hip and ankle nearest to the middle of the leg; other joints between them, such as
+    twist joints and joints without length, are not bent.
 
     Args:
         skeleton: J joints.
-        source: file it was read from, for messages.
+        source: file of the skeleton, for messages.
 
     Raises:
-        InputError: if the roles are missing, or a leg has no knee.
+        InputError: if roles are missing, or a leg has no knee.
     """
     roles = need_roles(skeleton, source)
     legs = tuple(
@@ -101,10 +102,10 @@ def make_rig(skeleton: Skeleton, source: str | Path = "skeleton") -> Rig:
 
 
 def forward_kinematics(rig: Rig, pose: Pose) -> tuple[jax.Array, jax.Array]:
-    """World positions [J, 3] in metres and world rotations [J, 4] of all joints.
+    """Returns world positions [J, 3] in metres and world rotations [J, 4] of all joints.
 
-    Each round doubles the part of the way to the root that a joint knows, so that a body of 25 joints takes four
-    rounds over all joints instead of one for each level of the tree.
+    Pointer doubling: each round doubles the number of ancestors that a joint's transform includes, so a body of 25
+    joints takes four rounds over all joints instead of one per level of the tree.
     """
     turn, shift = pose.rotations, jnp.asarray(np.array(rig.offsets), pose.rotations.dtype)
     shift = jnp.concatenate([pose.hips[None], shift[1:]])
@@ -116,14 +117,14 @@ def forward_kinematics(rig: Rig, pose: Pose) -> tuple[jax.Array, jax.Array]:
 
 
 def pose_from_world(rig: Rig, hips: jax.Array, world_rotations: jax.Array) -> Pose:
-    """The pose whose joints have these world rotations [J, 4], with joint 0 at `hips` [3]."""
+    """Returns the pose with these world rotations [J, 4] of the joints and joint 0 at `hips` [3]."""
     above = world_rotations[np.maximum(rig.parents, 0)]
     local = quat_multiply(quat_conjugate(above), world_rotations)
     return Pose(hips=hips, rotations=jnp.concatenate([world_rotations[:1], local[1:]]))
 
 
 def turn_joint(rig: Rig, pose: Pose, world: jax.Array, joint: int, delta: jax.Array) -> Pose:
-    """The pose after a joint, and all that hangs from it, has turned by `delta` [4] in the world.
+    """Turns a joint and its descendants by `delta` [4] in the world.
 
     Args:
         rig, pose: the body.
@@ -139,7 +140,7 @@ def turn_joint(rig: Rig, pose: Pose, world: jax.Array, joint: int, delta: jax.Ar
 
 
 def _rounds(parents: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For each round the joint above whose placement is composed, and which joints still have one."""
+    """Returns for each round the ancestor whose transform is composed, and which joints still have one."""
     above, rounds = np.array(parents), []
     while (above >= 0).any():
         rounds.append((np.maximum(above, 0), above >= 0))
@@ -148,7 +149,7 @@ def _rounds(parents: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _between(skeleton: Skeleton, top: int, end: int) -> list[int]:
-    """The joints below `top` down to `end`, in order."""
+    """Returns the joints below `top` down to `end`, in order."""
     chain = chain_up(skeleton.parents, end)
     return chain[: chain.index(top)][::-1] if top in chain else []
 
@@ -157,12 +158,12 @@ def _middle(skeleton: Skeleton, hip: int, heel: int, source: str | Path) -> int:
     chain = _between(skeleton, hip, heel)
     lengths = np.cumsum(np.linalg.norm(skeleton.offsets[chain], axis=-1))
     shorter = np.minimum(lengths[:-1], lengths[-1] - lengths[:-1]) if len(chain) > 1 else np.zeros(0)
-    if not len(shorter) or shorter.max() < SHORTEST:
+    if not len(shorter) or shorter.max() < MIN_BONE_LENGTH:
         found = f"{skeleton.names[hip]} to {skeleton.names[heel]}"
         raise InputError(source, "skeleton", found, "a leg needs a knee between hip and ankle")
     return chain[int(np.argmax(shorter))]
 
 
 def _arm(skeleton: Skeleton, shoulder: int, hand: int) -> tuple[int, ...]:
-    below = [j for j in _between(skeleton, shoulder, hand) if np.linalg.norm(skeleton.offsets[j]) > SHORTEST]
+    below = [j for j in _between(skeleton, shoulder, hand) if np.linalg.norm(skeleton.offsets[j]) > MIN_BONE_LENGTH]
     return (shoulder, *below)

@@ -1,4 +1,4 @@
-"""Following a path: how far along it a character is, and the command that keeps it there."""
+"""Path following: the progress of a character along a path, and the command that keeps it there (pure pursuit)."""
 
 from __future__ import annotations
 
@@ -7,30 +7,31 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.ground import angle_between, mix, turn_towards
 from pfnn_jax.control.loop.state import ROOT, CharacterState
 from pfnn_jax.control.loop.step import Command, LoopConfig
+from pfnn_jax.control.vectors import lerp
+from pfnn_jax.motion.ground import angle_between, turn_towards
 from pfnn_jax.motion.paths import Path, resample_path
 
 SEARCH = np.arange(0.0, 1.0, 0.05, dtype=np.float32)
-"""Metres ahead of its progress at which a character looks for its nearest point on a path."""
+"""Metres ahead of the progress at which the nearest point on the path is searched."""
 
 ARRIVAL = 0.1
-"""Metres before the end of an open path at which a character is told to stand."""
+"""Metres before the end of an open path at which the command is to stop."""
 
 FULL_STEERING = 0.6
-"""Radians between a character's facing and its way to the path at which it is turned in full."""
+"""Radians between a character's facing and the direction to its target at which it is turned in full."""
 
 
 @struct.dataclass(kw_only=True)
 class TimedPath:
-    """A path to follow, for JAX.
+    """A path to follow at a speed, as arrays.
 
     Attributes:
         points: [N, 2] metres at equal distances along the path; a closed one repeats its first point at the end.
         length: [] metres.
         closed: [] bool.
-        speed: [] metres per second asked for.
+        speed: [] metres per second to request.
     """
 
     points: jax.Array
@@ -40,7 +41,7 @@ class TimedPath:
 
 
 def make_timed_path(path: Path, speed: float, num_points: int | None = None) -> TimedPath:
-    """A path at a speed in metres per second; a batch of paths for `vmap` needs one `num_points` for all."""
+    """Returns a path with a speed in metres per second; a batch of paths for `vmap` needs one `num_points` for all."""
     if num_points is not None:
         path = resample_path(path.points, path.closed, num_points)
     points = np.concatenate([path.points, path.points[:1]]) if path.closed else path.points
@@ -53,20 +54,20 @@ def make_timed_path(path: Path, speed: float, num_points: int | None = None) -> 
 
 
 def point_at(path: TimedPath, distance: jax.Array) -> jax.Array:
-    """Points [..., 2] at distances [...] metres along a path: open paths stop at their end, closed ones go round."""
+    """Returns the points [..., 2] at distances [...] metres along a path: open paths end, closed ones repeat."""
     last = path.points.shape[0] - 1
     along = jnp.where(path.closed, jnp.mod(distance, path.length), jnp.clip(distance, 0.0, path.length))
     place = along * (last / path.length)
     first = jnp.clip(place.astype(jnp.int32), 0, last - 1)
-    return mix(path.points[first], path.points[first + 1], (place - first)[..., None])
+    return lerp(path.points[first], path.points[first + 1], (place - first)[..., None])
 
 
 def advance_progress(path: TimedPath, root: jax.Array, progress: jax.Array) -> jax.Array:
-    """Progress [] metres after a look at the stretch just ahead: the nearest point of it, never backwards."""
+    """Returns the progress [] metres of the point just ahead that is nearest to the root; it never decreases."""
     stations = progress + SEARCH
     candidates = point_at(path, stations)
     nearest = stations[jnp.argmin(jnp.sum((candidates - root[None]) ** 2, axis=-1))]
-    # Between two stations the path is almost straight: the root's projection on it is exact enough.
+    # Between two stations the path is almost straight, so projecting the root on the chord is accurate enough.
     half = 0.5 * float(SEARCH[1])
     before, after = point_at(path, nearest - half), point_at(path, nearest + half)
     chord = after - before
@@ -77,11 +78,11 @@ def advance_progress(path: TimedPath, root: jax.Array, progress: jax.Array) -> j
 
 
 def pursue(path: TimedPath, state: CharacterState, progress: jax.Array, config: LoopConfig) -> Command:
-    """The command that leads from a character's root to the path's point ahead of it.
+    """Returns the command that leads from a character's root to the path's point `config.look_ahead` seconds ahead.
 
-    With `config.steering` below 1 the character is turned gently while it is about right, and in full when it is
-    `FULL_STEERING` off, and its velocity is asked for along the direction that it is about to aim at, as the published
-    demo's player does: held to a line more strictly, styles that sway lose their gait.
+    With `config.steering` below 1 a small heading error is corrected gently, and one of `FULL_STEERING` in full. The
+    requested velocity then follows the smoothed target direction, as in the published demo: kept to a line more
+    strictly, styles that sway lose their gait.
     """
     toward = point_at(path, progress + path.speed * config.look_ahead) - state.positions[ROOT]
     squared = jnp.dot(toward, toward)

@@ -1,4 +1,4 @@
-"""Many frames: a character driven by commands or along a path, and a pose left to itself while all else is the truth.
+"""Rollouts of many frames: a character under commands or along a path, and a pose fed back with all else true.
 
 Everything here is one `lax.scan`, compiled once per network function, layout and length. A batch of characters is a
 `vmap`; so is a batch of styles, with the shared network left unbatched:
@@ -19,11 +19,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.control.ground import lift, root_yaw, to_world, unit, wrapped
 from pfnn_jax.control.loop.pursuit import TimedPath, advance_progress, point_at, pursue
 from pfnn_jax.control.loop.state import ROOT, CharacterState
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, published_step
+from pfnn_jax.control.vectors import to_3d, unit
 from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.motion.ground import to_world, wrap_angle, yaw_of
 
 EvaluateFn = Callable[[Any, jax.Array, jax.Array], jax.Array]
 """(params, x [Dx], phase [] or [G]) -> y [Dy] in layout units, as `evaluate` and `evaluate_lookup`."""
@@ -31,7 +32,7 @@ EvaluateFn = Callable[[Any, jax.Array, jax.Array], jax.Array]
 
 @struct.dataclass(kw_only=True)
 class Frames:
-    """What happened at every frame.
+    """The frames of a rollout.
 
     Attributes:
         outputs: [T, Dy] the network's outputs in layout units, of frame i relative to root i.
@@ -40,8 +41,8 @@ class Frames:
         phase: [T] radians, or [T, G] in layout units, at which frame i was evaluated.
         joint_positions: [T, J, 3] metres in the world, blended with the previous pose: of frame i, or of frame i+1
             where the layout is of the next frame (as the outputs are).
-        state: of the character before the frame after the last, to go on from.
-        progress: [T] metres along the followed path, never falling, or None.
+        state: of the character after the last frame, to continue from.
+        progress: [T] metres along the followed path, never decreasing, or None.
         path_distance: [T] metres from the root to the path there, or None.
     """
 
@@ -57,12 +58,12 @@ class Frames:
 
 @struct.dataclass(kw_only=True)
 class Stability:
-    """What a rollout says about the network that made it. Infinite where the rollout was not finite.
+    """Statistics of a rollout by which networks are compared; infinite where the rollout diverges.
 
     Attributes:
         finite: [] bool.
         pose_distance: [] mean over frames of the mean squared normalised distance of the joint positions from the
-            mean pose; about 1 or less on the data.
+            mean pose; about 1 or less for the data.
         pose_peak: [] the largest of these over the frames.
         speed: [] metres per second, mean along the ground.
         turn_rate: [] radians per second about +Y, mean.
@@ -112,23 +113,23 @@ def rollout(
     *,
     config: LoopConfig | None = None,
 ) -> Frames:
-    """A character under a command for every frame.
+    """Runs a character under one command per frame.
 
     Args:
-        evaluate_fn: (params, x [Dx], phase []) -> y [Dy] in layout units; a function, the same object at every call.
+        evaluate_fn: (params, x [Dx], phase []) -> y [Dy] in layout units; pass the same function object at every call.
         params: its parameters, as a `Predictor`.
         layout: of x and y.
-        state: where the character begins.
+        state: initial state.
         commands: with a leading axis T: velocity [T, 2] metres per second and direction [T, 2], in the world.
         config: by default the published constants of the layout.
     """
 
     def frame(state: CharacterState, command: Command):
         after, y = published_step(partial(evaluate_fn, params), layout, state, command, config)
-        return after, (y, state.phase, _seen(after))
+        return after, (y, state.phase, _placed(after))
 
-    final, (outputs, phase, seen) = jax.lax.scan(frame, state, commands)
-    return Frames(outputs=outputs, phase=phase, state=final, **seen)
+    final, (outputs, phase, placed) = jax.lax.scan(frame, state, commands)
+    return Frames(outputs=outputs, phase=phase, state=final, **placed)
 
 
 @partial(jax.jit, static_argnames=("evaluate_fn", "layout", "num_frames", "config"))
@@ -142,11 +143,11 @@ def follow_path(
     *,
     config: LoopConfig | None = None,
 ) -> Frames:
-    """A character along a path: at every frame it is sent towards the point that lies `look_ahead` seconds further on.
+    """Runs a character along a path: at every frame it heads for the point `look_ahead` seconds further on.
 
     Args:
         evaluate_fn, params, layout, state, config: as for `rollout`.
-        path: the path and the speed asked for. At the end of an open path the character is told to stand.
+        path: the path and its speed. At the end of an open path the character is commanded to stop.
         num_frames: T.
     """
     constants = config or LOOP_CONFIGS[layout.name]
@@ -158,32 +159,32 @@ def follow_path(
         command = pursue(path, state, progress, constants)
         after, y = published_step(partial(evaluate_fn, params), layout, state, command, constants)
         distance = jnp.linalg.norm(root - point_at(path, progress))
-        return (after, progress), (y, state.phase, _seen(after), progress, distance)
+        return (after, progress), (y, state.phase, _placed(after), progress, distance)
 
     start = (state, jnp.zeros((), state.positions.dtype))
-    (final, _), (outputs, phase, seen, progress, distance) = jax.lax.scan(frame, start, length=num_frames)
-    return Frames(outputs=outputs, phase=phase, state=final, progress=progress, path_distance=distance, **seen)
+    (final, _), (outputs, phase, placed, progress, distance) = jax.lax.scan(frame, start, length=num_frames)
+    return Frames(outputs=outputs, phase=phase, state=final, progress=progress, path_distance=distance, **placed)
 
 
 @partial(jax.jit, static_argnames=("evaluate_fn", "layout"))
 def locked_rollout(
     evaluate_fn: EvaluateFn, params: Any, layout: FrameLayout, x: jax.Array, phase: jax.Array
 ) -> jax.Array:
-    """Outputs when root, trajectory and phase are the truth and only the pose is fed back.
+    """Returns the outputs when only the pose is fed back, and root, trajectory and phase are true.
 
-    It measures the pose alone: no drift of the root away from the clip can make up or add to the error.
+    The error is that of the pose alone: drift of the root neither adds to it nor compensates it.
 
     Args:
         evaluate_fn, params, layout: as for `rollout`.
-        x: [T, Dx] true inputs of consecutive frames, in layout units; the pose of the first one starts the rollout.
+        x: [T, Dx] true inputs of consecutive frames, in layout units; the rollout starts from the pose of the first.
         phase: [T] radians, or [T, G] in layout units, true.
 
     Returns:
-        [T, Dy] outputs in layout units; the joints of one are those of the next input (by the layout's frame rule;
-        where the layout is of the next frame, moved from root i into the true root i+1), without blending.
+        [T, Dy] outputs in layout units. The joints of one are those of the next input, without blending; for a
+        next-frame layout they are moved from root i into the true root i+1.
     """
     blocks = tuple(name for name in layout.input_blocks if name.startswith("joint_"))
-    # The last row has no successor; its pose is not read any more.
+    # The last row has no successor, and the pose after it is not used.
     following = jnp.concatenate([x[1:], x[-1:]])
 
     def frame(pose, row):
@@ -199,10 +200,10 @@ def locked_rollout(
 
 
 def _into_next_root(layout: FrameLayout, pose: dict[str, jax.Array], x: jax.Array, after: jax.Array):
-    """A pose seen from root i as seen from root i+1, by the true inputs of the two frames.
+    """Moves a pose from root i to root i+1, by the true inputs of the two frames.
 
-    Inputs do not hold the step of the root. But the velocities of frame i+1 lead back to the pose of frame i, which is
-    thus known from both roots: the rigid motion between the two is the step.
+    Inputs do not hold the step of the root. The velocities of frame i+1 lead back to the pose of frame i, which is thus
+    known relative to both roots; the rigid motion between the two is the step.
     """
 
     def ground(row: jax.Array, name: str) -> jax.Array:
@@ -215,34 +216,34 @@ def _into_next_root(layout: FrameLayout, pose: dict[str, jax.Array], x: jax.Arra
     turned = unit(jnp.stack([jnp.sum(a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]), jnp.sum(a * b)]))
     shift = middles[1] - to_world(middles[0], turned)
     moved = {name: to_world(block.reshape(-1, 3), turned) for name, block in pose.items()}
-    moved["joint_position"] = moved["joint_position"] + lift(shift)[None]
+    moved["joint_position"] = moved["joint_position"] + to_3d(shift)[None]
     return {name: block.reshape(-1) for name, block in moved.items()}
 
 
 def stability(
-    layout: FrameLayout, frames: Frames, output_mean: jax.Array, output_std: jax.Array, *, settle: int = 60
+    layout: FrameLayout, frames: Frames, output_mean: jax.Array, output_std: jax.Array, *, skip: int = 60
 ) -> Stability:
-    """Summary of a rollout for the choice of settings.
+    """Returns the statistics of a rollout by which settings are chosen.
 
     Args:
         layout: of the outputs.
         frames: of one character.
         output_mean, output_std: [Dy] of the normaliser, in layout units.
-        settle: frames at the start that are left out of the means.
+        skip: number of initial frames that are left out.
     """
     pose = layout.output_slice("joint_position")
     normalised = (frames.outputs[:, pose] - output_mean[None, pose]) / output_std[None, pose]
-    distance = jnp.mean(normalised**2, axis=1)[settle:]
+    distance = jnp.mean(normalised**2, axis=1)[skip:]
     finite = jnp.isfinite(frames.outputs).all() & jnp.isfinite(frames.joint_positions).all()
     finite = finite & jnp.isfinite(frames.root_positions).all() & jnp.isfinite(frames.root_yaw).all()
-    steps = jnp.linalg.norm(jnp.diff(frames.root_positions[settle:], axis=0), axis=1)
-    turns = jnp.diff(frames.root_yaw[settle:])
-    turns = wrapped(turns)
+    steps = jnp.linalg.norm(jnp.diff(frames.root_positions[skip:], axis=0), axis=1)
+    turns = jnp.diff(frames.root_yaw[skip:])
+    turns = wrap_angle(turns)
 
     def sound(value: jax.Array) -> jax.Array:
         return jnp.where(finite, value, jnp.inf)
 
-    error = None if frames.path_distance is None else sound(jnp.mean(frames.path_distance[settle:]))
+    error = None if frames.path_distance is None else sound(jnp.mean(frames.path_distance[skip:]))
     return Stability(
         finite=finite,
         pose_distance=sound(jnp.mean(distance)),
@@ -253,10 +254,10 @@ def stability(
     )
 
 
-def _seen(after: CharacterState) -> dict[str, jax.Array]:
-    """Root and joints of the frame that a step has just placed."""
+def _placed(after: CharacterState) -> dict[str, jax.Array]:
+    """Returns root and joints of the frame that a step has placed."""
     return {
         "root_positions": after.positions[ROOT - 1],
-        "root_yaw": root_yaw(after.directions[ROOT - 1]),
+        "root_yaw": yaw_of(after.directions[ROOT - 1]),
         "joint_positions": after.joint_positions,
     }

@@ -1,4 +1,4 @@
-"""The state of one character under control, and how it begins."""
+"""The state of one character in the published loop, initial states, and translation to and from a layout's blocks."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.ground import heading, lift, mix, orthonormal, to_local, to_world, unit
+from pfnn_jax.control.vectors import lerp, orthonormal, to_3d, unit
 from pfnn_jax.motion.features.layout import GAITS, TRAJECTORY_OFFSETS, FrameLayout
+from pfnn_jax.motion.ground import facing_of, to_local, to_world
 
 STRIDE = TRAJECTORY_OFFSETS[1] - TRAJECTORY_OFFSETS[0]
 """Frames between two trajectory samples of a network."""
@@ -21,8 +22,8 @@ ROOT = -TRAJECTORY_OFFSETS[0]
 """Index of the present among a state's trajectory points; the one before it is the previous root."""
 
 NUM_POINTS = ROOT + TRAJECTORY_OFFSETS[-1] + 1
-"""111 trajectory points, one per frame, from -60 to +50. The last predicted sample stands at the last point, so that
-filling in between samples never reads beyond them."""
+"""111 trajectory points, one per frame, from -60 to +50. The last predicted sample is at the last point, so that
+interpolating between samples never reads beyond them."""
 
 
 @struct.dataclass(kw_only=True)
@@ -33,9 +34,9 @@ class CharacterState:
         positions: [111, 2] metres, the ground trajectory of frames i-60 to i+50 in the world; 60 is root i.
         directions: [111, 2] unit vectors, facing.
         gait: [111, 6] weights of `pfnn_jax.motion.features.layout.GAITS`.
-        joint_positions: [J, 3] metres in the world, of frame i-1, or of frame i where the layout is of the next frame.
+        joint_positions: [J, 3] metres in the world, of frame i-1, or of frame i for a next-frame layout.
         joint_velocities: [J, 3] metres per second in the world, from frame i-1 to i.
-        phase: what the blending coefficients of frame i depend on: [] radians, or [G] in layout units.
+        phase: the gating input of frame i: [] radians, or [G] in layout units.
         target_velocity, target_direction: [2] the smoothed command.
         joint_forward, joint_up: [J, 3] orthonormal axes in the world, where the layout's inputs hold them, else None.
     """
@@ -53,26 +54,26 @@ class CharacterState:
 
 
 def joint_root(layout: FrameLayout) -> int:
-    """Index of the trajectory point relative to which a layout's inputs give the joints: this root, or the previous."""
+    """Returns the index of the root that the joints of a layout's inputs are relative to: this one or the previous."""
     return ROOT if layout.next_frame else ROOT - 1
 
 
 def initial_state(
     layout: FrameLayout, x: jax.Array, phase: jax.Array, position: jax.Array, yaw: jax.Array
 ) -> CharacterState:
-    """A character in the midst of the motion that a row of inputs describes.
+    """Returns a character in the motion that a row of inputs describes.
 
     Args:
         layout: of the row.
         x: [Dx] layout units: a real frame, or the mean of a normaliser.
-        phase: [] radians, or [G] in layout units where the layout's `phase_size` is G.
+        phase: gating input: [] radians, or [G] in layout units where the layout's `phase_size` is G.
         position: [2] metres, its root in the world.
         yaw: [] radians about +Y, 0 = facing +Z.
 
     Returns:
-        The state, which repeats x as its input up to the steering. Layouts without gaits start walking.
+        The state, whose network input is x up to the steering. In layouts without gaits it walks.
     """
-    x, facing = jnp.asarray(x), heading(yaw)
+    x, facing = jnp.asarray(x), facing_of(yaw)
     read = {name: x[layout.input_slice(name)] for name in layout.input_blocks}
     positions = fill_between(jnp.stack([read["trajectory_position_x"], read["trajectory_position_z"]], -1))
     directions = fill_between(jnp.stack([read["trajectory_direction_x"], read["trajectory_direction_z"]], -1))
@@ -87,7 +88,7 @@ def initial_state(
         positions=positions,
         directions=directions,
         gait=fill_between(read.get("gait", walking).reshape(len(GAITS), -1).T),
-        joint_positions=to_world(joints, faced) + lift(before)[None],
+        joint_positions=to_world(joints, faced) + to_3d(before)[None],
         joint_velocities=to_world(velocities, faced),
         phase=jnp.asarray(phase, x.dtype),
         target_velocity=(positions[-1] - positions[ROOT]) * (layout.fps / (NUM_POINTS - 1 - ROOT)),
@@ -97,7 +98,7 @@ def initial_state(
 
 
 def _axes(read: dict[str, jax.Array], faced: jax.Array) -> dict[str, jax.Array]:
-    """Joint axes in the world, where x holds them; those of a mean row are neither of length 1 nor perpendicular."""
+    """Returns joint axes in the world, if x holds them. In a mean row they are neither unit nor perpendicular."""
     if "joint_forward" not in read:
         return {}
     forward, up = orthonormal(*(read[name].reshape(-1, 3) for name in ("joint_forward", "joint_up")))
@@ -105,7 +106,7 @@ def _axes(read: dict[str, jax.Array], faced: jax.Array) -> dict[str, jax.Array]:
 
 
 def standing_state(layout: FrameLayout, x: jax.Array, position: jax.Array, yaw: jax.Array) -> CharacterState:
-    """A character that stands still in the pose of x [Dx], at phase 0, at `position` [2] facing `yaw` []."""
+    """Returns a character that stands still in the pose of x [Dx], at phase 0, at `position` [2] facing `yaw` []."""
     x = jnp.asarray(x)
     for name in layout.input_blocks:
         if name not in ("joint_position", "joint_forward", "joint_up", "terrain_height"):
@@ -116,7 +117,7 @@ def standing_state(layout: FrameLayout, x: jax.Array, position: jax.Array, yaw: 
 
 
 def straight_row(layout: FrameLayout, x: jax.Array, speed: float | jax.Array) -> jax.Array:
-    """x [Dx] in layout units, with its trajectory straight ahead along +Z at `speed` metres per second."""
+    """Returns x [Dx] in layout units with a trajectory straight ahead along +Z at `speed` metres per second."""
     offsets = jnp.asarray(TRAJECTORY_OFFSETS, jnp.asarray(x).dtype)
     blocks = {
         "trajectory_position_x": 0.0 * offsets,
@@ -130,11 +131,11 @@ def straight_row(layout: FrameLayout, x: jax.Array, speed: float | jax.Array) ->
 
 
 def place_state(state: CharacterState, position: jax.Array, yaw: jax.Array) -> CharacterState:
-    """The same character moved as one rigid body until its root is at `position` [2] metres facing `yaw` []."""
+    """Moves a character as one rigid body so that its root is at `position` [2] metres, facing `yaw` []."""
     facing, position = state.directions[ROOT], jnp.asarray(position, state.positions.dtype)
 
     def turned(v: jax.Array) -> jax.Array:
-        return to_world(to_local(v, facing), heading(yaw))
+        return to_world(to_local(v, facing), facing_of(yaw))
 
     moved = _moved(state, turned, position)
     target = turned(state.target_velocity), turned(state.target_direction)
@@ -142,19 +143,20 @@ def place_state(state: CharacterState, position: jax.Array, yaw: jax.Array) -> C
 
 
 def turn_state(state: CharacterState, angle: jax.Array) -> CharacterState:
-    """The character turned about its root by an angle [] radians, and the way behind it with it: seen from its root
-    nothing has changed. What it aims at in the world stays."""
-    return _moved(state, lambda v: to_world(v, heading(angle)), state.positions[ROOT])
+    """Rotates a character and its past trajectory about its root by an angle [] radians.
+
+    Relative to its root nothing changes. Its targets in the world stay."""
+    return _moved(state, lambda v: to_world(v, facing_of(angle)), state.positions[ROOT])
 
 
 def _moved(state: CharacterState, turned: Callable[[jax.Array], jax.Array], to: jax.Array) -> CharacterState:
-    """The character turned about its root and put where that is at `to` [2]; its targets stay."""
+    """Rotates a character about its root and moves the root to `to` [2]; its targets stay."""
     root = state.positions[ROOT]
     return replace(
         state,
         positions=turned(state.positions - root[None]) + to[None],
         directions=turned(state.directions),
-        joint_positions=turned(state.joint_positions - lift(root)[None]) + lift(to)[None],
+        joint_positions=turned(state.joint_positions - to_3d(root)[None]) + to_3d(to)[None],
         joint_velocities=turned(state.joint_velocities),
         joint_forward=None if state.joint_forward is None else turned(state.joint_forward),
         joint_up=None if state.joint_up is None else turned(state.joint_up),
@@ -162,9 +164,9 @@ def _moved(state: CharacterState, turned: Callable[[jax.Array], jax.Array], to: 
 
 
 def fill_between(samples: jax.Array) -> jax.Array:
-    """Samples [M, ...] ten frames apart, filled in linearly: [10 (M - 1) + 1, ...]."""
+    """Interpolates samples [M, ...] ten frames apart linearly: [10 (M - 1) + 1, ...]."""
     share = np.arange(STRIDE, dtype=np.float32).reshape((1, STRIDE) + (1,) * (samples.ndim - 1)) / STRIDE
-    filled = mix(samples[:-1, None], samples[1:, None], share)
+    filled = lerp(samples[:-1, None], samples[1:, None], share)
     return jnp.concatenate([filled.reshape((-1, *samples.shape[1:])), samples[-1:]])
 
 

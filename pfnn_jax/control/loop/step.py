@@ -1,4 +1,4 @@
-"""One character under control: what a command does to the trajectory, and what a network's output does to the body.
+"""One frame of the published loop: the command bends the trajectory, the network's output moves the body.
 
 The loop of Holden 2017, Mason 2018 (§5.1) and Mason 2022, a pure function of one character and one frame:
 `published_step`. At frame i
@@ -6,10 +6,10 @@ The loop of Holden 2017, Mason 2018 (§5.1) and Mason 2022, a pure function of o
 1. `steer` turns the predicted future trajectory towards the command,
 2. `network_input` writes x_i from the state,
 3. the network predicts y_i, and
-4. `advance` places the joints and moves root, phase and trajectory on to frame i+1.
+4. `advance` places the joints and advances root, phase and trajectory to frame i+1.
 
-The state is in metres, seconds and radians in the world; layouts are met only in 2 and 4, of which there are two frame
-rules: `rule_2017` and, for layouts of the next frame, `rule_2022`.
+The state is in metres, seconds and radians in the world. Only steps 2 and 4 depend on the layout; they have two frame
+rules, `rule_2017` and, for next-frame layouts, `rule_2022`.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.ground import length, mix, turn_towards
 from pfnn_jax.control.loop import rule_2017, rule_2022
 from pfnn_jax.control.loop.state import NUM_POINTS, ROOT, CharacterState
+from pfnn_jax.control.vectors import length, lerp
 from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.motion.ground import turn_towards
 
 Evaluate = Callable[[jax.Array, jax.Array], jax.Array]
 """(x [Dx], phase [] or [G]) -> y [Dy], in layout units."""
@@ -33,21 +34,21 @@ Evaluate = Callable[[jax.Array, jax.Array], jax.Array]
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """How a character answers its commands. Shares are per frame at 60 fps.
+    """Constants of the published loop. Shares are per frame at 60 fps.
 
     Attributes:
-        position_bias, direction_bias: a future point at w of a second takes 1 - (1 - w)^bias of the command.
-        velocity_rate, direction_rate, gait_rate: share of the way from the old target to the commanded one.
-        look_ahead: seconds of the commanded speed by which a followed path is looked ahead.
-        pose_rate: share of the predicted joint positions; the rest is the previous pose moved on by its velocity.
-        stand_speed: metres per second below which the gait turns into standing.
+        position_bias, direction_bias: a future point w seconds ahead takes the share 1 - (1 - w)^bias of the command.
+        velocity_rate, direction_rate, gait_rate: share by which a target moves to the commanded one.
+        look_ahead: seconds, at the commanded speed, to the target on a followed path.
+        pose_rate: share of the predicted joint positions; the rest is the previous pose advanced by its velocity.
+        stand_speed: metres per second below which the gait blends into standing.
         jog_speed: metres per second from which the gait is jog (only `pfnn2017` reads gaits other than stand).
-        trajectory_rate, phase_rate: shares of the predicted trajectory and local phases, see `rule_2022` (layouts of
-            the next frame only).
-        steering: least share of the angle between its facing and the way to a followed path by which a character is
-            turned, see `pursuit`. Below 1 it keeps the swaying that belongs to its style.
-        command_gain: by what commanded velocities are multiplied. A network that was steered by other numbers than
-            metres per second answers to those.
+        trajectory_rate, phase_rate: shares of the predicted trajectory and local phases, see `rule_2022`
+            (next-frame layouts only).
+        steering: smallest share of the angle between its facing and its target on a followed path by which a
+            character is turned, see `pursuit`. Below 1 it keeps the sway of its style.
+        command_gain: factor on commanded velocities, for a network that was steered in other units than metres per
+            second.
     """
 
     position_bias: float
@@ -92,19 +93,19 @@ LOOP_CONFIGS = {
     "mason2022_pfnn": _MASON_2022,
     "pfnn2017": LoopConfig(0.5, 2.0, velocity_rate=0.9, direction_rate=0.9, gait_rate=0.1, look_ahead=0.6),
 }
-"""The constants of the published demos, by layout. None follows paths: the look-aheads are those that kept
+"""The constants of the published demos, by layout. The demos do not follow paths: the look-aheads are those that kept
 closest to circles and figures of eight, with the released network and with one trained on procedural walks."""
 
 
 @struct.dataclass(kw_only=True)
 class Command:
-    """What is asked of a character at one frame, in the world.
+    """The command to a character for one frame, in the world.
 
     Attributes:
-        velocity: [2] metres per second on the ground (x, z); zero asks it to stand.
-        direction: [2] unit vector that it shall face.
-        style: [C] weights of the styles that a `pfnn_jax.control.controller.Controller` holds; None leaves the style
-            as it is. The published loop does not read them.
+        velocity: [2] metres per second on the ground (x, z); zero means stop.
+        direction: [2] desired facing direction, unit vector.
+        style: [C] weights of the styles that a `pfnn_jax.control.controller.Controller` holds; None keeps the
+            style. The published loop does not use them.
     """
 
     velocity: jax.Array
@@ -119,7 +120,7 @@ def published_step(
     command: Command,
     config: LoopConfig | None = None,
 ) -> tuple[CharacterState, jax.Array]:
-    """One frame of one character.
+    """Computes one frame of one character.
 
     Args:
         evaluate: the network, (x [Dx], phase [] or [G]) -> y [Dy] in layout units.
@@ -130,7 +131,7 @@ def published_step(
 
     Returns:
         The state before frame i+1, and y_i [Dy] in layout units. Root i is the state's point `ROOT - 1`; its joints
-        are those that y_i predicts: of frame i, or of frame i+1 where the layout is of the next frame.
+        are those that y_i predicts: of frame i, or of frame i+1 for a next-frame layout.
     """
     config = config or LOOP_CONFIGS[layout.name]
     state = steer(layout, state, command, config)
@@ -139,16 +140,16 @@ def published_step(
 
 
 def steer(layout: FrameLayout, state: CharacterState, command: Command, config: LoopConfig) -> CharacterState:
-    """The state with its target, gait and future trajectory drawn towards the command."""
-    velocity = mix(state.target_velocity, config.command_gain * command.velocity, config.velocity_rate)
+    """Moves target, gait and future trajectory of a state towards the command."""
+    velocity = lerp(state.target_velocity, config.command_gain * command.velocity, config.velocity_rate)
     facing = turn_towards(state.target_direction, command.direction, config.direction_rate)
     ahead = np.arange(1, NUM_POINTS - ROOT, dtype=np.float32) / 60.0
     toward_position = 1.0 - (1.0 - ahead[:, None]) ** config.position_bias
     toward_direction = 1.0 - (1.0 - ahead) ** config.direction_bias
-    steps = mix(jnp.diff(state.positions[ROOT:], axis=0), velocity[None] / layout.fps, toward_position)
+    steps = lerp(jnp.diff(state.positions[ROOT:], axis=0), velocity[None] / layout.fps, toward_position)
     future = state.positions[ROOT][None] + jnp.cumsum(steps, axis=0)
     directions = turn_towards(state.directions[ROOT + 1 :], facing, toward_direction)
-    gait = mix(state.gait[ROOT], _wanted_gait(velocity, config), config.gait_rate)
+    gait = lerp(state.gait[ROOT], _wanted_gait(velocity, config), config.gait_rate)
     return replace(
         state,
         positions=state.positions.at[ROOT + 1 :].set(future),
@@ -165,19 +166,19 @@ def held_command(state: CharacterState, config: LoopConfig) -> Command:
 
 
 def network_input(layout: FrameLayout, state: CharacterState) -> jax.Array:
-    """x [Dx] in layout units of a steered state, by the layout's frame rule."""
+    """Returns x [Dx] in layout units for a steered state, by the layout's frame rule."""
     return (rule_2022 if layout.next_frame else rule_2017).network_input(layout, state)
 
 
 def advance(layout: FrameLayout, state: CharacterState, y: jax.Array, config: LoopConfig) -> CharacterState:
-    """The state before the next frame, from a steered state and its output y [Dy], by the layout's frame rule."""
+    """Returns the state before the next frame, by the layout's frame rule, of a steered state and its output y [Dy]."""
     if layout.next_frame:
         return rule_2022.advance(layout, state, y, config.pose_rate, config.trajectory_rate, config.phase_rate)
     return rule_2017.advance(layout, state, y, config.pose_rate)
 
 
 def _wanted_gait(velocity: jax.Array, config: LoopConfig) -> jax.Array:
-    """[6] gait weights for a velocity [2]: standing below `stand_speed`, else walking or jogging."""
+    """Returns gait weights [6] for a velocity [2]: standing below `stand_speed`, else walking or jogging."""
     speed = length(velocity)
     moving = jnp.clip(speed / config.stand_speed, 0.0, 1.0)
     jogging = (speed >= config.jog_speed).astype(speed.dtype)
