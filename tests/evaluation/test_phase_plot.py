@@ -120,7 +120,7 @@ def test_the_command_writes_a_picture(walk, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        (("--start", 9), "6 seconds from 9; what is shown lies in the clip's 4.0 seconds"),
+        (("--start", 9), "6 seconds from 9; must lie within the clip's 4.0 seconds"),
         (("--seconds", 0), "0 seconds from 0"),
         (("--max-speed", 0), "max_height and max_speed must be positive"),
     ],
