@@ -44,10 +44,10 @@ from pfnn_jax.motion.features.encode import Features, clip_features, join_rows
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.labels.phase import mirror_phase
 from pfnn_jax.motion.synthetic.walks import STYLES, UNSEEN_STYLE, synthesise
-from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.data import dataset_rows, hold_out, to_batch
-from pfnn_jax.training.few_shot_learning import FewShotConfig, Method, train_grid
-from pfnn_jax.training.pretraining import init_state, train
+from pfnn_jax.training.config import FewShotConfig, Method, PretrainConfig
+from pfnn_jax.training.data import Rows, hold_out, to_batch
+from pfnn_jax.training.few_shot_learning import train_grid
+from pfnn_jax.training.pretraining import pretrain
 from pfnn_jax.viewer.draw.drawing import save_figure
 
 
@@ -150,9 +150,7 @@ def pretrained(dataset: Dataset, config: Config, seed: int) -> Network:
         learning_rate=config.pretrain_rate,
         seed=seed,
     )
-    data = dataset_rows(dataset)
-    state = init_state(settings, dataset.layout, len(dataset.styles))
-    return jax.tree.map(np.asarray, train(state, data, settings, dataset.styles).shared)
+    return jax.tree.map(np.asarray, pretrain(Rows.from_dataset(dataset), settings).params.shared)
 
 
 def errors(shared: Network, dataset: Dataset, task: Task, config: Config, seed: int) -> list[dict[str, float]]:

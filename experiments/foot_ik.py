@@ -25,8 +25,7 @@ from pfnn_jax.control.ik.fix_feet import fix_feet
 from pfnn_jax.control.ik.pose import make_rig
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.metrics import bone_length_error, contact_sliding, jitter
-from pfnn_jax.io.checkpoint import write_json
-from pfnn_jax.io.files import write_whole
+from pfnn_jax.io.files import write_json, write_whole
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.labels.contacts import foot_contacts

@@ -40,10 +40,10 @@ from pfnn_jax.motion.features.layout import FrameLayout, mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, fit_normaliser
 from pfnn_jax.motion.labels.phase import mirror_phase
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.data import style_data, to_batch
-from pfnn_jax.training.few_shot_learning import FewShotConfig, train_grid
-from pfnn_jax.training.pretraining import init_state, train
+from pfnn_jax.training.config import FewShotConfig, PretrainConfig
+from pfnn_jax.training.data import Rows, to_batch
+from pfnn_jax.training.few_shot_learning import train_grid
+from pfnn_jax.training.pretraining import pretrain
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def balanced(takes: Sequence[Take], styles: Sequence[str], seed: int) -> dict[st
 def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, seed: int):
     """A shared network, its normaliser and the mean loss of its last dispatch, from balanced rows of some styles."""
     normaliser = fit_normaliser([p.x for p in parts.values()], [p.y for p in parts.values()], layout, grouped=True)
-    data = style_data({style: [part] for style, part in parts.items()}, layout, normaliser)
+    data = Rows.from_features({style: [part] for style, part in parts.items()}, layout, normaliser)
     settings = PretrainConfig(
         hidden=config.hidden,
         steps=config.steps,
@@ -140,11 +140,8 @@ def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, 
         seed=seed,
     )
     losses = []
-    state = init_state(settings, layout, len(parts))
-    state = train(
-        state, data, settings, tuple(parts), progress_callback=lambda _, progress: losses.append(progress.loss)
-    )
-    return jax.tree.map(np.asarray, state.shared), normaliser, losses[-1]
+    state = pretrain(data, settings, progress_callback=lambda progress: losses.append(progress.loss))
+    return jax.tree.map(np.asarray, state.params.shared), normaliser, losses[-1]
 
 
 def make_fold(takes: Sequence[Take], style: str, seed: int, layout, skeleton, std, config: Config) -> Fold:

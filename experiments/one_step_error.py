@@ -42,8 +42,8 @@ from pfnn_jax.evaluation.style_classifier import (
     init_classifier,
     train_classifier,
 )
-from pfnn_jax.io.checkpoint import load_record, locate, save_record
-from pfnn_jax.io.files import json_text, to_plain, write_whole
+from pfnn_jax.io.checkpoint import load_record, save_record
+from pfnn_jax.io.files import json_text, locate, to_plain, write_whole
 from pfnn_jax.models.presets import TABLE2
 from pfnn_jax.training.config import PretrainConfig
 

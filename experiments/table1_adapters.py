@@ -34,7 +34,8 @@ from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
 from pfnn_jax.models.network import init_network
-from pfnn_jax.training.few_shot_learning import FewShotConfig, train_grid
+from pfnn_jax.training.config import FewShotConfig
+from pfnn_jax.training.few_shot_learning import train_grid
 
 MEBIBYTE = 2**20
 BLENDED = ("weights", "biases", "d")

@@ -1,11 +1,11 @@
-"""The run directory: everything that training leaves and that generation needs.
+"""The run directory: everything that training writes and that generation needs.
 
 RUN/config.json     sizes, adapter, layout, skeleton, styles, settings, versions: enough to rebuild the run
 RUN/normaliser/     statistics of the pretraining data, reused by every later style
 RUN/shared/         style-agnostic parameters, with shared.json (their fingerprint)
 RUN/generator/      the FiLM generator, where styles come from one, with generator.json
-RUN/styles/NAME/    one style's adapter or Film, with style.json (fingerprint of the shared parameters beside which
-                    it was trained, form of the style, source clip, settings, metrics)
+RUN/styles/NAME/    one style's parameters, with style.json (fingerprint of the shared parameters it was trained for,
+                    form of the style, source clip, settings, metrics)
 RUN/train_state/    optimiser state and step, with train_state.json, to resume exactly
 RUN/metrics.jsonl   one line for each interval of training
 """
@@ -21,19 +21,9 @@ from typing import Any, TypeVar, overload
 import jax
 import numpy as np
 
-from pfnn_jax.errors import InputError
-from pfnn_jax.io.checkpoint import (
-    fingerprint,
-    load_record,
-    locate,
-    read_json,
-    read_note,
-    replacing,
-    save_record,
-    saved_names,
-    write_json,
-)
-from pfnn_jax.io.files import refuse_existing
+from pfnn_jax.errors import InputError, check_positive
+from pfnn_jax.io.checkpoint import fingerprint, load_record, read_note, save_record
+from pfnn_jax.io.files import locate, read_json, refuse_existing, replacing, saved_names, write_json
 from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import Network, init_network, num_parameters
@@ -42,6 +32,8 @@ from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, load_normaliser, save_normaliser
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
+
+STATE_NOTE = "train_state.json"
 
 RUN_RULE = "must be a run directory, as `pfnn-jax pretrain` or `pfnn-jax import-released` writes it"
 
@@ -57,14 +49,14 @@ class RunConfig:
     Attributes:
         network: sizes of the shared network.
         adapter: form of the styles that pretraining learned. A later style may be an adapter of another kind, but
-            Films and adapters do not stand beside one network: it was trained with layer norms, or without.
+            FiLM styles and adapters cannot share a network: it is trained with layer norm or without it.
         layout: name of the frame layout.
         num_joints: J.
         styles: names of the pretraining styles, in the order of the adapter bank.
         skeleton: as `skeleton_to_json` returns it.
         pretrain: settings of pretraining, or where the parameters came from.
-        generator: sizes of the FiLM generator in RUN/generator/, or None where there is none.
-        command_gain: what commanded speeds are multiplied by before they reach the network.
+        generator: sizes of the FiLM generator in RUN/generator/, or None.
+        command_gain: factor on commanded speeds before they reach the network.
         versions: of pfnn_jax and jax at the time of writing.
     """
 
@@ -88,8 +80,7 @@ class RunConfig:
                 f"RunConfig.network must have phase_size {layout.phase_size} for layout {self.layout}, "
                 f"got {self.network.phase_size}."
             )
-        if self.command_gain <= 0:
-            raise ValueError(f"RunConfig.command_gain must be positive, got {self.command_gain}.")
+        check_positive(self, "command_gain")
         sizes = (self.network.input_size, self.network.output_size)
         if sizes != (layout.input_size, layout.output_size):
             raise ValueError(
@@ -145,7 +136,7 @@ class Run:
 
 
 def create_run(path: str | Path, config: RunConfig, normaliser: Normaliser, overwrite: bool = False) -> Path:
-    """Makes a run directory that holds the configuration and the normaliser, complete or not at all.
+    """Makes a run directory with the configuration and the normaliser, complete or not at all.
 
     Args:
         path: the directory.
@@ -154,14 +145,14 @@ def create_run(path: str | Path, config: RunConfig, normaliser: Normaliser, over
         overwrite: replace an existing run, with everything in it.
 
     Raises:
-        InputError: if the path exists and `overwrite` is not set; if it is no run (that is never replaced); if a
-            style's name cannot be a folder's; if the disk is full.
+        InputError: if the path exists and `overwrite` is not set; if it is not a run directory (which is never
+            replaced); if a style's name cannot be a folder's; if the disk is full.
     """
     path = Path(path)
     if path.exists() and not _is_empty_folder(path):
         refuse_existing(path, overwrite)
         if not (path / "config.json").is_file():
-            raise InputError(path, "output", "exists and is no run", "only a run directory is replaced")
+            raise InputError(path, "output", "exists but is not a run directory", "choose another path")
     for name in config.styles:
         check_style_name(name, path)
     with replacing(path) as new:
@@ -171,14 +162,14 @@ def create_run(path: str | Path, config: RunConfig, normaliser: Normaliser, over
 
 
 def load_run(path: str | Path, layout: str | None = None) -> Run:
-    """Loads a run as it was after its last completed save.
+    """Loads a run as it was after its last complete save.
 
     Args:
         path: the run directory.
-        layout: name of the layout it must have been written by, or None for any.
+        layout: name of the layout that it must have, or None for any.
 
     Raises:
-        InputError: if it is no run, damaged, written by another layout, or its pretraining has saved nothing yet.
+        InputError: if it is not a run, is damaged, has another layout, or has no shared parameters yet.
     """
     config = load_config(path)
     path = locate(Path(path)) or Path(path)
@@ -194,7 +185,7 @@ def load_run(path: str | Path, layout: str | None = None) -> Run:
             rule = f"must equal {size} {getattr(config.network, size)} of config.json"
             raise InputError(path / "normaliser", "columns", len(statistics.mean), rule)
     if locate(path / "shared") is None:
-        raise InputError(path, "shared", "absent", "pretraining must have saved once; run it (again) to the end")
+        raise InputError(path, "shared", "absent", "no shared parameters yet: run or resume pretraining first")
     shared = load_record(path / "shared", _abstract(lambda: init_network(config.network, key=jax.random.key(0))))
     skeleton = skeleton_from_json(config.skeleton, path / "config.json")
     return Run(
@@ -220,9 +211,19 @@ def check_finished(path: str | Path) -> None:
 
 
 def save_shared(path: str | Path, shared: Network) -> None:
-    """Saves the style-agnostic parameters; styles saved beside others are refused from then on."""
+    """Saves the style-agnostic parameters; styles that were trained for other ones are refused from then on."""
     note = {"fingerprint": fingerprint(shared), "parameters": num_parameters(shared)}
     save_record(Path(path) / "shared", shared, "shared.json", note)
+
+
+def has_shared(path: str | Path) -> bool:
+    """Returns whether the run's pretraining has come to an end."""
+    return locate(Path(path) / "shared") is not None
+
+
+def save_config(path: str | Path, config: RunConfig) -> None:
+    """Replaces the configuration of an existing run."""
+    write_json(Path(path) / "config.json", asdict(config))
 
 
 def save_generator(path: str | Path, parameters: Any) -> None:
@@ -232,29 +233,29 @@ def save_generator(path: str | Path, parameters: Any) -> None:
 
 
 def load_generator(run: Run) -> Any:
-    """The parameters of the run's FiLM generator.
+    """Loads the parameters of the run's FiLM generator.
 
     Raises:
-        InputError: if the run has none, it is damaged, or was trained beside another shared network.
+        InputError: if the run has none, it is damaged, or was trained with another shared network.
     """
     folder, sizes = run.path / "generator", run.config.generator
     if sizes is None or locate(folder) is None:
         raise InputError(run.path, "generator", "absent", "must be a run pretrained with `--adapter.kind film`")
     note = read_note(folder, "generator.json", RUN_RULE)
     if note.get("shared") != run.fingerprint:
-        rule = f"must be {_short(run.fingerprint)}: the generator was trained beside another shared network"
+        rule = f"must be {_short(run.fingerprint)}: the generator was trained with another shared network"
         raise InputError(folder, "shared network", _short(note.get("shared")), rule)
     return load_record(folder, _abstract(lambda: film_generator(sizes).init(jax.random.key(0))))
 
 
 def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, Any], overwrite: bool = False) -> Path:
-    """Saves one style's adapter, tied to the run's shared parameters as they are on disk.
+    """Saves one style, tied to the run's shared parameters as they are on disk.
 
     Args:
         path: the run directory.
         name: of the style and of its folder.
         adapter: its parameters, of any kind; a CP adapter has the run's rank.
-        info: source clip, settings, metrics: whatever style.json should tell.
+        info: source clip, settings, metrics: whatever style.json should record.
         overwrite: replace a style of this name.
 
     Returns:
@@ -265,9 +266,7 @@ def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, A
             is full.
     """
     path = Path(path)
-    folder = path / "styles" / check_style_name(name, path)
-    if locate(folder) is not None and not overwrite:
-        raise InputError(folder, "output", "exists", "an existing style is replaced only with --overwrite")
+    folder = check_new_style(path, name, overwrite)
     config, form = load_config(path), adapter.config
     check_adapter(config, form, folder)
     shapes = [leaf.shape for leaf in jax.tree.leaves(_abstract_adapter(config, form))]
@@ -278,22 +277,33 @@ def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, A
     return folder
 
 
+def check_new_style(path: str | Path, name: str, overwrite: bool = False) -> Path:
+    """Returns the folder of a style to be saved; to be called before long work.
+
+    Raises:
+        InputError: if the name cannot be a folder's, or the style exists and `overwrite` is not set.
+    """
+    folder = Path(path) / "styles" / check_style_name(name, Path(path))
+    refuse_existing(folder, overwrite)
+    return folder
+
+
 @overload
 def load_style(run: Run, name: str) -> Style: ...
 @overload
 def load_style(run: Run, name: None) -> None: ...
 def load_style(run: Run, name: str | None) -> Style | None:
-    """One style's adapter, or None for style-agnostic motion where `name` is None.
+    """Loads one style's parameters, or None for style-agnostic motion where `name` is None.
 
     Raises:
-        InputError: for an unknown style (listing those there are), and for one that was trained beside another
-            shared network or is a CP adapter of another rank.
+        InputError: for an unknown style (listing the known ones), and for one that was trained for another shared
+            network or is a CP adapter of another rank.
     """
     if name is None:
         return None
     note, folder = style_note(run.path, name), run.path / "styles" / name
     if note.get("shared") != run.fingerprint:
-        rule = f"must be {_short(run.fingerprint)}: style {name} was trained beside another shared network"
+        rule = f"must be {_short(run.fingerprint)}: style {name} was trained for another shared network"
         raise InputError(folder, "shared network", _short(note.get("shared")), rule)
     try:
         form = AdapterConfig(**note["adapter"])
@@ -304,15 +314,15 @@ def load_style(run: Run, name: str | None) -> Style | None:
 
 
 def list_styles(path: str | Path) -> tuple[str, ...]:
-    """Names of the run's styles, sorted."""
+    """Returns the names of the run's styles, sorted."""
     return saved_names(Path(path) / "styles")
 
 
 def style_note(path: str | Path, name: str) -> dict[str, Any]:
-    """What style.json tells: `name`, `shared` (fingerprint), `adapter` (kind and rank) and `info`.
+    """Reads style.json: `name`, `shared` (fingerprint), `adapter` (kind and rank) and `info`.
 
     Raises:
-        InputError: for an unknown style, listing those there are.
+        InputError: for an unknown style, listing the known ones.
     """
     names = list_styles(path)
     if name not in names:
@@ -321,11 +331,11 @@ def style_note(path: str | Path, name: str) -> dict[str, Any]:
 
 
 def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) -> None:
-    """Refuses a style that does not fit the run's network; training asks this first.
+    """Refuses a style that does not fit the run's network; to be called before training.
 
     Raises:
-        InputError: for a CP adapter of another rank than the run's, where that has CP adapters, and for a Film beside
-            a network trained with adapters or the reverse: with a Film the hidden layers are normalised.
+        InputError: for a CP adapter of another rank than the run's, where that has CP adapters, and for a FiLM style
+            of a network trained with adapters or the reverse: with FiLM the hidden layers are normalised.
     """
     own = config.adapter
     if form.kind == own.kind == "cp" and form.rank != own.rank:
@@ -336,34 +346,54 @@ def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) ->
         raise InputError(source, "adapter kind", form.kind, f"{rule}, as the run's styles are {own.kind}")
 
 
-def save_train_state(path: str | Path, state: Any, step: int) -> None:
-    """Saves the state of training; the last good one is replaced when this one is complete."""
-    save_record(Path(path) / "train_state", state, "train_state.json", {"step": int(step)})
+STATE_FORMAT = 2
+"""Of train_state/: the names of the saved arrays; states of format 1 came without a number."""
+
+
+def save_train_state(path: str | Path, state: Any, step: int, steps: int | None = None) -> None:
+    """Saves the state of training after `step` of `steps`; the last good one is replaced when this one is complete."""
+    note = {"step": int(step), "steps": steps, "format": STATE_FORMAT}
+    save_record(Path(path) / "train_state", state, STATE_NOTE, note)
 
 
 def load_train_state(path: str | Path, abstract_state: State) -> State | None:
-    """The last completely saved state as the types of `abstract_state`, or None where there is none.
+    """Loads the last completely saved state as the types of `abstract_state`, or None where there is none.
 
     Raises:
-        InputError: if it is damaged or of other shapes.
+        InputError: if it is damaged, of other shapes, or was written by another version.
     """
     folder = Path(path) / "train_state"
-    return None if locate(folder) is None else load_record(folder, abstract_state)
+    if locate(folder) is None:
+        return None
+    found = read_note(folder, STATE_NOTE, RUN_RULE).get("format", 1)
+    if found != STATE_FORMAT:
+        rule = f"must be {STATE_FORMAT}: resume with the version that wrote it, or pass overwrite=True to start again"
+        raise InputError(folder, "format", found, rule)
+    return load_record(folder, abstract_state)
 
 
 def train_step(path: str | Path) -> int | None:
-    """Step of the last completely saved state, or None where there is none."""
+    """Returns the step of the last completely saved state, or None where there is none."""
+    found = train_progress(path)
+    return None if found is None else found[0]
+
+
+def train_progress(path: str | Path) -> tuple[int, int | None] | None:
+    """Returns (step, steps in all) of the last completely saved state, or None where there is none."""
     folder = Path(path) / "train_state"
-    return None if locate(folder) is None else int(read_note(folder, "train_state.json", RUN_RULE)["step"])
+    if locate(folder) is None:
+        return None
+    note = read_note(folder, STATE_NOTE, RUN_RULE)
+    return int(note["step"]), note.get("steps")
 
 
 def shared_fingerprint(path: str | Path) -> str:
-    """Fingerprint of the shared parameters on disk, read from their note."""
+    """Returns the fingerprint of the shared parameters on disk, read from their note."""
     return read_note(Path(path) / "shared", "shared.json", "the shared parameters must be saved first")["fingerprint"]
 
 
 def _abstract(make: Callable[[], State]) -> State:
-    """The shapes of what `make` makes; parameters are float32 on disk, also where the program runs in float64."""
+    """Returns the shapes of what `make` makes; parameters are float32 on disk even if the program uses float64."""
     return jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, np.float32), jax.eval_shape(make))
 
 

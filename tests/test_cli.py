@@ -25,7 +25,7 @@ from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
 from pfnn_jax.run import fingerprint, list_styles, load_run, load_style, style_note, train_step
-from pfnn_jax.training.few_shot_learning import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
+from pfnn_jax.training.config import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
 
 SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
 QUICK = "--rank 3 --eval-epochs 1 2 --learning-rates 0.001 --main-dropouts 0 --batch-size 16".split()

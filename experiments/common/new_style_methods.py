@@ -24,11 +24,11 @@ from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.encode import Features, join_rows
-from pfnn_jax.training.data import StyleData, hold_out, style_data, to_batch
-from pfnn_jax.training.few_shot_learning import FewShotConfig, Method, choose, refit, train_grid
-from pfnn_jax.training.films import style_films
-from pfnn_jax.training.steps import bones_of
-from pfnn_jax.training.tuning import TuningConfig, tune_generator
+from pfnn_jax.training.config import FewShotConfig, Method, TuningConfig
+from pfnn_jax.training.data import Rows, hold_out, to_batch
+from pfnn_jax.training.few_shot_learning import choose, refit, train_grid
+from pfnn_jax.training.film_styles import window_styles
+from pfnn_jax.training.tuning import tune_generator
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,9 @@ Way = Callable[[Model, Take, Budget, int], Learned]
 """(model, the clip to learn from, budget, seed) -> what was learned."""
 
 
-def clip_data(model: Model, parts: Sequence[Features]) -> StyleData:
+def clip_data(model: Model, parts: Sequence[Features]) -> Rows:
     """Rows of one style as training data of a model."""
-    return style_data({"new": parts}, model.layout, model.normaliser, model.skeleton.parents)
+    return Rows.from_features({"new": parts}, model.layout, model.normaliser, model.skeleton.parents)
 
 
 def mean_style(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
@@ -121,13 +121,13 @@ def tuned(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
             model.network, sizes, parameters, clip_data(model, learn), _tuning(budget, stop - done, seed + done)
         )
         parameters, done = found.generator, stop
-        off = predict(model.predictor(found.film), rows.x, rows.phase)[:, columns] - rows.y[:, columns]
+        off = predict(model.predictor(found.style), rows.x, rows.phase)[:, columns] - rows.y[:, columns]
         errors[stop] = float(np.mean((off / std) ** 2))
     limit = min(errors.values()) * (1 + budget.tolerance)
     steps = min(stop for stop, error in errors.items() if error <= limit)
     data = clip_data(model, clip.parts(model.layout.name))
     found = tune_generator(model.network, sizes, model.generator, data, _tuning(budget, steps, seed))
-    film, generator = jax.tree.map(np.asarray, (found.film, found.generator))
+    film, generator = jax.tree.map(np.asarray, (found.style, found.generator))
     seconds = time.perf_counter() - started
     return Learned(film, num_parameters(generator), num_parameters(film), seconds, f"{steps} steps", generator)
 
@@ -152,7 +152,7 @@ def optimised(method: Method) -> Way:
         size = min(config.batch_size, len(learn.x))
         config = replace(config, batch_size=size)
         start = average(model) if method in ("film", "dense", "one_hot") else None
-        bones = bones_of(clip_data(model, parts))
+        bones = clip_data(model, parts).bones()
         candidates = train_grid(model.network, learn, held, config, start=start, bones=bones)
         own = clip.rows[model.layout.name]
         is_stable = make_stability_check(model.network, model.normaliser, model.layout, own.x, own.y, own.phase)
@@ -196,7 +196,7 @@ def generator_sizes(model: Model) -> GeneratorConfig:
 def window_films(model: Model, parameters: Any, takes: Sequence[Take]):
     """Films, leaves [W, 2, H], of all windows of some takes, by a generator with these parameters."""
     parts = [part for take in takes for part in take.parts(model.layout.name)]
-    return style_films(film_generator(generator_sizes(model)), parameters, clip_data(model, parts), 0)
+    return window_styles(film_generator(generator_sizes(model)), parameters, clip_data(model, parts), 0)
 
 
 def frames_of(clip: Take) -> int:

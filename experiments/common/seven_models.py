@@ -14,7 +14,8 @@ import numpy as np
 
 from experiments.common.seven_takes import Take, Takes, rows_of
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor
-from pfnn_jax.io.checkpoint import load_record, locate, read_note, save_record
+from pfnn_jax.io.checkpoint import load_record, read_note, save_record
+from pfnn_jax.io.files import locate
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import Network, init_network
@@ -24,8 +25,8 @@ from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser, fit_normaliser, load_normaliser, save_normaliser
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.data import StyleData, style_data
-from pfnn_jax.training.pretraining import init_state, styles_of, train
+from pfnn_jax.training.data import Rows
+from pfnn_jax.training.pretraining import pretrain, styles_of
 
 NOTE = "model.json"
 
@@ -76,10 +77,10 @@ def layout_name(model: str) -> str:
 
 def make_data(
     takes: Sequence[Take], styles: Sequence[str], layout: FrameLayout, normaliser: Normaliser, skeleton: Skeleton
-) -> StyleData:
+) -> Rows:
     """The takes' rows as training data, mirror images included."""
     own = {style: [part for t in takes if t.style == style for part in t.parts(layout.name)] for style in styles}
-    return style_data(own, layout, normaliser, skeleton.parents)
+    return Rows.from_features(own, layout, normaliser, skeleton.parents)
 
 
 def train_model(name: str, takes: Takes, config: PretrainConfig) -> Model:
@@ -93,12 +94,11 @@ def train_model(name: str, takes: Takes, config: PretrainConfig) -> Model:
     data = make_data(takes.train, takes.styles, layout, normaliser, takes.skeleton)
     losses: list[float] = []
     started = time.perf_counter()
-    state = init_state(own, layout, len(takes.styles))
-    state = train(state, data, own, takes.styles, progress_callback=lambda _, progress: losses.append(progress.loss))
+    state = pretrain(data, own, progress_callback=lambda progress: losses.append(progress.loss))
     seconds = time.perf_counter() - started
     bank = jax.tree.map(np.asarray, styles_of(state, data, own))
-    generator = None if own.generator(layout) is None else jax.tree.map(np.asarray, state.modulation)
-    network = jax.tree.map(np.asarray, state.shared)
+    generator = None if own.generator(layout) is None else jax.tree.map(np.asarray, state.params.modulation)
+    network = jax.tree.map(np.asarray, state.params.shared)
     return Model(
         name, own, layout, takes.skeleton, takes.styles, normaliser, network, bank, generator, seconds, losses[-1]
     )

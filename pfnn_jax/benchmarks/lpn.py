@@ -24,8 +24,7 @@ from pfnn_jax.motion.features.layout import LAYOUTS
 from pfnn_jax.motion.labels.local_phase import clip_local_phases
 from pfnn_jax.motion.labels.sinusoid import fit_sinusoids
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
-from pfnn_jax.training.config import EXPERTS
-from pfnn_jax.training.data import num_clip_columns
+from pfnn_jax.training.config import EXPERTS, num_clip_columns
 
 STEP_AIMS = {256: 10.0}
 """How many times faster than with per-sample weights, by batch size."""

@@ -19,16 +19,17 @@ from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network, coefficients, init_network
 from pfnn_jax.models.style import Layer, init_bank
+from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig
 from pfnn_jax.training.data import Batch, Draw
-from pfnn_jax.training.few_shot_learning import MASON2018_FEW_SHOT, FewShotConfig, refit, train_grid
-from pfnn_jax.training.losses import l1_penalty, squared_error
+from pfnn_jax.training.few_shot_learning import refit, train_grid
+from pfnn_jax.training.loop import TrainState, scan_steps
+from pfnn_jax.training.losses import Objective, l1_penalty, squared_error
 from pfnn_jax.training.steps import (
-    Objective,
-    TrainState,
+    Frozen,
+    PretrainParams,
     descend,
-    init_pretrain_state,
+    init_train_state,
     make_pretrain_step,
-    make_run_steps,
     predict_batch,
 )
 
@@ -54,7 +55,7 @@ def random_frames(shape: tuple[int, ...], sizes: NetworkConfig, seed: int = 0) -
 def fresh_state(sizes: NetworkConfig, form: AdapterConfig, num_styles: int = STYLES) -> TrainState:
     """A state at step 0 with a bank of styles."""
     bank = init_bank(form, sizes.hidden, sizes.num_control_points, num_styles, key=jax.random.key(1))
-    return init_pretrain_state(init_network(sizes, key=jax.random.key(0)), bank, optax.adam(LEARNING_RATE))
+    return init_train_state(init_network(sizes, key=jax.random.key(0)), bank, optax.adam(LEARNING_RATE))
 
 
 def per_sample_outputs(
@@ -86,30 +87,30 @@ def per_sample_outputs(
 
 def make_per_sample_step(dropout: Dropout, l1: float = L1) -> Callable:
     """`make_pretrain_step` with `per_sample_outputs`: the same loss, Adam, bank and state."""
-    optimiser = optax.adam(LEARNING_RATE)
+    tx = optax.adam(LEARNING_RATE)
 
     def loss(shared, adapter, batch, key):
         error = squared_error(per_sample_outputs(shared, adapter, batch, dropout, key), batch.y)
         return error + (l1 * (l1_penalty(shared) + l1_penalty(adapter)) if l1 else 0.0), error
 
-    def step(state: TrainState, batch: Batch, run_key: jax.Array):
-        banks = state.modulation, state.modulation_optimiser
-        style = state.step % jax.tree.leaves(state.modulation)[0].shape[0]
-        adapter, moments = jax.tree.map(lambda leaf: leaf[style], banks)
-        key = jax.random.fold_in(run_key, state.step)
+    def step(state: TrainState, batch: Batch, frozen: Frozen):
+        banks = state.params.modulation, state.opt_state.modulation
+        number = state.step % jax.tree.leaves(state.params.modulation)[0].shape[0]
+        style, style_state = jax.tree.map(lambda leaf: leaf[number], banks)
+        key = jax.random.fold_in(frozen.key, state.step)
         gradient = jax.grad(loss, argnums=(0, 1), has_aux=True)
-        (to_shared, to_adapter), error = gradient(state.shared, adapter, batch, key)
-        shared, shared_moments = descend(optimiser, to_shared, state.shared_optimiser, state.shared)
-        adapter, moments = descend(optimiser, to_adapter, moments, adapter)
-        bank, bank_moments = jax.tree.map(lambda leaf, one: leaf.at[style].set(one), banks, (adapter, moments))
-        return TrainState(shared, bank, shared_moments, bank_moments, state.step + 1), error
+        (to_shared, to_style), error = gradient(state.params.shared, style, batch, key)
+        shared, shared_state = descend(tx, to_shared, state.opt_state.shared, state.params.shared)
+        changed = descend(tx, to_style, style_state, style)
+        bank, bank_state = jax.tree.map(lambda leaf, one: leaf.at[number].set(one), banks, changed)
+        return TrainState(PretrainParams(shared, bank), PretrainParams(shared_state, bank_state), state.step + 1), error
 
     return step
 
 
 def stepper(step: Callable, state: TrainState, data: Batch, batch_size: int, num_steps: int) -> Work:
     """Work of one dispatch of `num_steps` donated training steps on data [S, N, ...]."""
-    run = make_run_steps(step, gather_rows)
+    scan = scan_steps(step, gather_rows)
     num_styles, num_frames = data.phase.shape[:2]
     rows = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), data)
     picks = np.random.default_rng(0).integers(0, num_frames, (num_steps, batch_size))
@@ -117,7 +118,7 @@ def stepper(step: Callable, state: TrainState, data: Batch, batch_size: int, num
     held = [state]
 
     def work():
-        held[0], errors = run(held[0], rows, draw, jax.random.key(0))
+        held[0], errors = scan(held[0], draw, rows, Frozen(jax.random.key(0)))
         return errors
 
     return work
@@ -209,7 +210,7 @@ def rate_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: 
     dropout = Dropout(main=jnp.float32(RATE), adapter=jnp.float32(RATE))
     data, state = random_frames((STYLES, FRAMES), sizes), fresh_state(sizes, AdapterConfig("cp", rank))
     batch = jax.tree.map(lambda leaf: leaf[0, :batch_size], data)
-    parameters = (state.shared, jax.tree.map(lambda leaf: leaf[0], state.modulation))
+    parameters = (state.params.shared, jax.tree.map(lambda leaf: leaf[0], state.params.modulation))
 
     def gradient(dropout: Dropout | None) -> Work:
         def error(shared, adapter, key):

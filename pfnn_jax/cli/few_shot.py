@@ -13,8 +13,7 @@ from tyro.conf import Positional
 from pfnn_jax.cli.command import FLAT, Command, Run
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
-from pfnn_jax.training.few_shot_learning import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
-from pfnn_jax.training.tuning import TuningConfig
+from pfnn_jax.training.config import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig, TuningConfig
 
 GRID = frozenset(field.name for field in fields(FewShotConfig)) - {"seed"}
 

@@ -26,8 +26,7 @@ from pfnn_jax.motion.labels.phase import write_phase
 from pfnn_jax.motion.paths import figure_eight
 from pfnn_jax.motion.synthetic.walks import PRETRAINING_STYLES, STYLES, UNSEEN_STYLE, synthesise, synthetic_clips
 from pfnn_jax.run import Run
-from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.few_shot_learning import FewShotConfig
+from pfnn_jax.training.config import FewShotConfig, PretrainConfig
 from pfnn_jax.workflows.generate import generate_walk
 from pfnn_jax.workflows.learn import clip_parts, learn_style
 from pfnn_jax.workflows.pretrain import pretrain_run

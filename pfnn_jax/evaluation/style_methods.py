@@ -17,8 +17,9 @@ from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig
 from pfnn_jax.training.data import hold_out, to_batch
-from pfnn_jax.training.few_shot_learning import MASON2018_FEW_SHOT, Candidate, FewShotConfig, choose, refit, train_grid
+from pfnn_jax.training.few_shot_learning import Candidate, choose, refit, train_grid
 
 DEFAULT = FewShotConfig()
 

@@ -20,8 +20,7 @@ from pfnn_jax.inference.lookup import table_phase
 from pfnn_jax.inference.mixture import StyleChoice, check_weights, load_bank, mix_rows
 from pfnn_jax.inference.modes import LayerNorm, Mode
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
-from pfnn_jax.io.checkpoint import replacing
-from pfnn_jax.io.files import failure, refuse_existing
+from pfnn_jax.io.files import failure, refuse_existing, replacing
 from pfnn_jax.models.layers.film import FiLMStyle, layer_norm, layer_norm_sample
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout

@@ -1,12 +1,21 @@
-"""Text files of one row of numbers for each frame, as `.phase` and `.gait` files are."""
+"""Files and folders that appear complete or not at all, and JSON.
+
+Everything is written under a temporary name next to its target, `.NAME.PID.new`, and renamed when it is complete. A
+folder cannot be replaced in one step, so the last one is moved aside to `.NAME.old` for the moment of the exchange, and
+`locate` finds it there. A program that is killed at any moment leaves the last complete output, and at most a
+temporary one, which the next write removes.
+"""
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
+import re
 import shutil
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -15,26 +24,28 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Before long work, so that it is not done in vain.
+    """Refuses an output that exists; to be called before long work.
 
     Raises:
-        InputError: if the path exists and must not be overwritten.
+        InputError: if the path exists and `overwrite` is not set.
     """
-    if path.exists() and not overwrite:
-        raise InputError(path, "output", "exists", "existing output is replaced only with --overwrite")
+    if not overwrite and locate(Path(path)) is not None:
+        raise InputError(path, "output", "exists", "pass overwrite=True to replace it")
 
 
 def require_suffix(path: Path, suffixes: Collection[str]) -> None:
-    """A file's name tells what is in it: refuse another kind's, or none, before long work.
+    """Refuses a file name whose suffix does not match the kind of file; to be called before long work.
 
     Args:
         path: file to write.
-        suffixes: those of the kind, in lower case with their dots; capitals in the name are taken too.
+        suffixes: those of the kind, in lower case with their dots; capitals in the name are accepted.
 
     Raises:
-        InputError: for another suffix.
+        InputError: for another suffix, or none.
     """
     if path.suffix.lower() not in suffixes:
         rule = f"must be {'one of ' if len(suffixes) > 1 else ''}{', '.join(suffixes)}"
@@ -42,55 +53,142 @@ def require_suffix(path: Path, suffixes: Collection[str]) -> None:
 
 
 def failure(error: Exception) -> str:
-    """Why a file could not be read or written, in one line that does not repeat the path beside which it stands."""
+    """Returns why a file could not be read or written, in one line that does not repeat the path."""
     reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
     return reason or type(error).__name__
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file so that it appears whole or not at all; text as UTF-8, its line ends as they are.
-
-    Raises:
-        InputError: if it cannot be written, as on a full disk; nothing is left behind.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(path, "output", error.strerror or error, "must be writable and the disk have room") from None
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def swap_folder(new: Path, target: Path) -> None:
-    """Put a finished folder in its place; what stood there is kept until the new one does, then removed.
+@contextmanager
+def replacing(target: Path) -> Iterator[Path]:
+    """Writes a file or a folder that appears complete or not at all.
 
     Args:
-        new: the finished folder, beside `target` so that it can be renamed.
-        target: its place, with or without something there.
+        target: the path to write; parents are made. An existing one is replaced when the block ends without an error.
+
+    Yields:
+        A temporary path next to `target`, at which nothing exists yet. The block writes a file or a folder there.
 
     Raises:
-        OSError: if it cannot be renamed; then what stood there still does.
+        InputError: if the disk is full; nothing is left of the attempt, and an earlier output stays.
     """
-    old = new.with_name(f"{new.name}.old")
-    if not target.exists() and not target.is_symlink():
-        new.rename(target)
-        return
-    target.rename(old)
+    new = target.with_name(f".{target.name}.{os.getpid()}.new")
     try:
-        new.rename(target)
+        with reporting_full_disk(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            _remove_stale(target)
+            remove(new)
+            yield new
+            exchange(new, target)
+    finally:
+        remove(new)
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Writes a file that appears complete or not at all; text as UTF-8, with line ends unchanged.
+
+    Raises:
+        InputError: if it cannot be written; nothing is left behind.
+    """
+    if not path.parent.is_dir():
+        raise InputError(path, "output", "No such file or directory", "its folder must exist")
+    try:
+        with replacing(path) as new:
+            new.write_bytes(content.encode() if isinstance(content, str) else content)
+    except OSError as error:
+        raise InputError(path, "output", failure(error), "must be writable and the disk have room") from None
+
+
+def exchange(new: Path, target: Path) -> None:
+    """Renames `new` to `target`; at every moment `locate(target)` is a complete output.
+
+    Args:
+        new: a complete file or folder next to `target`.
+        target: its place; what exists there is removed afterwards.
+
+    Raises:
+        OSError: if it cannot be renamed; then what existed stays.
+    """
+    if not new.is_dir() and not target.is_dir():
+        os.replace(new, target)
+        return
+    old = _old(target)
+    if target.exists() or target.is_symlink():
+        remove(old)
+        os.rename(target, old)
+    try:
+        os.rename(new, target)
     except OSError:
-        old.rename(target)
+        if old.exists() or old.is_symlink():
+            os.rename(old, target)
         raise
-    if old.is_dir() and not old.is_symlink():
-        shutil.rmtree(old)
+    remove(old)
+
+
+swap_folder = exchange
+
+
+def locate(target: Path) -> Path | None:
+    """Returns where the last complete output is: at its own path, moved aside to `.NAME.old`, or None."""
+    return next((path for path in (target, _old(target)) if path.exists()), None)
+
+
+def saved_names(folder: Path) -> tuple[str, ...]:
+    """Returns the names of the complete outputs in a folder, sorted; none where the folder does not exist."""
+    entries = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
+    aside = [name[1:-4] for name in entries if name.startswith(".") and name.endswith(".old")]
+    return tuple(sorted({*aside, *(name for name in entries if not name.startswith("."))}))
+
+
+def remove(path: Path) -> None:
+    """Removes a file, a link or a folder with everything in it; nothing happens where the path does not exist."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
     else:
-        old.unlink()
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def reporting_full_disk(target: Path) -> Iterator[None]:
+    """Turns the system's error on a full disk into an `InputError` that names the target; other errors pass."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        # Orbax writes through tensorstore, which reports the system's error only as text.
+        if getattr(error, "errno", None) in _FULL or "No space left on device" in str(error):
+            rule = "write aborted; free some disk space"
+            raise InputError(target, "disk", "No space left on device", rule) from error
+        raise
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Writes a mapping as a JSON file, complete or not at all. NaN and infinities become null."""
+    with replacing(path) as new:
+        new.write_text(json_text(data), encoding="utf-8")
+
+
+def read_json(path: Path, rule: str) -> dict[str, Any]:
+    """Reads a JSON object.
+
+    Args:
+        path: the file.
+        rule: what the file should be, for messages.
+
+    Raises:
+        InputError: if the file does not exist, is not JSON (naming the line) or not an object.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise InputError(path, f"line {error.lineno}", error.msg, rule) from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, "file", getattr(error, "strerror", None) or "not UTF-8 text", rule) from error
+    if not isinstance(data, dict):
+        raise InputError(path, "line 1", type(data).__name__, f"must be a JSON object; {rule}")
+    return data
 
 
 def json_text(value: Any) -> str:
-    """What a JSON file holds of a value: `to_plain` of it, indented, and a last newline.
+    """Returns the text of a JSON file: `to_plain` of the value, indented, and a final newline.
 
     Raises:
         TypeError: as `to_plain`.
@@ -99,7 +197,7 @@ def json_text(value: Any) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """What JSON can hold: NumPy and JAX arrays as lists, dataclasses as mappings, paths as text, NaN and ∞ as null.
+    """Returns a value as JSON can hold it: arrays as lists, dataclasses as mappings, paths as text, NaN and ∞ as null.
 
     Raises:
         TypeError: for anything else, naming its type.
@@ -121,48 +219,24 @@ def to_plain(value: Any) -> Any:
     raise TypeError(f"JSON cannot hold a {type(value).__name__}.")
 
 
-def read_rows(path: Path, columns: int, num_frames: int | None = None) -> np.ndarray:
-    """Numbers in [0, 1] of a text file, one line for each frame.
+def _old(target: Path) -> Path:
+    return target.with_name(f".{target.name}.old")
 
-    Args:
-        path: text file.
-        columns: numbers in a line.
-        num_frames: expected lines; None for any number of at least one.
 
-    Returns:
-        [T, columns] float64.
+def _remove_stale(target: Path) -> None:
+    """Removes temporary outputs of `target` whose process no longer exists."""
+    pattern = re.compile(re.escape(f".{target.name}.") + r"(\d+)\.new")
+    for entry in target.parent.iterdir():
+        found = pattern.fullmatch(entry.name)
+        if found is not None and not _is_running(int(found[1])):
+            remove(entry)
 
-    Raises:
-        InputError: naming the first bad line, value, or the number of lines.
-    """
+
+def _is_running(pid: int) -> bool:
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, "file", error, "must be a readable text file") from error
-    while lines and not lines[-1].strip():
-        lines.pop()
-    expected = "at least 1" if num_frames is None else f"{num_frames}, one for each frame of the BVH file"
-    if not lines or (num_frames is not None and len(lines) != num_frames):
-        raise InputError(path, "lines", len(lines), f"must be {expected}")
-    try:
-        rows = np.array([line.split() for line in lines], dtype=np.float64).reshape(len(lines), -1)
-    except ValueError:
-        rows = np.empty((0, 0))
-    if rows.shape != (len(lines), columns) or not ((rows >= 0) & (rows <= 1)).all():
-        raise _first_bad_line(path, lines, columns)
-    return rows
-
-
-def _first_bad_line(path: Path, lines: list[str], columns: int) -> InputError:
-    for number, line in enumerate(lines, 1):
-        words = line.split()
-        if len(words) != columns:
-            return InputError(path, f"line {number}", f"{len(words)} values", f"must be {columns}")
-        for word in words:
-            try:
-                value = float(word)
-            except ValueError:
-                return InputError(path, f"line {number}", word, "must be a number")
-            if not 0 <= value <= 1:
-                return InputError(path, f"line {number}", word, "must lie in [0, 1]")
-    return InputError(path, "file", f"{len(lines)} lines", f"must hold {columns} numbers a line")
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True

@@ -1,26 +1,35 @@
-"""How a network is pretrained: the settings, and the sizes that follow from a layout."""
+"""The settings of pretraining, few-shot learning and generator tuning, and the sizes that follow from a layout."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
-import jax.numpy as jnp
-
+from pfnn_jax.errors import (
+    check_at_least,
+    check_field,
+    check_not_negative,
+    check_one_of,
+    check_positive,
+    check_probability,
+)
 from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
-from pfnn_jax.models.dropout import Dropout
+from pfnn_jax.models.layers import style_kinds
+from pfnn_jax.motion.datasets.splits import WINDOW_ROWS
 from pfnn_jax.motion.features.layout import FrameLayout
-from pfnn_jax.training.data import CLIP_FRAMES, Rows, num_clip_columns
-from pfnn_jax.training.losses import PenaltyNorm
-from pfnn_jax.training.steps import Objective, bones_of
 
 SPLINE_POINTS, EXPERTS = 4, 8
 """Control points of a phase spline (both papers), and experts behind a gating network (Mason 2022 §4.3)."""
 
-L1 = 0.01
-"""λ of Mason 2018 Eq. 3, used with the layouts of 2017 and 2018."""
+PenaltyNorm = Literal["mean", "sum"]
 
-BONE_LENGTH = 1.0
-"""Weight of the bone-length loss, used with the layouts of 2022 (§4.4 adds it without a weight)."""
+METHODS = (*style_kinds(), "fine_tune", "scratch")
+"""Every kind of style, and training of all weights from the shared network's or from random ones."""
+
+if TYPE_CHECKING:
+    Method: TypeAlias = str
+else:
+    Method = Literal[METHODS]  # the command line lists these as choices
 
 
 @dataclass(frozen=True)
@@ -28,24 +37,24 @@ class PretrainConfig:
     """How the shared network is trained.
 
     Attributes:
-        adapter: form of every style; `film` trains a generator that reads clips.
+        adapter: form of every style; `film` trains a generator that predicts FiLM parameters from clips.
         hidden: H, width of both hidden layers.
         num_control_points: K; by default 4 points of a phase spline or 8 experts, as the layout needs.
         gating_hidden: width of the gating network, where the layout needs one.
-        rank: None, or the rank to which every layer is CP-decomposed (Mason 2018 §7.1's aside).
+        rank: None, or the rank to which every layer is CP-decomposed (mentioned in Mason 2018 §7.1).
         clips_per_batch: clips that a FiLM generator reads for a minibatch, each modulating an equal share of its
-            frames. The authors' code reads one for each frame, 32, at some 30 times the price.
+            frames. The authors' code reads one for each frame, 32, at about 30 times the cost.
         generator_filters, generator_width, generator_hidden: sizes of the FiLM generator.
         epochs: passes over the shortest style (2018: 25; 2022: 90).
         steps: number of steps; overrides `epochs` where set.
         batch_size: frames of one minibatch, all of one style.
-        learning_rate: Adam's (1e-4 in the authors' code).
+        learning_rate: of Adam (1e-4 in the authors' code).
         dropout: drop probability before every layer and adapter, and in the gating network and the generator.
         l1: λ of Mason 2018 Eq. 3; by default 0.01, or 0 with the layouts of 2022.
         l1_norm: mean of |W| over each array, as the authors' code, or sum, as the paper writes it.
         bone_length: weight of the bone-length loss; by default 0, or 1 with the layouts of 2022.
         seed: of initialisation, shuffling and dropout.
-        steps_per_dispatch: steps compiled into one call, and the grain of metrics.
+        steps_per_dispatch: steps that are compiled into one call, and between two lines of metrics.
         save_every: steps between saves of the training state.
         device_bytes: data larger than this stays on disk and is sent batch by batch.
     """
@@ -73,26 +82,16 @@ class PretrainConfig:
     device_bytes: int = 2**32
 
     def __post_init__(self):
-        for name in ("epochs", "batch_size", "steps_per_dispatch", "save_every", "clips_per_batch"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"PretrainConfig.{name} must be at least 1, got {getattr(self, name)}.")
-        if self.steps is not None and self.steps < 1:
-            raise ValueError(f"PretrainConfig.steps must be at least 1, got {self.steps}.")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"PretrainConfig.dropout must be in [0, 1), got {self.dropout}.")
-        if self.learning_rate <= 0:
-            raise ValueError(f"PretrainConfig.learning_rate must be positive, got {self.learning_rate}.")
-        for name in ("l1", "bone_length", "seed"):
-            value = getattr(self, name)
-            if value is not None and value < 0:
-                raise ValueError(f"PretrainConfig.{name} must not be negative, got {value}.")
-        # a size that no layout could have; `network` and `generator` hold those for a layout to the same rules
+        check_at_least(self, "epochs", "batch_size", "steps_per_dispatch", "save_every", "clips_per_batch", "steps")
+        check_probability(self, "dropout")
+        check_positive(self, "learning_rate")
+        check_not_negative(self, "l1", "bone_length", "seed")
+        check_one_of(self, "l1_norm", get_args(PenaltyNorm))
+        # Sizes that no layout could have; `network` and `generator` check those for one layout by the same rules.
         NetworkConfig(1, 1, self.hidden, self._points(1), self.rank, phase_size=1, gating_hidden=self.gating_hidden)
         self._generator(1)
-        if self.adapter.kind == "film" and self.batch_size % self.clips_per_batch:
-            raise ValueError(
-                f"PretrainConfig.clips_per_batch must divide batch_size {self.batch_size}, got {self.clips_per_batch}."
-            )
+        if self.adapter.kind == "film":
+            _check_shares(self)
 
     @property
     def num_clips(self) -> int:
@@ -100,7 +99,7 @@ class PretrainConfig:
         return self.clips_per_batch if self.adapter.kind == "film" else 0
 
     def network(self, layout: FrameLayout) -> NetworkConfig:
-        """The sizes of the network for a layout's frames.
+        """Returns the sizes of the network for a layout's frames.
 
         Raises:
             ValueError: for fewer control points than the spline of the layout's phase needs.
@@ -116,7 +115,7 @@ class PretrainConfig:
         )
 
     def generator(self, layout: FrameLayout) -> GeneratorConfig | None:
-        """The sizes of the FiLM generator for a layout's joints, or None where the adapter is no Film."""
+        """Returns the sizes of the FiLM generator for a layout's joints, or None where the adapter is not FiLM."""
         return self._generator(num_clip_columns(layout)) if self.adapter.kind == "film" else None
 
     def _points(self, phase_size: int) -> int:
@@ -127,28 +126,118 @@ class PretrainConfig:
     def _generator(self, features: int) -> GeneratorConfig:
         return GeneratorConfig(
             features=features,
-            clip_frames=CLIP_FRAMES,
+            clip_frames=WINDOW_ROWS,
             filters=self.generator_filters,
             width=self.generator_width,
             hidden=self.generator_hidden,
             film_hidden=self.hidden,
         )
 
-    def objective(self, data: Rows) -> Objective:
-        """The loss on this data, with the layout's defaults."""
-        return make_objective(data, self.l1, self.l1_norm, self.bone_length)
+
+def _are_increasing(epochs: tuple[int, ...]) -> bool:
+    return bool(epochs) and list(epochs) == sorted(set(epochs)) and epochs[0] >= 1
 
 
-def make_objective(
-    data: Rows, l1: float | None = None, l1_norm: PenaltyNorm = "mean", bone_length: float | None = None
-) -> Objective:
-    """The loss on `data`; that of the layout's paper where `l1` and `bone_length` are None."""
-    of_2022 = data.layout.next_frame
-    l1 = (0.0 if of_2022 else L1) if l1 is None else l1
-    bone_length = (BONE_LENGTH if of_2022 else 0.0) if bone_length is None else bone_length
-    return Objective(l1, l1_norm, bone_length, bones_of(data) if bone_length else None)
+@dataclass(frozen=True)
+class FewShotConfig:
+    """How a style is learned from a clip.
+
+    Every combination of rates is one setting of the grid; all are trained at once by `vmap`, each is evaluated after
+    every number of epochs in `eval_epochs`, and one (setting, number of epochs) is chosen.
+
+    Attributes:
+        method: `cp`, `full`, `diagonal`, `bias` or `dense` adapters; `one_hot`, a shift of the first layer; `film`,
+            the 4H parameters of a FiLM style, for a network trained with FiLM; `fine_tune` (all shared weights, from
+            the pretrained ones) and `scratch` (all weights, from a fresh network) are the baselines of §8.1.
+        rank: R of a CP adapter.
+        learning_rates: of Adam, to try.
+        main_dropouts: drop probabilities before the shared layers to try.
+        adapter_dropouts: drop probabilities before the adapter to try (the variable dropout of §7.2).
+        eval_epochs: numbers of epochs after which candidates are kept, increasing; training ends after the last.
+        batch_size: frames of a minibatch.
+        l1: λ of Eq. 3 on what is trained; FiLM parameters are not penalised: their identity is scale 1, not 0.
+        bone_length: weight of the bone-length loss, where the rows' bones are known.
+        held_out: share of the clip's frames, at its end, that choose among the settings.
+        tolerance: how much larger than the best a setting's held-out error may be; of those within it the most
+            conservative is taken (least learning rate times epochs). The frames of a straight walk favour settings
+            that fit straight walks; 0 takes the best of them.
+        seed: of initialisation, shuffling and dropout.
+    """
+
+    method: Method = "cp"
+    rank: int = 30
+    learning_rates: tuple[float, ...] = (1e-4, 1e-3)
+    main_dropouts: tuple[float, ...] = (0.0, 0.3)
+    adapter_dropouts: tuple[float, ...] = (0.3,)
+    eval_epochs: tuple[int, ...] = (5, 10, 25, 50, 100)
+    batch_size: int = 32
+    l1: float = 0.01
+    bone_length: float = 1.0
+    held_out: float = 0.2
+    tolerance: float = 0.5
+    seed: int = 0
+
+    def __post_init__(self):
+        check_one_of(self, "method", METHODS)
+        check_at_least(self, "rank", "batch_size")
+        check_field(self, "eval_epochs", "be increasing whole numbers from 1", _are_increasing)
+        check_field(self, "held_out", "lie between 0 and 1", lambda share: 0 < share < 1)
+        check_not_negative(self, "tolerance", "l1", "bone_length")
+        for name in ("main_dropouts", "adapter_dropouts"):
+            check_field(self, name, "be rates in [0, 1)", lambda rates: rates and all(0 <= rate < 1 for rate in rates))
+        check_field(self, "learning_rates", "be positive", lambda rates: rates and all(rate > 0 for rate in rates))
 
 
-def equal_dropout(rate: float) -> Dropout:
-    """One drop probability everywhere."""
-    return Dropout(main=jnp.float32(rate), adapter=jnp.float32(rate))
+MASON2018_FEW_SHOT = FewShotConfig(
+    learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.3, 0.5, 0.7), eval_epochs=(100,)
+)
+"""Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid over the authors' rates of adapter dropout alone."""
+
+FILM_FEW_SHOT = FewShotConfig("film", learning_rates=(1e-4, 1e-3, 3e-3), main_dropouts=(0.0,))
+"""For a network trained with FiLM: the 4H parameters of a FiLM style, at rates that move them in a few epochs."""
+
+
+@dataclass(frozen=True)
+class TuningConfig:
+    """How a FiLM generator is tuned to a style (Mason 2022 §4.5).
+
+    Attributes:
+        epochs: passes over the style's frames (100 in the authors' code).
+        steps: number of steps; overrides `epochs` where set.
+        batch_size: frames of a minibatch.
+        clips_per_batch: clips that the generator reads for it, each modulating an equal share of the frames.
+        learning_rate: of Adam.
+        dropout: drop probability.
+        l1, bone_length: as in `PretrainConfig`; None for the value of the layout's paper.
+        seed: of shuffling and dropout.
+        steps_per_dispatch: steps between two reports of the loss.
+    """
+
+    epochs: int = 100
+    steps: int | None = None
+    batch_size: int = 32
+    clips_per_batch: int = 4
+    learning_rate: float = 1e-4
+    dropout: float = 0.3
+    l1: float | None = None
+    bone_length: float | None = None
+    seed: int = 0
+    steps_per_dispatch: int = 100
+
+    def __post_init__(self):
+        check_at_least(self, "epochs", "batch_size", "clips_per_batch", "steps_per_dispatch", "steps")
+        _check_shares(self)
+        check_probability(self, "dropout")
+        check_positive(self, "learning_rate")
+        check_not_negative(self, "l1", "bone_length", "seed")
+
+
+def num_clip_columns(layout: FrameLayout) -> int:
+    """Returns F, the number of joint columns of x, which the frames of a clip consist of."""
+    return sum(name.startswith("joint_") for name in layout.input_names)
+
+
+def _check_shares(config: Any) -> None:
+    """Checks that the clips of a minibatch can modulate equal shares of its frames."""
+    size = config.batch_size
+    check_field(config, "clips_per_batch", f"divide batch_size {size}", lambda clips: size % clips == 0)

@@ -1,10 +1,10 @@
-"""The rows of a prepared dataset for training: read into memory, or left on disk where they are too many."""
+"""The rows that a network is trained on: frames of S styles, in memory or left in the files of a dataset."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,95 +13,232 @@ from flax import struct
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.datasets.dataset import Dataset
+from pfnn_jax.motion.datasets.splits import WINDOW_ROWS, row_windows
 from pfnn_jax.motion.features.encode import Features, join_rows, select_rows
 from pfnn_jax.motion.features.layout import Columns, FrameLayout
-from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
+from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.training.config import num_clip_columns
+from pfnn_jax.training.losses import Bones, make_bones
 
 Array = jax.Array | np.ndarray
-
-CLIP_FRAMES = 240
-"""Frames of the clips that a FiLM generator reads: 4 seconds at 60 fps (Mason 2022 §4.3)."""
+Read = TypeVar("Read")
 
 
 @struct.dataclass
 class Batch:
-    """Frames in normalised units; any leading axes. C clips of the same style stand beside B frames."""
+    """Frames in normalised units, with any leading axes, and C clips of the same style as the B frames."""
 
     x: Array  # [..., B, Dx]
     y: Array  # [..., B, Dy]
     phase: Array  # [..., B] radians, or [..., B, G]
-    clip: Array | None = None  # [..., C, T, F] joint columns of x over T frames of a take
+    clip: Array | None = None  # [..., C, T, F] joint columns of x over T consecutive frames
 
 
 @struct.dataclass
 class Draw:
-    """What the minibatches of n steps are made of; row numbers count through all styles."""
+    """Which rows and windows the minibatches of n steps consist of; row numbers count through all styles."""
 
     rows: Array  # [n, B] int32
-    windows: Array | None = None  # [n, C, 2] int32: first row and number of rows of every clip
+    windows: Array | None = None  # [n, C, 2] int32: first row and number of rows of each clip
 
 
 @dataclass(frozen=True, eq=False)
-class StyleData:
-    """The rows of S styles, one style after another, each in its own number; in memory.
+class Rows:
+    """The rows of S styles, one style after another, N in all; each style has its own number of rows.
+
+    Rows in memory are normalised float32. Rows that stay on disk are memory maps in layout units; they are normalised
+    when they are taken, and then have the same bits as rows in memory.
 
     Attributes:
-        x, y, phase: [N, Dx], [N, Dy] and [N] or [N, G], normalised (a scalar phase stays in radians).
-        first_row: [S+1] first row of every style, and N.
+        styles: S names.
+        parts: consecutive rows, each part x [n, Dx], y [n, Dy] and phase [n] or [n, G]: one part in memory, one for
+            each style on disk. A scalar phase stays in radians.
+        first_row: [S+1] first row of each style, and N.
         layout: names the columns.
-        windows: [W, 2] first row and number of rows of the clips of all styles, or None where no clips are needed.
-        first_window: [S+1] first window of every style, and W; with `windows`.
-        parents: [J] parent joints, for the bone-length loss; None where it is not used.
-        outputs: statistics that y was normalised with, for the same.
+        normaliser: statistics of the rows; None where they are unknown, which leaves no bone-length loss.
+        is_normalised: False where `parts` are in layout units.
+        windows: [W, 2] first row and number of rows of the clips of all styles; None where no clips are needed.
+        first_window: [S+1] first window of each style, and W; comes with `windows`.
+        first_take: [M+1] first row of each take (a clip, or its mirror image), and N; None where each style is one.
+        parents: [J] parent joints, for the bone-length loss.
     """
 
-    x: Array
-    y: Array
-    phase: Array
+    styles: tuple[str, ...]
+    parts: tuple[Batch, ...]
     first_row: np.ndarray
     layout: FrameLayout
+    normaliser: Normaliser | None = None
+    is_normalised: bool = True
     windows: np.ndarray | None = None
     first_window: np.ndarray | None = None
+    first_take: np.ndarray | None = None
     parents: np.ndarray | None = None
-    outputs: Statistics | None = None
+
+    @classmethod
+    def from_features(
+        cls,
+        styles: Mapping[str, Sequence[Features]],
+        layout: FrameLayout,
+        normaliser: Normaliser,
+        parents: Sequence[int] | np.ndarray | None = None,
+    ) -> Rows:
+        """Returns rows in memory from the features of clips.
+
+        Args:
+            styles: name -> the clips of that style.
+            layout: of the features.
+            normaliser: of all styles.
+            parents: [J] of the skeleton, for the bone-length loss.
+        """
+        takes = [take for clips in styles.values() for take in clips]
+        first_take = np.cumsum([0, *(len(take.x) for take in takes)])
+        windows = [
+            row_windows(take.frames) + np.array([row, 0], np.int32)
+            for take, row in zip(takes, first_take, strict=False)
+        ]
+        return cls(
+            styles=tuple(styles),
+            parts=(to_batch(takes, normaliser),),
+            first_row=np.cumsum([0, *(sum(len(take.x) for take in clips) for clips in styles.values())]),
+            layout=layout,
+            normaliser=normaliser,
+            windows=np.concatenate(windows),
+            first_window=np.cumsum([0, *_counts(styles, windows)]),
+            first_take=first_take,
+            parents=None if parents is None else np.asarray(parents),
+        )
+
+    @classmethod
+    def from_dataset(
+        cls,
+        dataset: Dataset,
+        styles: Sequence[str] | None = None,
+        *,
+        split: str = "train",
+        max_bytes: int | None = None,
+    ) -> Rows:
+        """Returns the rows of a prepared dataset: in memory, or on disk where they exceed `max_bytes`.
+
+        Args:
+            dataset: prepared.
+            styles: in the order wanted; None for all.
+            split: `train`, `validation` or `test`.
+            max_bytes: None to read everything into memory; 0 to leave everything on disk.
+
+        Raises:
+            InputError: for an unknown style.
+        """
+        names = dataset.styles if styles is None else tuple(styles)
+        parts = tuple(Batch(*dataset.arrays(style, split)) for style in names)
+        clips = [dataset.windows(style, split) for style in names]
+        first_row = np.cumsum([0, *(len(part.x) for part in parts)])
+        moved = [windows + np.array([row, 0]) for windows, row in zip(clips, first_row, strict=False)]
+        stored = cls(
+            styles=tuple(names),
+            parts=parts,
+            first_row=first_row,
+            layout=dataset.layout,
+            normaliser=dataset.normaliser,
+            is_normalised=False,
+            windows=np.concatenate(moved).astype(np.int32),
+            first_window=np.cumsum([0, *map(len, clips)]),
+            parents=np.asarray(dataset.skeleton.parents),
+        )
+        return stored if max_bytes is not None and stored.nbytes > max_bytes else stored.in_memory()
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the rows."""
-        return self.x.nbytes + self.y.nbytes + self.phase.nbytes
+        """Bytes of the rows as float32."""
+        return 4 * sum(leaf.size for part in self.parts for leaf in (part.x, part.y, part.phase))
+
+    def in_memory(self) -> Rows:
+        """Returns the same rows read once, normalised and joined."""
+        if self.is_normalised and len(self.parts) == 1:
+            return self
+        parts = [self._normalise(part) for part in self.parts]
+        joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        return replace(self, parts=(joined,), is_normalised=True)
+
+    def on_device(self) -> Batch:
+        """Returns all rows [N, ...] as arrays on the default device."""
+        return jax.tree.map(jnp.asarray, self.in_memory().parts[0])
 
     def take(self, rows: np.ndarray) -> Batch:
-        """Rows [...] of one style or of several."""
-        return Batch(self.x[rows], self.y[rows], self.phase[rows])
+        """Returns rows [...] of any styles, in host memory."""
+        return self._read(rows, self._normalise)
 
-    def take_clips(self, index: np.ndarray, columns: Columns) -> Array:
-        """Columns of x at rows [..., T]."""
-        return self.x[index][..., columns]
+    def take_clips(self, windows: np.ndarray, num_frames: int = WINDOW_ROWS) -> np.ndarray:
+        """Returns the joint columns [..., T, F] of windows [..., 2]; see `window_rows` for short ones."""
+        columns = clip_columns(self.layout)
+        return self._read(window_rows(np.asarray(windows), num_frames), lambda part: self._inputs(part)[:, columns])
 
+    def gather(self, draw: Draw) -> Batch:
+        """Returns the minibatch of one step, or those of several, in host memory."""
+        batch = self.take(np.asarray(draw.rows))
+        if draw.windows is None:
+            return batch
+        return replace(batch, clip=self.take_clips(np.asarray(draw.windows)))
 
-class Rows(Protocol):
-    """Rows of S styles, in memory (`StyleData`) or on disk (`stored.StoredData`)."""
+    def windows_of(self, style: int) -> np.ndarray:
+        """Returns the windows [W, 2] of one style, by its number."""
+        if self.windows is None or self.first_window is None:
+            raise ValueError("`windows` are needed where clips are read, got None.")
+        return self.windows[self.first_window[style] : self.first_window[style + 1]]
 
-    @property
-    def first_row(self) -> np.ndarray: ...
-    @property
-    def layout(self) -> FrameLayout: ...
-    @property
-    def windows(self) -> np.ndarray | None: ...
-    @property
-    def first_window(self) -> np.ndarray | None: ...
-    @property
-    def parents(self) -> np.ndarray | None: ...
-    @property
-    def outputs(self) -> Statistics | None: ...
-    @property
-    def nbytes(self) -> int: ...
-    def take(self, rows: np.ndarray, /) -> Batch: ...
-    def take_clips(self, index: np.ndarray, columns: Columns, /) -> Array: ...
+    def bones(self) -> Bones:
+        """Returns the bones of the rows, for the bone-length loss.
+
+        Raises:
+            ValueError: if `parents` or `normaliser` are not known.
+        """
+        if self.parents is None or self.normaliser is None:
+            raise ValueError("`rows` must have `parents` and a `normaliser` where a bone-length loss is used.")
+        return make_bones(self.layout, self.parents, self.normaliser.outputs)
+
+    def hold_out(self, share: float) -> tuple[Batch, Batch]:
+        """Splits each take in time: its first rows to learn from, its last `share` of rows to choose by.
+
+        Neighbouring frames are almost equal: frames held out at random would measure memory.
+
+        Raises:
+            InputError: if a take is too short to leave rows on both sides.
+        """
+        edges = self.first_row if self.first_take is None else self.first_take
+        learn, held = [], []
+        for first, stop in zip(edges[:-1], edges[1:], strict=True):
+            middle = first + _learning_rows(int(stop - first), share, ", ".join(self.styles))
+            learn.append(np.arange(first, middle))
+            held.append(np.arange(middle, stop))
+        return self.take(np.concatenate(learn)), self.take(np.concatenate(held))
+
+    def _inputs(self, part: Batch) -> np.ndarray:
+        if self.is_normalised or self.normaliser is None:
+            return np.asarray(part.x)
+        return np.asarray(self.normaliser.inputs.apply(np.asarray(part.x)), np.float32)
+
+    def _normalise(self, part: Batch) -> Batch:
+        if self.is_normalised or self.normaliser is None:
+            return part
+        return normalised(np.asarray(part.x), np.asarray(part.y), np.asarray(part.phase), self.normaliser)
+
+    def _read(self, rows: np.ndarray, read: Callable[[Batch], Read]) -> Read:
+        """Returns `read` of the rows [...]; every part, e.g. a style's file, is read once."""
+        flat = rows.reshape(-1)
+        edges = np.cumsum([0, *(len(part.x) for part in self.parts)])
+        owners = np.searchsorted(edges, flat, side="right") - 1
+        order = np.argsort(owners, kind="stable")
+        found = []
+        for owner in np.unique(owners):
+            local = flat[owners == owner] - edges[owner]
+            found.append(read(jax.tree.map(lambda leaf, own=local: leaf[own], self.parts[owner])))
+        back = np.argsort(order)
+        return jax.tree.map(
+            lambda *leaves: np.concatenate(leaves)[back].reshape(*rows.shape, *leaves[0].shape[1:]), *found
+        )
 
 
 def clip_columns(layout: FrameLayout) -> Columns:
-    """Columns of x that a clip holds: all joint blocks, in stored order; 12 J under the layouts of 2022.
+    """Returns the columns of x that a clip holds: all joint blocks, in stored order; 12 J in the layouts of 2022.
 
     Raises:
         ValueError: if x has no joints.
@@ -113,218 +250,62 @@ def clip_columns(layout: FrameLayout) -> Columns:
     return slice(int(columns[0]), int(columns[-1]) + 1) if contiguous else columns
 
 
-def num_clip_columns(layout: FrameLayout) -> int:
-    """F, the width of `clip_columns`."""
-    return sum(name.startswith("joint_") for name in layout.input_names)
-
-
 def window_rows(windows, num_frames: int, xp=np):
-    """Row numbers [..., T] of windows [..., 2]; a window shorter than T is padded by its last row."""
+    """Returns row numbers [..., T] of windows [..., 2]; a window shorter than T is padded by its last row."""
     first, count = windows[..., :1], windows[..., 1:]
     frames = xp.arange(num_frames, dtype=windows.dtype).reshape((1,) * (windows.ndim - 1) + (-1,))
     return first + xp.minimum(frames, count - 1)
 
 
-def cut_windows(num_rows: int, length: int = CLIP_FRAMES, stride: int = CLIP_FRAMES // 2) -> np.ndarray:
-    """Windows [W, 2] (first row, number of rows) of consecutive rows; one shorter window where there are few rows."""
-    if num_rows < length:
-        return np.array([[0, num_rows]], np.int32)
-    starts = np.arange(0, num_rows - length + 1, stride, dtype=np.int32)
-    return np.stack([starts, np.full_like(starts, length)], axis=1)
-
-
-def make_gather(layout: FrameLayout, clip_frames: int = CLIP_FRAMES) -> Callable[..., Batch]:
-    """A function (x, y, phase as a Batch, one step's Draw) -> Batch, on the device."""
-    columns = clip_columns(layout) if any(name.startswith("joint_") for name in layout.input_names) else None
+def make_gather(layout: FrameLayout) -> Callable[[Batch, Draw], Batch]:
+    """Returns (all rows, the draw of one step) -> minibatch, to be compiled; `Rows.gather` is its twin on the host."""
+    columns = clip_columns(layout) if num_clip_columns(layout) else None
 
     def gather(data: Batch, draw: Draw) -> Batch:
         batch = jax.tree.map(lambda leaf: leaf[draw.rows], data)
         if draw.windows is None:
             return batch
-        clip = data.x[window_rows(draw.windows, clip_frames, jnp)][..., columns]
-        return Batch(batch.x, batch.y, batch.phase, clip)
+        return replace(batch, clip=data.x[window_rows(draw.windows, WINDOW_ROWS, jnp)][..., columns])
 
     return gather
 
 
-def gather_from(data: Rows, draw: Draw, clip_frames: int = CLIP_FRAMES) -> Batch:
-    """The same in host memory or from disk, for the draw of one step or of several."""
-    batch = data.take(np.asarray(draw.rows))
-    if draw.windows is None:
-        return batch
-    index = window_rows(np.asarray(draw.windows), clip_frames)
-    return Batch(batch.x, batch.y, batch.phase, data.take_clips(index, clip_columns(data.layout)))
-
-
 def to_batch(parts: Sequence[Features], normaliser: Normaliser) -> Batch:
-    """All rows [N, ...] of the parts, one after another, normalised float32."""
+    """Returns all rows [N, ...] of the parts, one after another, as normalised float32."""
     rows = join_rows(parts)
     return normalised(rows.x, rows.y, rows.phase, normaliser)
 
 
 def normalised(x: np.ndarray, y: np.ndarray, phase: np.ndarray, normaliser: Normaliser) -> Batch:
-    """Rows in layout units as float32 that a network reads; a scalar phase stays in radians."""
+    """Returns rows in layout units as the float32 that a network reads; a scalar phase stays in radians."""
     if normaliser.phases is not None:
         phase = normaliser.phases.apply(phase)
     rows = normaliser.inputs.apply(x), normaliser.outputs.apply(y), phase
     return Batch(*(np.asarray(values, np.float32) for values in rows))
 
 
-def style_data(
-    styles: Mapping[str, Sequence[Features]],
-    layout: FrameLayout,
-    normaliser: Normaliser,
-    parents: Sequence[int] | np.ndarray | None = None,
-) -> StyleData:
-    """Training data in memory from the rows of clips.
-
-    Args:
-        styles: name -> the clips of that style.
-        layout: of the rows.
-        normaliser: of all styles.
-        parents: [J] of the skeleton, for the bone-length loss.
-    """
-    batches = [to_batch(clips, normaliser) for clips in styles.values()]
-    first_row = np.cumsum([0, *(len(batch.x) for batch in batches)])
-    windows, row = [], 0
-    for clip in (clip for clips in styles.values() for clip in clips):
-        ends = np.flatnonzero(np.diff(clip.frames) != 1) + 1  # a clip may miss frames, e.g. unlabelled ones
-        for part in np.split(np.arange(row, row + len(clip.x)), ends):
-            windows.append(cut_windows(len(part)) + np.array([part[0], 0], np.int32))
-        row += len(clip.x)
-    return StyleData(
-        x=np.concatenate([batch.x for batch in batches]),
-        y=np.concatenate([batch.y for batch in batches]),
-        phase=np.concatenate([batch.phase for batch in batches]),
-        first_row=first_row,
-        layout=layout,
-        windows=np.concatenate(windows),
-        first_window=np.searchsorted(np.concatenate(windows)[:, 0], first_row),
-        parents=None if parents is None else np.asarray(parents),
-        outputs=normaliser.outputs,
-    )
-
-
 def hold_out(parts: Sequence[Features], share: float, source: str = "clip") -> tuple[list[Features], list[Features]]:
-    """Each part cut in time: its first rows to learn from, its last `share` of rows to choose by.
-
-    Neighbouring frames are almost equal, so frames held out at random would measure memory.
+    """Splits each part in time, as `Rows.hold_out` does.
 
     Raises:
         InputError: if a part is too short to leave rows on both sides.
     """
-    learn, choose = [], []
+    learn, held = [], []
     for part in parts:
-        count = round(len(part.x) * (1 - share))
-        if not 0 < count < len(part.x):
-            raise InputError(source, "frames", len(part.x), f"holding out {share:g} must leave some on each side")
+        count = _learning_rows(len(part.x), share, source)
         learn.append(select_rows(part, slice(0, count)))
-        choose.append(select_rows(part, slice(count, None)))
-    return learn, choose
+        held.append(select_rows(part, slice(count, None)))
+    return learn, held
 
 
-@dataclass(frozen=True, eq=False)
-class StoredData:
-    """Rows of S styles that stay in the dataset's files; what is taken is normalised, with the bits of `in_memory`.
-
-    Attributes:
-        dataset: prepared.
-        arrays: x, y and phase of every style, memory maps in layout units.
-        first_row: [S+1] first row of every style, and N.
-        windows: [W, 2] first row and number of rows of the clips of all styles.
-        first_window: [S+1] first window of every style, and W.
-    """
-
-    dataset: Dataset
-    arrays: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
-    first_row: np.ndarray
-    windows: np.ndarray
-    first_window: np.ndarray
-
-    @property
-    def layout(self) -> FrameLayout:
-        """Of the rows."""
-        return self.dataset.layout
-
-    @property
-    def parents(self) -> np.ndarray:
-        """[J] parent joints."""
-        return np.asarray(self.dataset.skeleton.parents)
-
-    @property
-    def outputs(self) -> Statistics:
-        """Statistics of y."""
-        return self.dataset.normaliser.outputs
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the rows as float32."""
-        return 4 * sum(array.size for arrays in self.arrays for array in arrays)
-
-    def take(self, rows: np.ndarray) -> Batch:
-        """Rows [...] of any styles, normalised."""
-        x, y, phase = (self._read(rows, which) for which in range(3))
-        return normalised(x, y, phase, self.dataset.normaliser)
-
-    def take_clips(self, index: np.ndarray, columns: Columns) -> np.ndarray:
-        """Columns of normalised x at rows [..., T]."""
-        return np.asarray(self.dataset.normaliser.inputs.apply(self._read(index, 0)), np.float32)[..., columns]
-
-    def in_memory(self) -> StyleData:
-        """All rows, read once."""
-        styles = [normalised(x, y, phase, self.dataset.normaliser) for x, y, phase in self.arrays]
-        return StyleData(
-            x=np.concatenate([style.x for style in styles]),
-            y=np.concatenate([style.y for style in styles]),
-            phase=np.concatenate([style.phase for style in styles]),
-            first_row=self.first_row,
-            layout=self.layout,
-            windows=self.windows,
-            first_window=self.first_window,
-            parents=self.parents,
-            outputs=self.outputs,
-        )
-
-    def _read(self, rows: np.ndarray, which: int) -> np.ndarray:
-        """One array's rows [...]; each style's file is read once."""
-        flat, first = rows.reshape(-1), self.arrays[0][which]
-        found = np.empty((len(flat), *first.shape[1:]), first.dtype)
-        owners = np.searchsorted(self.first_row, flat, side="right") - 1
-        for style in np.unique(owners):
-            own = owners == style
-            found[own] = self.arrays[style][which][flat[own] - self.first_row[style]]
-        return found.reshape(*rows.shape, *first.shape[1:])
+def _learning_rows(num_rows: int, share: float, source: str) -> int:
+    count = round(num_rows * (1 - share))
+    if not 0 < count < num_rows:
+        raise InputError(source, "frames", num_rows, f"holding out {share:g} must leave some on each side")
+    return count
 
 
-def stored_rows(dataset: Dataset, styles: Sequence[str] | None = None, *, split: str = "train") -> StoredData:
-    """The rows of a prepared dataset, left on disk; arguments as in `dataset_rows`."""
-    names = dataset.styles if styles is None else tuple(styles)
-    arrays = tuple(dataset.arrays(style, split) for style in names)
-    clips = [dataset.windows(style, split) for style in names]
-    first_row = np.cumsum([0, *(len(x) for x, _, _ in arrays)])
-    moved = [windows + np.array([row, 0]) for windows, row in zip(clips, first_row, strict=False)]
-    return StoredData(
-        dataset=dataset,
-        arrays=arrays,
-        first_row=first_row,
-        windows=np.concatenate(moved).astype(np.int32),
-        first_window=np.cumsum([0, *map(len, clips)]),
-    )
-
-
-def dataset_rows(
-    dataset: Dataset, styles: Sequence[str] | None = None, *, split: str = "train", limit: int | None = None
-) -> Rows:
-    """The rows of a prepared dataset: in memory, or left on disk where they are more than `limit` bytes.
-
-    Args:
-        dataset: prepared.
-        styles: in the order wanted; None for all.
-        split: `train`, `validation` or `test`.
-        limit: bytes; None to read everything into memory.
-
-    Raises:
-        InputError: for an unknown style.
-    """
-    stored = stored_rows(dataset, styles, split=split)
-    return stored if limit is not None and stored.nbytes > limit else stored.in_memory()
+def _counts(styles: Mapping[str, Sequence[Features]], windows: Sequence[np.ndarray]) -> list[int]:
+    """Returns the number of windows of each style, from those of each take."""
+    remaining = iter(windows)
+    return [sum(len(next(remaining)) for _ in clips) for clips in styles.values()]

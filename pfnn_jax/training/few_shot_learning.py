@@ -1,7 +1,7 @@
-"""Learning one style from a short clip, a whole grid of settings at once (Mason 2018 §7).
+"""Few-shot learning: one style from a short clip, by training a whole grid of settings at once (Mason 2018 §7).
 
-A *method* says what is trained: an adapter beside the frozen shared network, or, as the paper's baselines, a whole
-network. Freezing means not differentiating: the frozen parameters are an argument of their own.
+A *method* says what is trained: an adapter for the frozen shared network or, as in the paper's baselines, a whole
+network. Freezing means not differentiating: the frozen parameters are a separate argument.
 """
 
 from __future__ import annotations
@@ -9,9 +9,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +19,14 @@ import optax
 from flax import struct
 
 from pfnn_jax.models.config import AdapterConfig
-from pfnn_jax.models.layers import style_kinds
-from pfnn_jax.models.network import Dropout, Network, config_of, init_network
+from pfnn_jax.models.dropout import Dropout
+from pfnn_jax.models.network import Network, config_of, init_network
 from pfnn_jax.models.style import Style, init_style
-from pfnn_jax.training.data import Batch
-from pfnn_jax.training.steps import Bones, Objective, predict_batch
+from pfnn_jax.training.config import FewShotConfig
+from pfnn_jax.training.data import Batch, Rows
+from pfnn_jax.training.loop import TrainState, chunks, no_progress, train_steps
+from pfnn_jax.training.losses import Bones, Objective
+from pfnn_jax.training.steps import descend, predict_batch
 
 ROWS = 512
 """Frames to a multiple of which rows are padded: 4 seconds and their mirror image."""
@@ -35,263 +37,8 @@ EPOCHS = 5
 _LARGEST = np.iinfo(np.uint32).max
 
 
-@struct.dataclass
-class Setting:
-    """One point of the grid, or the whole grid on a leading axis G."""
-
-    learning_rate: jax.Array  # []
-    main_dropout: jax.Array  # []
-    adapter_dropout: jax.Array  # []
-
-
-@struct.dataclass
-class FewShotState:
-    """What few-shot training changes, for one setting or, on a leading axis, for a grid or a bank."""
-
-    trained: Any
-    optimiser: Any
-
-
-def init_few_shot_state(trained: Any) -> FewShotState:
-    """A state at epoch 0 from the parameters to be trained."""
-    return FewShotState(trained, optax.scale_by_adam().init(trained))
-
-
-def assemble(trained: Any, shared: Network) -> tuple[Network, Style | None]:
-    """The network and adapter to run: (shared, adapter), or (network, None) where a whole network was trained."""
-    return (trained, None) if isinstance(trained, Network) else (shared, trained)
-
-
-def few_shot_step(
-    state: FewShotState, setting: Setting, shared: Network, batch: Batch, key: jax.Array, objective: Objective
-) -> FewShotState:
-    """One Adam step of one setting on one minibatch; only `state.trained` is differentiated."""
-    dropout = Dropout(main=setting.main_dropout, adapter=setting.adapter_dropout)
-
-    def loss(trained):
-        network, style = assemble(trained, shared)
-        return objective.loss(predict_batch(network, style, batch, dropout, key), batch.y, (trained,))[0]
-
-    update, optimiser = optax.scale_by_adam().update(jax.grad(loss)(state.trained), state.optimiser)
-    trained = jax.tree.map(lambda value, change: value - setting.learning_rate * change, state.trained, update)
-    return FewShotState(trained, optimiser)
-
-
-class EpochTrainer:
-    """Trains a leading axis of states: settings over one style's frames, or styles under one setting.
-
-    Args:
-        shared: pretrained parameters, not changed.
-        data: [N, ...] frames, or with `per_style` [S, N, ...].
-        batch_size: frames of a minibatch; a last incomplete one is dropped.
-        objective: the loss.
-        key: of shuffling and dropout; the key of an epoch is folded from it and the epoch's number.
-        per_style: whether states are of styles, each with its own frames.
-    """
-
-    def __init__(
-        self,
-        shared: Network,
-        data: Batch,
-        batch_size: int,
-        objective: Objective,
-        key: jax.Array,
-        *,
-        per_style: bool = False,
-    ) -> None:
-        axis = 1 if per_style else 0
-        self._count = jax.tree.leaves(data)[0].shape[axis]
-        self._inputs = _put((shared, pad_rows(data, axis, math.lcm(ROWS, batch_size))))
-        self._key = key
-        self._options = {
-            "batch_size": batch_size,
-            "objective": objective,
-            "per_style": per_style,
-            "sorts": sorts_of(self._count),
-        }
-
-    def train(
-        self,
-        states: FewShotState,
-        settings: Setting,
-        epochs: tuple[int, int],
-        progress_callback: Callable[[int], Any] = lambda number: None,
-    ) -> FewShotState:
-        """Returns the states after the epochs [first, last); calls back with the number done, `EPOCHS` at a time."""
-        shared, data = self._inputs
-        states, settings = _put((states, settings))
-        for first in range(*epochs, EPOCHS):
-            last = min(first + EPOCHS, epochs[1])
-            counts = np.asarray([first, last, self._count], np.int32)
-            states = _train_many(states, settings, shared, data, counts, self._key, **self._options)
-            jax.block_until_ready(states)
-            progress_callback(last)
-        return states
-
-
-def row_errors(trained: Any, shared: Network, data: Batch) -> np.ndarray:
-    """Squared normalised error [G, N], mean over outputs, of every setting on each of N frames, without dropout."""
-    count = len(data.x)
-    trained, shared, data = _put((trained, shared, pad_rows(data, 0, ROWS)))
-    return np.asarray(_row_errors(trained, shared, data))[:, :count]
-
-
-def pad_rows(data: Batch, axis: int, multiple: int) -> Batch:
-    """Frames repeated along `axis` until their number is a multiple; those added are never trained on."""
-    count = jax.tree.leaves(data)[0].shape[axis]
-    rows = np.arange(-(-count // multiple) * multiple) % count
-    return jax.tree.map(lambda leaf: np.take(np.asarray(leaf), rows, axis=axis), data)
-
-
-def sorts_of(count: int) -> int:
-    """How often a shuffle of `count` frames sorts by random bits, so that equal bits leave no trace."""
-    return max(1, math.ceil(3 * math.log(max(count, 1)) / math.log(_LARGEST)))
-
-
-def padded_permutation(key: jax.Array, size: int, count: jax.Array, sorts: int) -> jax.Array:
-    """Numbers [size] of which the first `count` are those below `count`, in the order of `jax.random.permutation`.
-
-    Args:
-        key: of the order.
-        size: fixed, at least `count`.
-        count: [] how many are to be shuffled.
-        sorts: as `sorts_of` tells for `count`.
-    """
-    numbers = jnp.arange(size, dtype=jnp.int32)
-    order = numbers
-    for _ in range(sorts):
-        key, subkey = jax.random.split(key)
-        bits = jax.random.bits(subkey, (size,), jnp.uint32)
-        bits = jnp.where(numbers < count, bits, jnp.uint32(_LARGEST))  # stable: the padding stays last
-        order = jax.lax.sort_key_val(bits, order)[1]
-    return order
-
-
-def _train_epochs(
-    state: FewShotState, setting: Setting, shared: Network, data: Batch, counts, key, batch_size: int, objective, sorts
-) -> FewShotState:
-    """One setting trained on one style; counts [3]: first epoch, the one before which to end, frames."""
-    size, (first, last, num_frames) = data.phase.shape[0], counts
-
-    def one_epoch(epoch, state):
-        order_key, step_key = jax.random.split(jax.random.fold_in(key, epoch))
-        order = padded_permutation(order_key, size, num_frames, sorts)
-        keys = jax.random.split(step_key, size // batch_size)
-
-        def one_step(index, state):
-            frames = jax.lax.dynamic_slice(order, (index * batch_size,), (batch_size,))
-            batch = jax.tree.map(lambda leaf: leaf[frames], data)
-            return few_shot_step(state, setting, shared, batch, keys[index], objective)
-
-        return jax.lax.fori_loop(0, num_frames // batch_size, one_step, state)
-
-    return jax.lax.fori_loop(first, last, one_epoch, state)
-
-
-@partial(jax.jit, static_argnames=("batch_size", "objective", "per_style", "sorts"), donate_argnums=0)
-def _train_many(states, settings, shared, data, counts, key, *, batch_size, objective, per_style, sorts):
-    """A leading axis of states trained at once."""
-
-    def one(state, setting, data):
-        return _train_epochs(state, setting, shared, data, counts, key, batch_size, objective, sorts)
-
-    return jax.vmap(one, in_axes=(0, None, 0) if per_style else (0, 0, None))(states, settings, data)
-
-
-@jax.jit
-def _row_errors(trained, shared: Network, data: Batch) -> jax.Array:
-    def one(trained):
-        y = predict_batch(*assemble(trained, shared), data, None, None)
-        return jnp.mean((y - data.y) ** 2, axis=1)
-
-    return jax.vmap(one)(trained)
-
-
-def _put(tree: Any) -> Any:
-    """The tree on the default device and bound to it: what is bound is compiled anew where it was not before."""
-    return jax.device_put(tree, jax.devices()[0])
-
-
-METHODS = (*style_kinds(), "fine_tune", "scratch")
-"""Every kind of style, and training of all weights from the shared network's or from random ones."""
-
-if TYPE_CHECKING:
-    Method: TypeAlias = str
-else:
-    Method = Literal[METHODS]  # the command line lists these as choices
-
-
-@dataclass(frozen=True)
-class FewShotConfig:
-    """How a style is learned from a clip.
-
-    Every combination of rates is one setting of the grid; all are trained at once by `vmap`, each is looked at after
-    every number of epochs in `eval_epochs`, and one (setting, stop) is chosen.
-
-    Attributes:
-        method: `cp`, `full`, `diagonal`, `bias` or `dense` adapters; `one_hot`, a shift of the first layer; `film`,
-            the 4H numbers of a Film beside a network trained with FiLM; `fine_tune` (all shared weights, from the
-            pretrained ones) and `scratch` (all weights, from a fresh network) are the baselines of §8.1.
-        rank: R of a CP adapter.
-        learning_rates: Adam's rates to try.
-        main_dropouts: drop probabilities before the shared layers to try.
-        adapter_dropouts: drop probabilities before the adapter to try (the variable dropout of §7.2).
-        eval_epochs: numbers of epochs after which to look, increasing; the last is the length of training.
-        batch_size: frames of a minibatch.
-        l1: λ of Eq. 3 on what is trained; a Film, whose scales are one and not zero where nothing is changed, bears
-            no penalty.
-        bone_length: weight of the bone-length loss, where the rows' bones are known.
-        held_out: share of the clip's frames, at its end, that choose among the settings.
-        tolerance: how much larger than the best a setting's held-out error may be; of those within it the gentlest
-            (least learning rate times epochs) is taken. The frames of a straight walk favour settings that fit
-            straight walks; 0 takes the best of them.
-        seed: of initialisation, shuffling and dropout.
-    """
-
-    method: Method = "cp"
-    rank: int = 30
-    learning_rates: tuple[float, ...] = (1e-4, 1e-3)
-    main_dropouts: tuple[float, ...] = (0.0, 0.3)
-    adapter_dropouts: tuple[float, ...] = (0.3,)
-    eval_epochs: tuple[int, ...] = (5, 10, 25, 50, 100)
-    batch_size: int = 32
-    l1: float = 0.01
-    bone_length: float = 1.0
-    held_out: float = 0.2
-    tolerance: float = 0.5
-    seed: int = 0
-
-    def __post_init__(self):
-        if self.method not in METHODS:
-            raise ValueError(f"FewShotConfig.method must be one of {', '.join(METHODS)}, got {self.method!r}.")
-        if not self.eval_epochs or list(self.eval_epochs) != sorted(set(self.eval_epochs)) or self.eval_epochs[0] < 1:
-            raise ValueError(
-                f"FewShotConfig.eval_epochs must be increasing whole numbers from 1, got {self.eval_epochs}."
-            )
-        if not 0 < self.held_out < 1:
-            raise ValueError(f"FewShotConfig.held_out must lie between 0 and 1, got {self.held_out}.")
-        for name in ("tolerance", "l1", "bone_length"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"FewShotConfig.{name} must not be negative, got {getattr(self, name)}.")
-        for name in ("main_dropouts", "adapter_dropouts"):
-            rates = getattr(self, name)
-            if not rates or not all(0 <= rate < 1 for rate in rates):
-                raise ValueError(f"FewShotConfig.{name} must be rates in [0, 1), got {rates}.")
-        if not self.learning_rates or not all(rate > 0 for rate in self.learning_rates):
-            raise ValueError(f"FewShotConfig.learning_rates must be positive, got {self.learning_rates}.")
-
-
-MASON2018_FEW_SHOT = FewShotConfig(
-    learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.3, 0.5, 0.7), eval_epochs=(100,)
-)
-"""Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid over the authors' rates of adapter dropout alone."""
-
-FILM_FEW_SHOT = FewShotConfig("film", learning_rates=(1e-4, 1e-3, 3e-3), main_dropouts=(0.0,))
-"""Beside a network trained with FiLM: the 4H numbers of a Film, at rates that move them in a few epochs."""
-
-
 class Choice(NamedTuple):
-    """A setting and its stopping point, with the error that ranked it."""
+    """A setting and its number of epochs, with the error that ranked it."""
 
     learning_rate: float
     main_dropout: float
@@ -301,35 +48,94 @@ class Choice(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A choice and what it trained: an adapter, or a whole network for the baselines."""
+    """A choice and the parameters it trained: an adapter, or a whole network for the baselines."""
 
     choice: Choice
     trained: Any
 
 
-def settings_grid(config: FewShotConfig) -> Setting:
-    """All combinations of the configured rates; leaves [G]."""
-    rows = list(itertools.product(config.learning_rates, config.main_dropouts, config.adapter_dropouts))
-    return Setting(*(jnp.asarray(column, jnp.float32) for column in zip(*rows, strict=True)))
+class FewShotResult(NamedTuple):
+    """A learned style, the choice that led to it, and the ranking behind the choice."""
+
+    style: Any
+    choice: Choice
+    ranking: tuple[Choice, ...]  # best held-out error first
+    stable_on_turns: bool | None  # the judgement of `is_stable` on the style; None without one
+    error_without_style: float  # held-out error of the network without a style, or with the style it began with
 
 
-def initial_parameters(config: FewShotConfig, shared: Network, key: jax.Array, start: Style | None = None) -> Any:
-    """What the method starts from: `start`, a fresh style, the pretrained network, or a fresh network.
+def few_shot(
+    network: Network,
+    rows: Rows,
+    config: FewShotConfig | None = None,
+    *,
+    key: jax.Array | None = None,
+    start: Style | None = None,
+    is_stable: Callable[[Any], bool] | None = None,
+    progress_callback: Callable[[float, str], Any] = no_progress,
+) -> Any:
+    """Learns a style from the rows of its clip, for a frozen network; see `fit_style`, which also returns its choice.
+
+    Returns:
+        The style, or a whole network for the methods `fine_tune` and `scratch`.
+    """
+    options = {"key": key, "start": start, "is_stable": is_stable, "progress_callback": progress_callback}
+    return fit_style(network, rows, config, **options).style
+
+
+def fit_style(
+    network: Network,
+    rows: Rows,
+    config: FewShotConfig | None = None,
+    *,
+    key: jax.Array | None = None,
+    start: Style | None = None,
+    is_stable: Callable[[Any], bool] | None = None,
+    progress_callback: Callable[[float, str], Any] = no_progress,
+) -> FewShotResult:
+    """Tries a grid of settings on the first part of a clip, chooses by its last part, and trains the choice on all.
 
     Args:
-        config: the method.
-        shared: pretrained parameters.
-        key: of what is fresh.
-        start: a style of the method's kind, e.g. for `film` the mean of the run's styles; None for a fresh one.
+        network: pretrained parameters, not changed.
+        rows: of the clip and, where that belongs to the style, of its mirror image (S = 1).
+        config: the grid of settings; `FewShotConfig()` by default.
+        key: of initialisation, shuffling and dropout; by default from `config.seed`.
+        start: style to begin with, see `initial_parameters`.
+        is_stable: judges trained parameters, e.g. by rollouts on paths that turn; None accepts all.
+        progress_callback: called with the share that is done, 0 to 1, and what is being done.
+
+    Raises:
+        InputError: if the clip is too short to hold out a part.
+        ValueError: if fewer frames than a minibatch remain to learn from.
     """
-    if start is not None and config.method not in ("fine_tune", "scratch"):
-        return jax.tree.map(jnp.asarray, start)
-    if config.method == "fine_tune":
-        return shared
-    sizes = config_of(shared)
-    if config.method == "scratch":
-        return init_network(sizes, key=key)
-    return init_style(AdapterConfig(config.method, config.rank), sizes.hidden, sizes.num_control_points, key=key)
+    config = FewShotConfig() if config is None else config
+    key = jax.random.key(config.seed) if key is None else key
+    has_bones = rows.layout.next_frame and rows.parents is not None and rows.normaliser is not None
+    options = {"key": key, "start": start, "bones": rows.bones() if has_bones else None}
+    learn, held = rows.hold_out(config.held_out)
+    trying = _part_of(progress_callback, 0.03, 0.5, config.eval_epochs[-1], "trying settings")
+    candidates = train_grid(network, learn, held, config, progress_callback=trying, **options)
+    judged = itertools.count()
+
+    def judge(trained: Any) -> bool:
+        progress_callback(0.5 + 0.1 * min(next(judged) / len(candidates), 1.0), "walking in circles")
+        return is_stable is None or is_stable(trained)
+
+    chosen = choose(candidates, config.tolerance, judge)
+    learning = _part_of(progress_callback, 0.6, 0.95, chosen.choice.epochs, "learning")
+    everything = rows.in_memory().parts[0]
+    style = refit(network, everything, chosen.choice, config, progress_callback=learning, **options)
+    ranking = tuple(candidate.choice for candidate in candidates)
+    without = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], network if start is None else start)
+    error = float(row_errors(without, network, held).mean())
+    return FewShotResult(style, chosen.choice, ranking, None if is_stable is None else is_stable(style), error)
+
+
+def _part_of(
+    progress_callback: Callable[[float, str], Any], begin: float, end: float, epochs: int, what: str
+) -> Callable[[int], Any]:
+    """Returns a callback for the epochs done that reports them as a part of the full work."""
+    return lambda done: progress_callback(begin + (end - begin) * done / epochs, what)
 
 
 def train_grid(
@@ -338,20 +144,22 @@ def train_grid(
     held_out: Batch,
     config: FewShotConfig,
     *,
+    key: jax.Array | None = None,
     start: Style | None = None,
     bones: Bones | None = None,
-    progress_callback: Callable[[int], Any] = lambda number: None,
+    progress_callback: Callable[[int], Any] = no_progress,
 ) -> list[Candidate]:
-    """Train every setting of the grid; the candidates of all eval_epochs, best held-out error first.
+    """Trains every setting of the grid; returns the candidates of all `eval_epochs`, best held-out error first.
 
     Args:
         shared: pretrained style-agnostic parameters, not changed.
         data: [N, ...] normalised frames to learn from (mirrored ones included).
         held_out: [M, ...] frames of the same clip that rank the candidates.
         config: the grid.
+        key: of initialisation, shuffling and dropout; by default from `config.seed`.
         start: style to begin with, see `initial_parameters`.
         bones: of the rows, for the bone-length loss; None leaves it out.
-        progress_callback: told, every few epochs, how many are done.
+        progress_callback: called with the number of epochs done, every few epochs.
 
     Raises:
         ValueError: if there are fewer training frames than a minibatch.
@@ -359,48 +167,30 @@ def train_grid(
     if data.phase.shape[0] < config.batch_size:
         raise ValueError(f"`data` must have at least {config.batch_size} frames, got {data.phase.shape[0]}.")
     settings = settings_grid(config)
-    count = settings.learning_rate.shape[0]
-    init_key, train_key = jax.random.split(jax.random.key(config.seed))
-    first = initial_parameters(config, shared, init_key, start)
-    states = jax.vmap(lambda _: init_few_shot_state(first))(jnp.arange(count))
-    trainer = EpochTrainer(shared, data, config.batch_size, _objective(config, bones), train_key)
+    init_key, train_key = _keys(config, key)
+    states = _stack(initial_parameters(config, shared, start, key=init_key), len(settings.learning_rate))
+    trainer = EpochTrainer(shared, data, config, bones, key=train_key)
     candidates, begin = [], 0
-    for stop in config.eval_epochs:
-        states = trainer.train(states, settings, (begin, stop), progress_callback)
-        errors = row_errors(states.trained, shared, held_out).mean(axis=1)
-        candidates += _candidates(states.trained, settings, stop, errors)
-        begin = stop
+    for end in config.eval_epochs:
+        states = trainer.train(states, settings, (begin, end), progress_callback)
+        errors = row_errors(states.params, shared, held_out).mean(axis=1)
+        candidates += _candidates(states.params, settings, end, errors)
+        begin = end
     return sorted(candidates, key=lambda candidate: candidate.choice.held_out_error)
-
-
-def _candidates(trained, settings: Setting, stop: int, errors: np.ndarray) -> list[Candidate]:
-    rates = zip(*(np.asarray(leaf, float).tolist() for leaf in jax.tree.leaves(settings)), strict=True)
-    host = jax.tree.map(np.asarray, trained)
-    candidates = []
-    for index, ((learning_rate, main, adapter), error) in enumerate(zip(rates, errors, strict=True)):
-        ranked_by = float(error) if np.isfinite(error) else float("inf")
-        choice = Choice(_decimal(learning_rate), _decimal(main), _decimal(adapter), stop, ranked_by)
-        candidates.append(Candidate(choice, jax.tree.map(lambda leaf, i=index: leaf[i], host)))
-    return candidates
-
-
-def _decimal(rate: float) -> float:
-    """A single-precision rate as it was written: 0.3, not 0.30000001."""
-    return float(f"{rate:.6g}")
 
 
 def choose(
     candidates: Sequence[Candidate], tolerance: float, is_stable: Callable[[Any], bool] | None = None
 ) -> Candidate:
-    """The gentlest stable candidate among those almost as good as the best; else the best-ranked stable one.
+    """Returns the most conservative stable candidate among those almost as good as the best.
+
+    The most conservative has the least learning rate times epochs. Where none of them is stable, the best-ranked
+    stable candidate is chosen, and the best-ranked of all where no candidate is stable.
 
     Args:
         candidates: best first, as `train_grid` returns them.
         tolerance: share by which a held-out error may exceed the best one's.
-        is_stable: judges the trained parameters by rollouts on paths that turn; None passes all.
-
-    Returns:
-        The choice; the best-ranked candidate if none is stable.
+        is_stable: judges the trained parameters by rollouts on paths that turn; None accepts all.
     """
     limit = candidates[0].choice.held_out_error * (1 + tolerance)
     near = [candidate for candidate in candidates if candidate.choice.held_out_error <= limit]
@@ -417,12 +207,13 @@ def refit(
     choice: Choice,
     config: FewShotConfig,
     *,
+    key: jax.Array | None = None,
     start: Style | None = None,
     bones: Bones | None = None,
-    progress_callback: Callable[[int], Any] = lambda number: None,
+    progress_callback: Callable[[int], Any] = no_progress,
 ) -> Any:
-    """Train the chosen setting once more on all frames [N, ...], the held-out ones included."""
-    data, options = jax.tree.map(lambda leaf: leaf[None], data), {"start": start, "bones": bones}
+    """Trains the chosen setting once more on all frames [N, ...], the held-out ones included."""
+    data, options = jax.tree.map(lambda leaf: leaf[None], data), {"key": key, "start": start, "bones": bones}
     bank = train_bank(shared, data, choice, config, progress_callback=progress_callback, **options)
     return jax.tree.map(lambda leaf: np.asarray(leaf[0]), bank)
 
@@ -433,18 +224,235 @@ def train_bank(
     choice: Choice,
     config: FewShotConfig,
     *,
+    key: jax.Array | None = None,
     start: Style | None = None,
     bones: Bones | None = None,
-    progress_callback: Callable[[int], Any] = lambda number: None,
+    progress_callback: Callable[[int], Any] = no_progress,
 ) -> Any:
-    """Many styles at once under one setting: data [S, N, ...] -> trained parameters [S, ...], by `vmap`."""
-    init_key, train_key = jax.random.split(jax.random.key(config.seed))
+    """Trains many styles at once under one setting, by `vmap`: data [S, N, ...] -> trained parameters [S, ...]."""
+    init_key, train_key = _keys(config, key)
     setting = Setting(*(jnp.asarray(rate, jnp.float32) for rate in choice[:3]))
-    first = initial_parameters(config, shared, init_key, start)
-    states = jax.vmap(lambda _: init_few_shot_state(first))(jnp.arange(data.phase.shape[0]))
-    trainer = EpochTrainer(shared, data, config.batch_size, _objective(config, bones), train_key, per_style=True)
-    return trainer.train(states, setting, (0, choice.epochs), progress_callback).trained
+    states = _stack(initial_parameters(config, shared, start, key=init_key), data.phase.shape[0])
+    trainer = EpochTrainer(shared, data, config, bones, key=train_key, per_style=True)
+    return trainer.train(states, setting, (0, choice.epochs), progress_callback).params
 
 
-def _objective(config: FewShotConfig, bones: Bones | None) -> Objective:
-    return Objective(l1=config.l1, bone_length=config.bone_length if bones is not None else 0.0, bones=bones)
+def initial_parameters(config: FewShotConfig, shared: Network, start: Style | None = None, *, key: jax.Array) -> Any:
+    """Returns what the method starts from: `start`, a fresh style, the pretrained network, or a fresh network.
+
+    Args:
+        config: the method.
+        shared: pretrained parameters.
+        start: a style of the method's kind, e.g. for `film` the mean of the run's styles; None for a fresh one.
+        key: of fresh parameters.
+    """
+    if start is not None and config.method not in ("fine_tune", "scratch"):
+        return jax.tree.map(jnp.asarray, start)
+    if config.method == "fine_tune":
+        return shared
+    sizes = config_of(shared)
+    if config.method == "scratch":
+        return init_network(sizes, key=key)
+    return init_style(AdapterConfig(config.method, config.rank), sizes.hidden, sizes.num_control_points, key=key)
+
+
+def assemble(trained: Any, shared: Network) -> tuple[Network, Style | None]:
+    """Returns the network and style to run: (shared, style), or (network, None) where a whole network was trained."""
+    return (trained, None) if isinstance(trained, Network) else (shared, trained)
+
+
+@struct.dataclass
+class Setting:
+    """One point of the grid, or the whole grid on a leading axis G."""
+
+    learning_rate: jax.Array  # []
+    main_dropout: jax.Array  # []
+    adapter_dropout: jax.Array  # []
+
+
+def settings_grid(config: FewShotConfig) -> Setting:
+    """Returns all combinations of the configured rates; leaves [G]."""
+    rows = list(itertools.product(config.learning_rates, config.main_dropouts, config.adapter_dropouts))
+    return Setting(*(jnp.asarray(column, jnp.float32) for column in zip(*rows, strict=True)))
+
+
+def init_few_shot_state(params: Any) -> TrainState:
+    """Returns the state at step 0 from the parameters to be trained."""
+    # The state of Adam does not depend on its rate.
+    return TrainState(params, optax.adam(1.0).init(params), jnp.zeros((), jnp.int32))
+
+
+def few_shot_step(
+    state: TrainState,
+    setting: Setting,
+    shared: Network,
+    batch: Batch,
+    objective: Objective,
+    bones: Bones | None = None,
+    *,
+    key: jax.Array,
+) -> TrainState:
+    """Takes one Adam step of one setting on one minibatch; only `state.params` is differentiated."""
+    dropout = Dropout(main=setting.main_dropout, adapter=setting.adapter_dropout)
+
+    def loss(params):
+        network, style = assemble(params, shared)
+        return objective.loss(predict_batch(network, style, batch, dropout, key), batch.y, (params,), bones)[0]
+
+    # The rate is a traced argument, one for each setting under `vmap`; `optax.inject_hyperparams` would only store it
+    # in every state.
+    tx = optax.adam(setting.learning_rate)
+    params, opt_state = descend(tx, jax.grad(loss)(state.params), state.opt_state, state.params)
+    return TrainState(params, opt_state, state.step + 1)
+
+
+class EpochTrainer:
+    """Trains a leading axis of states: settings over one style's frames, or styles under one setting.
+
+    Args:
+        shared: pretrained parameters, not changed.
+        data: [N, ...] frames, or with `per_style` [S, N, ...].
+        config: its `batch_size` (a last incomplete minibatch is dropped) and the weights of its loss.
+        bones: for the bone-length loss, or None.
+        key: of shuffling and dropout; the key of an epoch is folded from it and the epoch's number.
+        per_style: whether the states are of styles, each with its own frames.
+    """
+
+    def __init__(
+        self,
+        shared: Network,
+        data: Batch,
+        config: FewShotConfig,
+        bones: Bones | None = None,
+        *,
+        key: jax.Array,
+        per_style: bool = False,
+    ) -> None:
+        axis = 1 if per_style else 0
+        self._count = jax.tree.leaves(data)[0].shape[axis]
+        self._inputs = _commit((shared, pad_rows(data, axis, math.lcm(ROWS, config.batch_size)), bones))
+        self._key = key
+        self._options = {
+            "batch_size": config.batch_size,
+            "objective": Objective(l1=config.l1, bone_length=config.bone_length),
+            "per_style": per_style,
+            "sorts": sorts_of(self._count),
+        }
+
+    def train(
+        self,
+        states: TrainState,
+        settings: Setting,
+        epochs: tuple[int, int],
+        progress_callback: Callable[[int], Any] = no_progress,
+    ) -> TrainState:
+        """Returns the states after the epochs [first, last); calls back with the number done, `EPOCHS` at a time."""
+        states, settings = _commit((states, settings))
+
+        def scan(states: TrainState, first: int, count: int) -> tuple[TrainState, None]:
+            counts = np.asarray([first, first + count, self._count], np.int32)
+            return _train_many(states, settings, *self._inputs, counts, self._key, **self._options), None
+
+        return train_steps(states, scan, chunks(*epochs, EPOCHS), lambda _, done, __: progress_callback(done))
+
+
+def row_errors(trained: Any, shared: Network, data: Batch) -> np.ndarray:
+    """Returns squared normalised errors [G, N], mean over outputs, of every setting on N frames, without dropout."""
+    count = len(data.x)
+    trained, shared, data = _commit((trained, shared, pad_rows(data, 0, ROWS)))
+    return np.asarray(_row_errors(trained, shared, data))[:, :count]
+
+
+def pad_rows(data: Batch, axis: int, multiple: int) -> Batch:
+    """Repeats frames along `axis` until their number is a multiple; those added are never trained on."""
+    count = jax.tree.leaves(data)[0].shape[axis]
+    rows = np.arange(-(-count // multiple) * multiple) % count
+    return jax.tree.map(lambda leaf: np.take(np.asarray(leaf), rows, axis=axis), data)
+
+
+def sorts_of(count: int) -> int:
+    """Returns how often a shuffle of `count` frames sorts by random bits, so that equal bits leave no trace."""
+    return max(1, math.ceil(3 * math.log(max(count, 1)) / math.log(_LARGEST)))
+
+
+def padded_permutation(size: int, count: jax.Array, sorts: int, *, key: jax.Array) -> jax.Array:
+    """Returns numbers [size]: first those below `count`, in the order of `jax.random.permutation`, then the others.
+
+    Args:
+        size: fixed, at least `count`.
+        count: [] how many are shuffled.
+        sorts: as `sorts_of` returns it for `count`.
+        key: of the order.
+    """
+    numbers = jnp.arange(size, dtype=jnp.int32)
+    order = numbers
+    for _ in range(sorts):
+        key, subkey = jax.random.split(key)
+        bits = jax.random.bits(subkey, (size,), jnp.uint32)
+        bits = jnp.where(numbers < count, bits, jnp.uint32(_LARGEST))  # stable: the padding stays last
+        order = jax.lax.sort_key_val(bits, order)[1]
+    return order
+
+
+@partial(jax.jit, static_argnames=("batch_size", "objective", "per_style", "sorts"), donate_argnums=0)
+def _train_many(states, settings, shared, data, bones, counts, key, *, batch_size, objective, per_style, sorts):
+    """Trains a leading axis of states; counts [3]: first epoch, the epoch before which to end, number of frames."""
+    size, (first, last, num_frames) = data.phase.shape[1 if per_style else 0], counts
+
+    def train(state: TrainState, setting: Setting, data: Batch) -> TrainState:
+        def one_epoch(epoch, state):
+            order_key, step_key = jax.random.split(jax.random.fold_in(key, epoch))
+            order = padded_permutation(size, num_frames, sorts, key=order_key)
+            keys = jax.random.split(step_key, size // batch_size)
+
+            def one_step(index, state):
+                frames = jax.lax.dynamic_slice(order, (index * batch_size,), (batch_size,))
+                batch = jax.tree.map(lambda leaf: leaf[frames], data)
+                return few_shot_step(state, setting, shared, batch, objective, bones, key=keys[index])
+
+            # Loops of traced length, so that clips of other lengths and other numbers of epochs share a compilation.
+            return jax.lax.fori_loop(0, num_frames // batch_size, one_step, state)
+
+        return jax.lax.fori_loop(first, last, one_epoch, state)
+
+    return jax.vmap(train, in_axes=(0, None, 0) if per_style else (0, 0, None))(states, settings, data)
+
+
+@jax.jit
+def _row_errors(trained, shared: Network, data: Batch) -> jax.Array:
+    def one(trained):
+        y = predict_batch(*assemble(trained, shared), data, None, None)
+        return jnp.mean((y - data.y) ** 2, axis=1)
+
+    return jax.vmap(one)(trained)
+
+
+def _stack(params: Any, count: int) -> TrainState:
+    """Returns `count` equal states at step 0 on a leading axis."""
+    return jax.vmap(lambda _: init_few_shot_state(params))(jnp.arange(count))
+
+
+def _keys(config: FewShotConfig, key: jax.Array | None) -> jax.Array:
+    """Returns the keys of initialisation and of training."""
+    return jax.random.split(jax.random.key(config.seed) if key is None else key)
+
+
+def _candidates(params: Any, settings: Setting, epochs: int, errors: np.ndarray) -> list[Candidate]:
+    rates = zip(*(np.asarray(leaf, float).tolist() for leaf in jax.tree.leaves(settings)), strict=True)
+    host = jax.tree.map(np.asarray, params)
+    candidates = []
+    for index, ((learning_rate, main, adapter), error) in enumerate(zip(rates, errors, strict=True)):
+        ranked_by = float(error) if np.isfinite(error) else float("inf")
+        choice = Choice(_decimal(learning_rate), _decimal(main), _decimal(adapter), epochs, ranked_by)
+        candidates.append(Candidate(choice, jax.tree.map(lambda leaf, i=index: leaf[i], host)))
+    return candidates
+
+
+def _decimal(rate: float) -> float:
+    """Returns a single-precision rate as it was written: 0.3, not 0.30000001."""
+    return float(f"{rate:.6g}")
+
+
+def _commit(tree: Any) -> Any:
+    """Commits arrays to the default device: uncommitted inputs would trigger a recompilation."""
+    return jax.device_put(tree, jax.devices()[0])

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.checkpoint import replacing, reporting_full_disk
-from pfnn_jax.io.files import to_plain
+from pfnn_jax.io.files import replacing, reporting_full_disk, to_plain
 
 
 def append_metrics(path: str | Path, record: Mapping[str, Any]) -> None:

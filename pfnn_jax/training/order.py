@@ -1,14 +1,14 @@
-"""Training data too large for the device: minibatches read ahead from disk while the device works."""
+"""The order of training: which rows and clips each step sees, a pure function of the seed and the step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from pfnn_jax.training.data import Batch, Draw, Rows, gather_from
+from pfnn_jax.training.data import Draw, Rows
 
 _ROWS, _CLIPS = 0, 1  # streams of random numbers, so that clips are drawn independently of the frames
 
@@ -17,15 +17,15 @@ _ROWS, _CLIPS = 0, 1  # streams of random numbers, so that clips are drawn indep
 class StepOrder:
     """The minibatches of a training run.
 
-    Step i belongs to style i mod S. Every style goes through shuffled passes of its own, of as many minibatches as
-    its rows fill; a last incomplete one is dropped, other rows each time. A pass of the shortest style is an epoch.
+    Step i belongs to style i mod S. Every style goes through its own shuffled passes, of as many minibatches as its
+    rows fill; a last incomplete one is dropped, with other rows in each pass. A pass of the shortest style is an epoch.
 
     Attributes:
         first_row: [S+1] first row of every style.
         batch_size: B.
         seed: of all passes.
         num_clips: C clips drawn for a step, with repetition; 0 for none.
-        windows, first_window: as in `StyleData`; needed for clips.
+        windows, first_window: as in `Rows`; needed for clips.
     """
 
     first_row: np.ndarray
@@ -51,17 +51,17 @@ class StepOrder:
 
     @property
     def steps_per_epoch(self) -> int:
-        """Steps in which the shortest style's rows are seen once."""
+        """Number of steps in which the shortest style's rows are seen once."""
         return self.num_styles * int(np.diff(self.first_row).min() // self.batch_size)
 
     def rows(self, step: int) -> np.ndarray:
-        """[B] int32 rows of a step."""
+        """Returns the [B] int32 rows of a step."""
         turn, style = divmod(step, self.num_styles)
         number, batch = divmod(turn, int(self.first_row[style + 1] - self.first_row[style]) // self.batch_size)
         return self._pass(style, number)[batch * self.batch_size : (batch + 1) * self.batch_size]
 
     def clips(self, step: int) -> np.ndarray:
-        """[C, 2] int32 windows of a step: first row, number of rows."""
+        """Returns the [C, 2] int32 windows of a step: first row, number of rows."""
         assert self.windows is not None and self.first_window is not None
         style = step % self.num_styles
         rng = np.random.default_rng((self.seed, _CLIPS, step))
@@ -69,7 +69,7 @@ class StepOrder:
         return self.windows[rng.integers(first, stop, self.num_clips)]
 
     def draw(self, first_step: int, count: int) -> Draw:
-        """Rows and clips of `count` steps."""
+        """Returns the rows and clips of `count` steps."""
         steps = range(first_step, first_step + count)
         rows = np.stack([self.rows(step) for step in steps])
         return Draw(rows, np.stack([self.clips(step) for step in steps]) if self.num_clips else None)
@@ -84,24 +84,6 @@ class StepOrder:
         return (first + rng.permutation(stop - first)).astype(np.int32)
 
 
-def order_of(data: Rows, batch_size: int, seed: int, num_clips: int = 0) -> StepOrder:
-    """The order of a training run over `data`."""
-    return StepOrder(data.first_row, batch_size, seed, num_clips, data.windows, data.first_window)
-
-
-AHEAD = 2
-"""Dispatches that are prepared while the device works on one."""
-
-
-def stream_batches(data: Rows, order: StepOrder, dispatches: list[tuple[int, int]]) -> Iterator[Batch]:
-    """The minibatches of dispatches (first step, number of steps), leaves [n, B, ...], read ahead in threads.
-
-    The same numbers as the path that keeps the data on the device: a minibatch is a function of its step alone.
-    """
-    import grain  # two seconds of imports, which only data of this size should cost
-
-    def batches(dispatch: tuple[int, int]) -> Batch:
-        return gather_from(data, order.draw(*dispatch))
-
-    options = grain.ReadOptions(num_threads=AHEAD, prefetch_buffer_size=AHEAD)
-    return iter(grain.MapDataset.source(dispatches).map(batches).to_iter_dataset(options))
+def order_of(rows: Rows, batch_size: int, seed: int, num_clips: int = 0) -> StepOrder:
+    """Returns the order of a training run over `rows`."""
+    return StepOrder(rows.first_row, batch_size, seed, num_clips, rows.windows, rows.first_window)

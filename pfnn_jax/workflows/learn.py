@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import time
-import weakref
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -19,38 +17,37 @@ from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import labelled_features, load_for_layout, match_hands
 from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
+from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.skeleton import check_same_topology
-from pfnn_jax.run import Run, check_adapter, list_styles, load_generator, save_style
-from pfnn_jax.training.data import hold_out, style_data, to_batch
-from pfnn_jax.training.few_shot_learning import FewShotConfig, choose, refit, train_grid
-from pfnn_jax.training.steps import Bones
-from pfnn_jax.training.tuning import TuningConfig, tune_generator
+from pfnn_jax.run import Run, check_adapter, check_new_style, load_generator, load_run, save_style
+from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig, TuningConfig
+from pfnn_jax.training.data import Rows, hold_out
+from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style
+from pfnn_jax.training.loop import no_progress
+from pfnn_jax.training.tuning import tune_generator
 
 Progress = Callable[[float, str], Any]
-"""Told the share that is done, 0 to 1, and what is being done."""
-
-_bones_of_runs: weakref.WeakKeyDictionary[Run, Bones] = weakref.WeakKeyDictionary()
+"""Called with the share that is done, 0 to 1, and what is being done."""
 
 
 def learn_style(
-    run: Run,
-    clip_file: ClipFile,
-    config: FewShotConfig,
+    run: Run | str | Path,
+    clip_file: ClipFile | str | Path,
+    config: FewShotConfig | None = None,
     *,
     mirror: bool = True,
     roles_file: Path | None = None,
     overwrite: bool = False,
-    progress_callback: Progress = lambda share, what: None,
+    progress_callback: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Learns a style from a clip beside the frozen shared network, and saves it in the run.
+    """Learns a style from a clip for the frozen shared network, and saves it in the run.
 
     Args:
-        run: a pretrained run.
-        clip_file: the clip, its frames and the style's name.
-        config: the grid of settings; a method that trains an adapter.
+        run: a pretrained run, or its directory.
+        clip_file: the clip, its frames and the style's name; or a BVH file, after which the style is named.
+        config: the grid of settings, with a method that trains an adapter; `default_config` of the run by default.
         mirror: also learn from the mirrored clip; off for a style whose left and right differ.
         roles_file: JSON naming the joints' roles.
         overwrite: replace a style of this name.
@@ -61,102 +58,50 @@ def learn_style(
 
     Raises:
         InputError: for a bad clip, a clip without steps or of another skeleton, a style that exists, a method that
-            trains a whole network, or an adapter of another rank than the run's.
+            trains a whole network, or an adapter of another rank than the run's. Nothing is trained before.
     """
     started = time.perf_counter()
-    _check_request(run, clip_file.style, config, overwrite)
+    run, clip_file = _as_run(run), _as_clip_file(clip_file)
+    config = default_config(run) if config is None else config
+    check_new_style(run.path, clip_file.style, overwrite)
+    _check_method(run, config)
     progress_callback(0.0, "labelling")
     parts = clip_parts(load_for_layout(clip_file, run.layout, roles_file), run, mirror)
     _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
-    adapter, found = learn_rows(run, parts, config, progress_callback)
+    about = _about_clip(run, clip_file, parts, mirror)
+    found = _fit(run, parts, config, progress_callback)
     info = {
-        **_about_clip(run, clip_file, parts, mirror),
+        **about,
         "config": asdict(config),
-        **found,
+        "choice": found.choice._asdict(),
+        "stable_on_turns": found.stable_on_turns,
+        "error_without_style": found.error_without_style,
+        "ranking": [choice._asdict() for choice in found.ranking],
         "seconds": time.perf_counter() - started,
     }
     progress_callback(0.98, "saving")
-    save_style(run.path, clip_file.style, adapter, info, overwrite)
+    save_style(run.path, clip_file.style, found.style, info, overwrite)
     return info
 
 
-def learn_rows(
-    run: Run, parts: list[Features], config: FewShotConfig, progress_callback: Progress = lambda share, what: None
-) -> tuple[Any, dict[str, Any]]:
-    """The parameters of a style from the rows of its clip, and what is to tell of them; nothing is saved.
-
-    Args:
-        run: a pretrained run.
-        parts: rows of the clip, then of its mirror image where that belongs to the style.
-        config: the grid of settings.
-        progress_callback: called with the share that is done, 0 to 1, and what is being done.
-    """
-    rows, (learn, held) = parts[0], hold_out(parts, config.held_out)
-    # A Film that changes nothing is no motion of any style: the mean of the run's styles is the nearest that is known.
-    options = {"start": load_choice(run, None) if config.method == "film" else None, "bones": _bones(run)}
-    data, held_out = to_batch(learn, run.normaliser), to_batch(held, run.normaliser)
-
-    def told(begin: float, end: float, epochs: int, what: str) -> Callable[[int], Any]:
-        return lambda done: progress_callback(begin + (end - begin) * done / epochs, what)
-
-    trying = told(0.03, 0.5, config.eval_epochs[-1], "trying settings")
-    candidates = train_grid(run.shared, data, held_out, config, progress_callback=trying, **options)
-    is_stable = make_stability_check(
-        run.shared, run.normaliser, run.layout, rows.x, rows.y, rows.phase, loop_config(run)
-    )
-    walked = itertools.count()
-
-    def walks(trained: Any) -> bool:
-        progress_callback(0.5 + 0.1 * min(next(walked) / len(candidates), 1.0), "walking in circles")
-        return is_stable(trained)
-
-    chosen = choose(candidates, config.tolerance, walks)
-    learning = told(0.6, 0.95, chosen.choice.epochs, "learning")
-    everything = to_batch(parts, run.normaliser)
-    adapter = refit(run.shared, everything, chosen.choice, config, progress_callback=learning, **options)
-    return adapter, {
-        "choice": chosen.choice._asdict(),
-        "stable_on_turns": is_stable(adapter),
-        "ranking": [candidate.choice._asdict() for candidate in candidates],
-    }
-
-
-def precompile(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
-    """Compiles all that `learn_rows` needs of a run and a grid, so that a style is learned without waiting for it.
-
-    Args:
-        run: a pretrained run.
-        config: the grid.
-        num_frames: of a clip of which a symmetric style is learned; other lengths need no more.
-    """
-    x, y = (np.asarray(part.mean, np.float32) for part in (run.normaliser.inputs, run.normaliser.outputs))
-    phase = run.normaliser.initial_phase()
-    rows = Features(
-        np.broadcast_to(x, (num_frames, *x.shape)),
-        np.broadcast_to(y, (num_frames, *y.shape)),
-        np.broadcast_to(phase, (num_frames, *phase.shape)),
-        np.arange(num_frames),
-    )
-    learn_rows(run, [rows, rows], replace(config, eval_epochs=(1,)))
-
-
 def tune_style(
-    run: Run,
-    clip_file: ClipFile,
-    config: TuningConfig,
+    run: Run | str | Path,
+    clip_file: ClipFile | str | Path,
+    config: TuningConfig | None = None,
     *,
     mirror: bool = True,
     roles_file: Path | None = None,
     overwrite: bool = False,
+    progress_callback: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Learns a style by tuning the run's FiLM generator to its clip, and saves the Film that it then makes.
+    """Learns a style by tuning the run's FiLM generator to its clip, and saves the FiLM style that it then predicts.
 
     The tuned generator is not kept: the run's own stays as it was trained.
 
     Args:
-        run: a run pretrained with FiLM.
-        clip_file, mirror, roles_file, overwrite: as in `learn_style`.
-        config: how.
+        run: a run pretrained with FiLM, or its directory.
+        clip_file, mirror, roles_file, overwrite, progress_callback: as in `learn_style`.
+        config: how to tune; `TuningConfig()` by default.
 
     Returns:
         What is saved as `info` in style.json: source, frames, speed, settings, seconds, the last loss.
@@ -166,35 +111,63 @@ def tune_style(
         TrainingError: when a loss is not finite.
     """
     started = time.perf_counter()
-    _check_new(run, clip_file.style, overwrite)
-    parameters, sizes = load_generator(run), run.config.generator
+    run, clip_file = _as_run(run), _as_clip_file(clip_file)
+    config = TuningConfig() if config is None else config
+    check_new_style(run.path, clip_file.style, overwrite)
+    params, sizes = load_generator(run), run.config.generator
     assert sizes is not None  # `load_generator` refuses such a run
+    progress_callback(0.0, "labelling")
     parts = clip_parts(load_for_layout(clip_file, run.layout, roles_file), run, mirror)
     _check_length(parts, config.batch_size, clip_file.path)
-    data = style_data({clip_file.style: parts}, run.layout, run.normaliser, run.skeleton.parents)
-    tuned = tune_generator(run.shared, sizes, parameters, data, config, style=clip_file.style)
+    about = _about_clip(run, clip_file, parts, mirror)
+    tuned = tune_generator(
+        run.shared,
+        sizes,
+        params,
+        _rows(run, clip_file.style, parts),
+        config,
+        progress_callback=lambda progress: progress_callback(0.95 * progress.step / progress.steps, "tuning"),
+    )
     info = {
-        **_about_clip(run, clip_file, parts, mirror),
+        **about,
         "config": asdict(config),
         "loss": float(tuned.losses[-1]),
         "seconds": time.perf_counter() - started,
     }
-    save_style(run.path, clip_file.style, tuned.film, info, overwrite)
+    progress_callback(0.98, "saving")
+    save_style(run.path, clip_file.style, tuned.style, info, overwrite)
     return info
 
 
-def _about_clip(run: Run, clip_file: ClipFile, parts: list[Features], mirror: bool) -> dict[str, Any]:
-    """What a style's `style.json` tells of its clip, whichever way it was learned."""
-    return {
-        "source": clip_file.path.name,
-        "frames": len(parts[0].x),
-        "mirrored": mirror,
-        "speed": median_speed(run.layout, parts[0].y),
-    }
+def default_config(run: Run) -> FewShotConfig:
+    """Returns the few-shot settings that fit a run's styles: FiLM for FiLM runs, else CP adapters of the run's rank."""
+    adapter = run.config.adapter
+    if adapter.kind == "film":
+        return FILM_FEW_SHOT
+    return FewShotConfig(rank=adapter.rank) if adapter.kind == "cp" else FewShotConfig()
+
+
+def precompile(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
+    """Compiles everything that `learn_style` needs for a run and a grid, so that a later style is learned at once.
+
+    Args:
+        run: a pretrained run.
+        config: the grid.
+        num_frames: of a clip of a symmetric style; clips of other lengths need no further compilation.
+    """
+    x, y = (np.asarray(part.mean, np.float32) for part in (run.normaliser.inputs, run.normaliser.outputs))
+    phase = run.normaliser.initial_phase()
+    features = Features(
+        np.broadcast_to(x, (num_frames, *x.shape)),
+        np.broadcast_to(y, (num_frames, *y.shape)),
+        np.broadcast_to(phase, (num_frames, *phase.shape)),
+        np.arange(num_frames),
+    )
+    _fit(run, [features, features], replace(config, eval_epochs=(1,)))
 
 
 def clip_parts(labelled: LabelledClip, run: Run, mirror: bool) -> list[Features]:
-    """A clip's rows and, with `mirror`, those of its mirror image.
+    """Returns a clip's rows and, with `mirror`, those of its mirror image.
 
     Raises:
         InputError: if its skeleton is not the run's, or it has no usable frames.
@@ -204,29 +177,51 @@ def clip_parts(labelled: LabelledClip, run: Run, mirror: bool) -> list[Features]
     return labelled_features(labelled, run.layout, mirror)
 
 
-def _bones(run: Run) -> Bones | None:
-    """Of the rows, where the layout's paper trains with bone lengths."""
-    if not run.layout.next_frame:
-        return None
-    if run not in _bones_of_runs:  # the same object every time: it is part of what training is compiled for
-        outputs = run.normaliser.outputs
-        _bones_of_runs[run] = Bones(run.layout, run.skeleton.parents, outputs.std, outputs.mean)
-    return _bones_of_runs[run]
+def _fit(
+    run: Run, parts: list[Features], config: FewShotConfig, progress_callback: Progress = no_progress
+) -> FewShotResult:
+    """Learns a style from the rows of its clip and its mirror image; nothing is saved."""
+    first = parts[0]
+    is_stable = make_stability_check(
+        run.shared, run.normaliser, run.layout, first.x, first.y, first.phase, loop_config(run)
+    )
+    # FiLM starts from the mean of the run's styles: the identity FiLM is far from every style.
+    start = load_choice(run, None) if config.method == "film" else None
+    rows = _rows(run, "style", parts)
+    return fit_style(run.shared, rows, config, start=start, is_stable=is_stable, progress_callback=progress_callback)
 
 
-def _check_request(run: Run, style: str, config: FewShotConfig, overwrite: bool) -> None:
-    _check_new(run, style, overwrite)
+def _rows(run: Run, style: str, parts: list[Features]) -> Rows:
+    return Rows.from_features({style: parts}, run.layout, run.normaliser, run.skeleton.parents)
+
+
+def _as_run(run: Run | str | Path) -> Run:
+    return run if isinstance(run, Run) else load_run(run)
+
+
+def _as_clip_file(clip_file: ClipFile | str | Path) -> ClipFile:
+    if isinstance(clip_file, ClipFile):
+        return clip_file
+    if not isinstance(clip_file, str | Path):
+        raise InputError("clip", "argument", type(clip_file).__name__, "must be a ClipFile or the path of a BVH file")
+    return ClipFile(Path(clip_file), Path(clip_file).stem)
+
+
+def _about_clip(run: Run, clip_file: ClipFile, parts: list[Features], mirror: bool) -> dict[str, Any]:
+    """Returns the entries of a style's `style.json` that describe its clip, however it was learned."""
+    return {
+        "source": Path(clip_file.path).name,
+        "frames": len(parts[0].x),
+        "mirrored": mirror,
+        "speed": median_speed(run.layout, parts[0].y),
+    }
+
+
+def _check_method(run: Run, config: FewShotConfig) -> None:
     if config.method in ("fine_tune", "scratch"):
-        rule = "a style in a run is an adapter, a one-hot shift or a Film, not a whole network"
+        rule = "must be an adapter, a one-hot shift or FiLM parameters: a run has one whole network"
         raise InputError(run.path, "method", config.method, rule)
     check_adapter(run.config, AdapterConfig(config.method, config.rank), run.path)
-
-
-def _check_new(run: Run, style: str, overwrite: bool) -> None:
-    check_style_name(style, run.path)
-    if style in list_styles(run.path) and not overwrite:
-        folder = run.path / "styles" / style
-        raise InputError(folder, "output", "exists", "an existing style is replaced only with --overwrite")
 
 
 def _check_length(parts: list[Features], batch_size: int, source: Path) -> None:

@@ -1,4 +1,4 @@
-"""Pretraining on disk: from a prepared dataset to a run directory, killed and resumed at any moment."""
+"""Pretraining on disk: from a prepared dataset to a run directory, which can be killed and resumed at any moment."""
 
 from __future__ import annotations
 
@@ -12,79 +12,93 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.datasets.dataset import Dataset
+from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.run import (
     Run,
     RunConfig,
     create_run,
+    has_shared,
     load_config,
     load_run,
     load_train_state,
+    save_config,
     save_generator,
     save_shared,
     save_style,
     save_train_state,
+    train_progress,
 )
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.data import dataset_rows
+from pfnn_jax.training.data import Rows
 from pfnn_jax.training.log import append_metrics, rewind_metrics
-from pfnn_jax.training.pretraining import Progress, init_state, styles_of, train
-from pfnn_jax.training.steps import TrainState
+from pfnn_jax.training.loop import Progress, TrainState, no_progress
+from pfnn_jax.training.pretraining import init_state, pretrain, styles_of
+
+LENGTHS = ("epochs", "steps")
+"""Settings that may change when a run is resumed: it can be trained longer."""
 
 
 def pretrain_run(
-    dataset: Dataset,
+    dataset: Dataset | str | Path,
     out: str | Path,
-    config: PretrainConfig,
+    config: PretrainConfig | None = None,
     *,
     resume: bool = False,
     overwrite: bool = False,
-    progress_callback: Callable[[Progress], None] = lambda progress: None,
+    progress_callback: Callable[[Progress], Any] = no_progress,
 ) -> Run:
-    """Trains a shared network and a style for each name, and writes them as a run.
+    """Trains a shared network and a style for each name in a dataset, and writes them as a run.
 
-    With FiLM the generator is written too, and the styles are the mean Films over all windows of each.
+    With FiLM the generator is written too, and the styles are its mean FiLM styles over all windows of each.
 
     The training state is saved every `config.save_every` steps; the shared parameters and the styles are written
-    once, at the end. A run killed before resumes from its last complete state and repeats the rest bit for bit.
+    once, at the end. A run killed before resumes from its last complete state and repeats the rest bit for bit. A
+    finished run is trained longer by resuming it with more steps or epochs; styles that were learned few-shot for its
+    earlier network do not fit the new one and are refused by name.
 
     Args:
-        dataset: prepared motion of all styles.
+        dataset: prepared motion of all styles, or its folder.
         out: the run directory.
-        config: how to train.
-        resume: go on with the run in `out`, which must have been started with the same settings.
+        config: how to train; `PretrainConfig()` by default.
+        resume: continue the run in `out`, which must have been started with the same settings; only `epochs` and
+            `steps` may be larger.
         overwrite: replace an existing run.
-        progress_callback: called after every dispatch.
+        progress_callback: called after every `config.steps_per_dispatch` steps.
 
     Raises:
-        InputError: if `out` exists (without `resume` or `overwrite`), or holds other settings than asked; for
-            sizes that the dataset's layout cannot have.
+        InputError: if `out` exists (without `resume` or `overwrite`), or holds a run with other settings; for sizes
+            that the dataset's layout cannot have, and for a style with fewer rows than a minibatch.
         TrainingError: when a loss is not finite; the last good state stays.
     """
-    out = Path(out)
+    dataset = dataset if isinstance(dataset, Dataset) else load_dataset(Path(dataset))
+    config, out = PretrainConfig() if config is None else config, Path(out)
     run_config = run_config_of(dataset, config)
-    data = dataset_rows(dataset, limit=config.device_bytes)
+    _check_rows(dataset, config)
+    if resume:
+        _check_resumable(out, run_config)
+    else:
+        if not overwrite:
+            _refuse_unfinished(out)
+        create_run(out, run_config, dataset.normaliser, overwrite)
+    rows = Rows.from_dataset(dataset, max_bytes=config.device_bytes)
     state = init_state(config, dataset.layout, len(dataset.styles))
     if resume:
-        state = _resumed(out, run_config, state)
-    else:
-        create_run(out, run_config, dataset.normaliser, overwrite)
+        state = _resume(out, run_config, state)
 
     def save(state: TrainState, progress: Progress) -> None:
         append_metrics(out, progress._asdict())
         if progress.step % config.save_every < config.steps_per_dispatch or progress.step == progress.steps:
-            save_train_state(out, state, progress.step)
-        progress_callback(progress)
+            save_train_state(out, state, progress.step, progress.steps)
 
-    state = train(state, data, config, dataset.styles, progress_callback=save)
-    _save_result(out, state, dataset, styles_of(state, data, config))
+    state = pretrain(rows, config, state=state, progress_callback=progress_callback, state_callback=save)
+    _save_result(out, state, dataset, styles_of(state, rows, config))
     return load_run(out)
 
 
 def run_config_of(dataset: Dataset, config: PretrainConfig) -> RunConfig:
-    """The configuration that a run of this dataset carries.
+    """Returns the configuration of a run of this dataset.
 
     Raises:
         InputError: for sizes that its layout cannot have.
@@ -106,15 +120,42 @@ def run_config_of(dataset: Dataset, config: PretrainConfig) -> RunConfig:
     )
 
 
-def _resumed(out: Path, wanted: RunConfig, state: TrainState) -> TrainState:
-    """The last saved state of the run in `out`, or the fresh one if it was killed before its first save."""
+def _check_rows(dataset: Dataset, config: PretrainConfig) -> None:
+    style, rows = min(dataset.frames.items(), key=lambda item: item[1])
+    if rows < config.batch_size:
+        raise InputError(
+            dataset.path, f"rows of style {style}", rows, f"must be at least batch_size {config.batch_size}"
+        )
+
+
+def _refuse_unfinished(out: Path) -> None:
+    """Refuses to replace a run that can be resumed, which `overwrite=True` alone may do."""
+    if (out / "config.json").is_file() and not has_shared(out):
+        step, steps = train_progress(out) or (0, None)
+        value = f"unfinished at step {step}" + (f" of {steps}" if steps else "")
+        raise InputError(out, "run", value, "pass resume=True to continue, or overwrite=True to start again")
+
+
+def _check_resumable(out: Path, wanted: RunConfig) -> None:
+    """Refuses to resume a run that was started with other settings, or to train it for fewer steps than it has."""
     found, asked = _plain(load_config(out)), _plain(wanted)
+    for entries in (found["pretrain"], asked["pretrain"]):
+        for name in LENGTHS:
+            entries.pop(name, None)
     for name in sorted(asked.keys() - {"versions"}):
         if found[name] != asked[name]:
-            value = f"{_differing(found[name], asked[name])} differs from what was asked"
-            raise InputError(out, name, value, "a run is resumed with the settings it began with")
+            value = f"{_differing(found[name], asked[name])} differs from the settings given now"
+            raise InputError(out, name, value, "must be the settings that the run was started with")
+    progress, steps = train_progress(out), wanted.pretrain["steps"]
+    if progress is not None and steps is not None and steps < progress[0]:
+        raise InputError(out, "steps", steps, f"must be at least {progress[0]}, the steps already taken")
+
+
+def _resume(out: Path, wanted: RunConfig, state: TrainState) -> TrainState:
+    """Returns the last saved state of the run, or the fresh one if it was killed before its first save."""
     loaded = load_train_state(out, jax.eval_shape(lambda: state))
     rewind_metrics(out, 0 if loaded is None else int(loaded.step))
+    save_config(out, wanted)
     return state if loaded is None else loaded
 
 
@@ -123,23 +164,23 @@ def _plain(config: RunConfig) -> dict[str, Any]:
 
 
 def _differing(old: Any, new: Any) -> str:
-    """The entries in which two values differ, with the old ones."""
+    """Returns the entries in which two values differ, with the old ones."""
     if isinstance(old, dict) and isinstance(new, dict):
         return ", ".join(f"{key} {old.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key))
     return str(old)
 
 
 def _save_result(out: Path, state: TrainState, dataset: Dataset, bank: Any) -> None:
-    save_shared(out, state.shared)
+    save_shared(out, state.params.shared)
     if load_config(out).generator is not None:
-        save_generator(out, state.modulation)
-    for index, style in enumerate(dataset.styles):
-        adapter = jax.tree.map(lambda leaf, i=index: np.asarray(leaf[i]), bank)
-        y = dataset.arrays(style)[1]
+        save_generator(out, state.params.modulation)
+    for index, name in enumerate(dataset.styles):
+        style = jax.tree.map(lambda leaf, i=index: np.asarray(leaf[i]), bank)
+        y = dataset.arrays(name)[1]
         info = {
             "source": str(dataset.path),
-            "frames": dataset.frames[style],
+            "frames": dataset.frames[name],
             "speed": median_speed(dataset.layout, y[::10]),
             "steps": int(state.step),
         }
-        save_style(out, style, adapter, info, overwrite=True)
+        save_style(out, name, style, info, overwrite=True)

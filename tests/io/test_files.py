@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import failure, require_suffix, swap_folder, write_whole
+from pfnn_jax.io.files import failure, refuse_existing, require_suffix, swap_folder, write_whole
+from tests.raising import assert_refused
 
 
 def names(folder: Path) -> list[str]:
@@ -31,14 +34,14 @@ def test_a_file_that_cannot_be_put_in_place_leaves_the_old_one(tmp_path, monkeyp
     path = tmp_path / "a"
     path.write_text("old")
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(InputError, match="No space left on device; must be writable"):
-        write_whole(path, "new")
+    assert_refused(lambda: write_whole(path, "new"), file="a", place="disk")
     assert path.read_text() == "old" and names(tmp_path) == ["a"]
 
 
 def test_no_folder_to_write_to_is_one_line(tmp_path):
-    with pytest.raises(InputError, match="No such file or directory"):
-        write_whole(tmp_path / "absent" / "a", "text")
+    assert_refused(
+        lambda: write_whole(tmp_path / "absent" / "a", "text"), place="output", value="No such file or directory"
+    )
 
 
 @pytest.mark.parametrize("there", ["nothing", "folder", "file", "link"])
@@ -90,3 +93,23 @@ def test_a_name_of_another_kind_is_refused(name, suffixes, message):
 def test_a_failure_is_told_in_one_line_without_the_path():
     assert failure(FileNotFoundError(2, "No such file or directory", "here/a")) == "No such file or directory"
     assert failure(ValueError("one\ntwo")) == "one" and failure(EOFError()) == "EOFError"
+
+
+def test_a_temporary_of_a_dead_process_is_removed_and_that_of_a_living_one_stays(tmp_path):
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    dead, living = tmp_path / f".a.{process.pid}.new", tmp_path / f".a.{os.getppid()}.new"
+    dead.mkdir()
+    (dead / "half").write_text("half")
+    living.write_text("half")
+    write_whole(tmp_path / "a", "new")
+    assert names(tmp_path) == [living.name, "a"]
+
+
+@pytest.mark.parametrize("there", ["file", "folder"])
+def test_an_existing_output_is_refused_unless_it_may_be_replaced(tmp_path, there):
+    path = tmp_path / "a"
+    refuse_existing(path, overwrite=False)
+    path.write_text("") if there == "file" else path.mkdir()
+    assert_refused(lambda: refuse_existing(path, overwrite=False), place="output", rule_mentions="overwrite=True")
+    refuse_existing(path, overwrite=True)

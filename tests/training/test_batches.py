@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pfnn_jax.motion.datasets.splits import row_windows
 from pfnn_jax.motion.features.layout import mason2018, mason2022
+from pfnn_jax.training.config import num_clip_columns
 from pfnn_jax.training.data import (
-    Batch,
     clip_columns,
-    cut_windows,
-    gather_from,
     make_gather,
-    num_clip_columns,
     window_rows,
 )
 from pfnn_jax.training.order import order_of
@@ -29,26 +26,19 @@ def test_a_clip_holds_the_joint_columns_in_stored_order():
     assert clip_columns(LAYOUT) == slice(2, 5)
 
 
-def test_windows_are_halfway_apart_and_within_the_take():
-    windows = cut_windows(700)
-    np.testing.assert_array_equal(windows, [[0, 240], [120, 240], [240, 240], [360, 240]])
-    np.testing.assert_array_equal(cut_windows(240), [[0, 240]])
-
-
-def test_a_short_take_gives_one_window_padded_by_its_last_row():
-    windows = cut_windows(5)
-    np.testing.assert_array_equal(windows, [[0, 5]])
-    np.testing.assert_array_equal(window_rows(windows + [[7, 0]], 8), [[7, 8, 9, 10, 11, 11, 11, 11]])
+def test_a_short_window_is_padded_by_its_last_row():
+    windows = row_windows(np.arange(5)) + [[7, 0]]
+    np.testing.assert_array_equal(window_rows(windows, 8), [[7, 8, 9, 10, 11, 11, 11, 11]])
 
 
 @pytest.mark.parametrize("layout", ["mason2022", "mason2022_pfnn"])
 def test_gathering_on_the_device_and_on_the_host_is_the_same(layout):
     data = body_rows(layout)
     draw = order_of(data, 4, seed=0, num_clips=2).draw(0, 6)
-    together = gather_from(data, draw)
+    together = data.gather(draw)
     assert together.clip is not None and together.clip.shape == (6, 2, 240, 36)
     gather = jax.jit(make_gather(data.layout))
-    on_device = Batch(jnp.asarray(data.x), jnp.asarray(data.y), jnp.asarray(data.phase))
+    on_device = data.on_device()
     for step in range(6):
         one = jax.tree.map(lambda leaf, i=step: leaf[i], draw)
         assert_bitwise(gather(on_device, one), jax.tree.map(lambda leaf, i=step: leaf[i], together))
@@ -56,7 +46,7 @@ def test_gathering_on_the_device_and_on_the_host_is_the_same(layout):
 
 def test_clips_are_rows_of_their_own_style():
     data = body_rows()
-    marked = data.x.copy()
+    marked = data.parts[0].x.copy()
     marked[:] = np.searchsorted(data.first_row, np.arange(len(marked)), side="right")[:, None]
     order = order_of(data, 4, seed=0, num_clips=3)
     for step in range(9):

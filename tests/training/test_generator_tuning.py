@@ -12,12 +12,11 @@ import pytest
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.layers.film import FiLMStyle
-from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.data import Batch
-from pfnn_jax.training.films import mean_films
+from pfnn_jax.training.config import PretrainConfig, TuningConfig
+from pfnn_jax.training.film_styles import mean_styles
 from pfnn_jax.training.pretraining import init_state
 from pfnn_jax.training.steps import predict_batch
-from pfnn_jax.training.tuning import TuningConfig, tune_generator
+from pfnn_jax.training.tuning import tune_generator
 from tests.training.toy import HIDDEN, assert_bitwise, body_rows, on_host
 
 PRETRAINED = PretrainConfig(
@@ -41,26 +40,26 @@ def style(pretrained):
     """30 rows of a style that the frozen network can show: what it puts out under some Film."""
     data = body_rows(num_frames=(30,), seed=4)
     film = FiLMStyle(scale=jnp.full((2, HIDDEN), 3.0), shift=jnp.full((2, HIDDEN), 2.0))
-    y = predict_batch(pretrained.shared, film, Batch(data.x, data.y, data.phase), None, None)
-    return dataclasses.replace(data, y=np.asarray(y))
+    y = predict_batch(pretrained.params.shared, film, data.parts[0], None, None)
+    return dataclasses.replace(data, parts=(dataclasses.replace(data.parts[0], y=np.asarray(y)),))
 
 
 def tune(pretrained, config: TuningConfig = TUNING):
     data = style(pretrained)
     sizes = PRETRAINED.generator(data.layout)
     assert sizes is not None
-    return tune_generator(pretrained.shared, sizes, pretrained.modulation, data, config), sizes
+    return tune_generator(pretrained.params.shared, sizes, pretrained.params.modulation, data, config), sizes
 
 
 def test_only_the_generator_changes_and_it_learns(pretrained):
-    before = on_host((pretrained.shared, pretrained.modulation))
+    before = on_host((pretrained.params.shared, pretrained.params.modulation))
     tuned, sizes = tune(pretrained)
-    assert_bitwise((pretrained.shared, pretrained.modulation), before)
+    assert_bitwise((pretrained.params.shared, pretrained.params.modulation), before)
     assert not np.array_equal(jax.tree.leaves(tuned.generator)[0], jax.tree.leaves(before[1])[0])
     assert tuned.losses.shape == (60,)
     assert tuned.losses[-5:].mean() < LEARNED * tuned.losses[:5].mean()
-    films = mean_films(film_generator(sizes), tuned.generator, style(pretrained))
-    assert_bitwise(tuned.film, jax.tree.map(lambda leaf: leaf[0], films))
+    films = mean_styles(film_generator(sizes), tuned.generator, style(pretrained))
+    assert_bitwise(tuned.style, jax.tree.map(lambda leaf: leaf[0], films))
 
 
 def test_tuning_depends_on_its_settings_alone(pretrained):

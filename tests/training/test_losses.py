@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +9,8 @@ import pytest
 from jax.test_util import check_grads
 
 from pfnn_jax.motion.features.layout import mason2018, mason2022, pfnn2017
-from pfnn_jax.training.losses import bone_length_loss, l1_penalty, squared_error
+from pfnn_jax.motion.features.normaliser import Statistics
+from pfnn_jax.training.losses import l1_penalty, make_bones, squared_error
 
 FLOAT32 = 1e-6  # a few ulp over sums of six terms near one
 LENGTHS = 1e-5  # single precision: differences of lengths, a tenth of the lengths themselves
@@ -79,6 +78,10 @@ def bone_setup(make, seed=0):
     return layout, prediction, target, std, mean
 
 
+def bones_of(layout, std, mean):
+    return make_bones(layout, PARENTS, Statistics(mean, std))
+
+
 def bone_reference(layout, prediction, target, std, mean) -> float:
     """Frame by frame and bone by bone, in double precision."""
     columns, total = layout.output_slice("joint_position"), 0.0
@@ -96,17 +99,17 @@ def test_bone_length_loss_is_the_plain_sum_over_frames_and_bones(make):
     layout, prediction, target, std, mean = bone_setup(make)
     reference = bone_reference(layout, prediction, target, std, mean)
     with jax.enable_x64(True):
-        found = bone_length_loss(jnp.asarray(prediction), target, layout, PARENTS, std, mean)
+        found = bones_of(layout, std, mean).length_error(jnp.asarray(prediction), target)
         np.testing.assert_allclose(found, reference, rtol=1e-13)  # the same sum in another order
     single = [np.asarray(values, np.float32) for values in (prediction, target)]
-    found = bone_length_loss(jnp.asarray(single[0]), single[1], layout, PARENTS, std, mean)
+    found = bones_of(layout, std, mean).length_error(jnp.asarray(single[0]), single[1])
     np.testing.assert_allclose(found, reference, rtol=LENGTHS)
 
 
 def test_columns_serve_both_precisions_one_after_the_other():
     """Compiled in single and evaluated in double precision: interleaved columns are arrays that JAX keeps."""
     layout, prediction, target, std, mean = bone_setup(mason2022)
-    loss = partial(bone_length_loss, layout=layout, parents=PARENTS, output_std=std, output_mean=mean)
+    loss = bones_of(layout, std, mean).length_error
     single = jax.jit(loss)(jnp.asarray(prediction, jnp.float32), target.astype(np.float32))
     with jax.enable_x64(True):
         np.testing.assert_allclose(single, loss(jnp.asarray(prediction), target), rtol=LENGTHS)
@@ -120,14 +123,14 @@ def test_bone_length_loss_is_zero_under_rigid_motion():
     turned[:, columns] = (points[..., [2, 1, 0]] * [1, 1, -1] + [3.0, -1.0, 2.0]).reshape(6, -1)
     with jax.enable_x64(True):
         moved = jnp.asarray((turned - mean) / std)
-        assert bone_length_loss(moved, prediction, layout, PARENTS, std, mean) < 1e-14  # rounding of doubles
+        assert bones_of(layout, std, mean).length_error(moved, prediction) < 1e-14  # rounding of doubles
 
 
 def test_gradient_of_bone_length_loss():
     with jax.enable_x64(True):
         layout, prediction, target, std, mean = bone_setup(mason2022)
         check_grads(
-            jax.jit(lambda prediction: bone_length_loss(prediction, target, layout, PARENTS, std, mean)),
+            jax.jit(lambda prediction: bones_of(layout, std, mean).length_error(prediction, target)),
             (jnp.asarray(prediction),),
             order=1,
             modes=("fwd", "rev"),
@@ -137,6 +140,6 @@ def test_gradient_of_bone_length_loss():
 def test_the_gradient_is_finite_where_a_bone_has_no_length_or_the_right_one():
     layout, prediction, target, std, _ = bone_setup(mason2022)
     mean = np.zeros_like(std)
-    gradient = jax.grad(lambda y: bone_length_loss(y, jnp.asarray(target), layout, PARENTS, std, mean))
+    gradient = jax.grad(lambda y: bones_of(layout, std, mean).length_error(y, jnp.asarray(target)))
     assert jnp.isfinite(gradient(jnp.zeros_like(jnp.asarray(prediction)))).all()
     assert jnp.all(gradient(jnp.asarray(target)) == 0)

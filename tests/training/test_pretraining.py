@@ -14,10 +14,11 @@ from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.presets import LAYOUT_OF, TABLE2
 from pfnn_jax.models.style import init_style
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.data import StyleData
+from pfnn_jax.training.data import Rows
+from pfnn_jax.training.loop import Progress, TrainState, chunks
+from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import order_of
-from pfnn_jax.training.pretraining import Progress, dispatch_sizes, init_state, styles_of, total_steps, train
-from pfnn_jax.training.steps import TrainState
+from pfnn_jax.training.pretraining import init_state, pretrain, styles_of, total_steps
 from tests.training.toy import HIDDEN, LAYOUT, STYLES, assert_bitwise, body_rows, on_host, toy_rows
 
 LEARNED = 0.05  # share of the first error left after 400 steps of a problem that the network can solve
@@ -35,7 +36,7 @@ def fresh(config: PretrainConfig = SMALL) -> TrainState:
     return init_state(config, LAYOUT, len(STYLES))
 
 
-def run(config: PretrainConfig = SMALL, data: StyleData | None = None, state: TrainState | None = None):
+def run(config: PretrainConfig = SMALL, data: Rows | None = None, state: TrainState | None = None):
     """(last state, progress of every dispatch, states of every dispatch), all on the host."""
     progress, states = [], []
 
@@ -43,7 +44,7 @@ def run(config: PretrainConfig = SMALL, data: StyleData | None = None, state: Tr
         progress.append(report)
         states.append(on_host(state))
 
-    last = train(state or fresh(config), data or toy_rows(), config, STYLES, progress_callback=keep)
+    last = pretrain(data or toy_rows(), config, state=state, state_callback=keep)
     return on_host(last), progress, states
 
 
@@ -100,12 +101,12 @@ def test_data_in_host_memory_trains_as_data_on_the_device(whole):
 def test_the_state_depends_on_the_configuration_alone():
     assert_bitwise(fresh(), fresh())
     other = fresh(with_(SMALL, seed=1))
-    assert not np.array_equal(jax.tree.leaves(other.shared)[0], jax.tree.leaves(fresh().shared)[0])
-    assert jax.tree.leaves(other.modulation)[0].shape[0] == len(STYLES)
+    assert not np.array_equal(jax.tree.leaves(other.params.shared)[0], jax.tree.leaves(fresh().params.shared)[0])
+    assert jax.tree.leaves(other.params.modulation)[0].shape[0] == len(STYLES)
 
 
 def test_every_style_starts_from_an_adapter_of_its_own():
-    bank = fresh().modulation
+    bank = fresh().params.modulation
     assert isinstance(bank, CPLayer)
     assert bank.a.shape == (3, HIDDEN, 3)
     assert not np.array_equal(bank.a[0], bank.a[1])
@@ -118,9 +119,9 @@ def test_the_length_of_training():
 
 
 def test_dispatches_end_at_multiples_of_their_size():
-    assert dispatch_sizes(0, 25, 10) == [(0, 10), (10, 10), (20, 5)]
-    assert dispatch_sizes(13, 25, 10) == [(13, 7), (20, 5)]
-    assert dispatch_sizes(25, 25, 10) == []
+    assert chunks(0, 25, 10) == [(0, 10), (10, 10), (20, 5)]
+    assert chunks(13, 25, 10) == [(13, 7), (20, 5)]
+    assert chunks(25, 25, 10) == []
 
 
 def test_epochs_end_within_a_dispatch():
@@ -133,16 +134,10 @@ def test_epochs_end_within_a_dispatch():
 @pytest.mark.parametrize("device_bytes", [0, 2**32])
 def test_training_that_turns_non_finite_names_the_step_and_the_style(device_bytes):
     data = toy_rows()
-    data.x[24:48] = np.nan  # of style "old", whose first turn is step 1
+    data.parts[0].x[24:48] = np.nan  # of style "old", whose first turn is step 1
     kept = []
     with pytest.raises(TrainingError) as raised:
-        train(
-            fresh(),
-            data,
-            with_(SMALL, device_bytes=device_bytes),
-            STYLES,
-            progress_callback=lambda *seen: kept.append(seen),
-        )
+        pretrain(data, with_(SMALL, device_bytes=device_bytes), state_callback=lambda *seen: kept.append(seen))
     assert (raised.value.step, raised.value.style) == (1, "old")
     assert "step 1" in str(raised.value) and "old" in str(raised.value)
     assert not kept  # no callback saw, and so none saved, that state
@@ -180,19 +175,19 @@ def test_clips_must_divide_the_batch():
         with_(SMALL, adapter=AdapterConfig("film"), clips_per_batch=3)
 
 
-def test_the_loss_is_that_of_the_layouts_paper():
-    old, new = SMALL.objective(toy_rows()), SMALL.objective(body_rows())
-    assert (old.l1, old.bone_length, old.bones) == (0.01, 0.0, None)
-    assert (new.l1, new.bone_length) == (0.0, 1.0) and new.bones is not None
-    assert with_(SMALL, l1=0.5, bone_length=0.0).objective(body_rows()).l1 == 0.5
+def test_the_weights_of_the_loss_are_those_of_the_layouts_paper():
+    assert Objective.for_layout(LAYOUT) == Objective(l1=0.01, bone_length=0.0)
+    new = body_rows().layout
+    assert Objective.for_layout(new) == Objective(l1=0.0, bone_length=1.0)
+    assert Objective.for_layout(new, l1=0.5, bone_length=0.0) == Objective(l1=0.5, bone_length=0.0)
 
 
-def test_bones_must_be_known_where_their_loss_is_asked_for():
-    with pytest.raises(ValueError, match="must tell `parents` and `outputs`"):
-        with_(SMALL, bone_length=1.0).objective(toy_rows())
+def test_a_bone_length_loss_needs_the_bones():
+    with pytest.raises(ValueError, match="`rows` must have `parents` and a `normaliser`"):
+        pretrain(toy_rows(), with_(SMALL, bone_length=1.0))
 
 
-def small_model(name: str) -> tuple[PretrainConfig, StyleData]:
+def small_model(name: str) -> tuple[PretrainConfig, Rows]:
     """A model of the papers in small, and rows of its layout."""
     preset = TABLE2[name]
     config = with_(
@@ -214,9 +209,9 @@ def test_every_model_of_the_papers_trains(name):
     losses = []
     start = init_state(config, data.layout, 3)
     before = on_host(start)
-    state = train(start, data, config, STYLES, progress_callback=lambda _, report: losses.append(report.loss))
+    state = pretrain(data, config, state=start, progress_callback=lambda report: losses.append(report.loss))
     assert len(losses) == 2 and np.isfinite(losses).all()
-    for part, old in ((state.shared, before.shared), (state.modulation, before.modulation)):
+    for part, old in ((state.params.shared, before.params.shared), (state.params.modulation, before.params.modulation)):
         pairs = zip(jax.tree.leaves(part), jax.tree.leaves(old), strict=True)
         assert all(not np.array_equal(new, first) for new, first in pairs)
     points = config.network(data.layout).num_control_points
@@ -229,12 +224,6 @@ def test_every_model_of_the_papers_trains(name):
 def test_models_resume_bit_for_bit_and_from_rows_in_host_memory(name):
     config, data = small_model(name)
     states = []
-    last = train(
-        init_state(config, data.layout, 3),
-        data,
-        config,
-        STYLES,
-        progress_callback=lambda state, _: states.append(on_host(state)),
-    )
+    last = pretrain(data, config, state_callback=lambda state, _: states.append(on_host(state)))
     elsewhere = with_(config, steps_per_dispatch=2, device_bytes=0)
-    assert_bitwise(train(resumed(states[0]), data, elsewhere, STYLES), last)
+    assert_bitwise(pretrain(data, elsewhere, state=resumed(states[0])), last)

@@ -18,15 +18,15 @@ from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.network import init_network, predict
 from pfnn_jax.models.style import init_style
 from pfnn_jax.training.data import Batch, Draw
+from pfnn_jax.training.loop import TrainState, scan_steps
+from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import order_of
 from pfnn_jax.training.steps import (
-    Objective,
-    PretrainStep,
-    TrainState,
-    init_pretrain_state,
+    Frozen,
+    PretrainParams,
+    Step,
+    init_train_state,
     make_pretrain_step,
-    make_run_batches,
-    make_run_steps,
     predict_batch,
     pretrain_loss,
 )
@@ -38,6 +38,7 @@ ADAM_EPSILON = 0.05  # Adam's first step is the rate over 1 + 1e-8/|gradient|; g
 RATE = 1e-3
 DROPOUT = Dropout(main=jnp.float32(0.3), adapter=jnp.float32(0.5))
 KEY = jax.random.key(7)
+FROZEN = Frozen(KEY)
 KINDS: tuple[AdapterKind, ...] = ("cp", "full", "diagonal", "bias", "dense", "one_hot")
 
 
@@ -49,7 +50,7 @@ def make_state(kind: AdapterKind = "cp", num_styles: int = 3) -> TrainState:
     config = AdapterConfig(kind, rank=3)
     keys = jax.random.split(jax.random.key(1), num_styles)
     bank = jax.vmap(lambda key: init_style(config, HIDDEN, 4, key=key))(keys)
-    return init_pretrain_state(toy_network(), bank, optax.adam(RATE))
+    return init_train_state(toy_network(), bank, optax.adam(RATE))
 
 
 def style_of(tree, style: int):
@@ -67,8 +68,12 @@ def draw_of(num_steps: int, batch_size: int = 4) -> Draw:
 
 def all_rows() -> Batch:
     """The frames of three styles one after another, on the device."""
-    rows = toy_rows()
-    return Batch(jnp.asarray(rows.x), jnp.asarray(rows.y), jnp.asarray(rows.phase))
+    return toy_rows().on_device()
+
+
+def streamed(_, batch: Batch) -> Batch:
+    """Reads a minibatch that was gathered on the host."""
+    return batch
 
 
 def one_of(draw, number: int | slice):
@@ -102,7 +107,7 @@ def test_gradient_of_the_loss(kind):
         dropout = Dropout(main=jnp.float64(0.3), adapter=jnp.float64(0.5))
         # With the key, and so the masks, fixed the loss is differentiable at parameters other than zero.
         check_grads(
-            jax.jit(lambda shared, adapter: pretrain_loss(shared, adapter, batch, Objective(0.01), dropout, KEY)[0]),
+            jax.jit(lambda *both: pretrain_loss(PretrainParams(*both), batch, Objective(0.01), None, dropout, KEY)[0]),
             (shared, adapter),
             order=1,  # training takes no second derivative, and each would compile anew
             modes=("fwd", "rev"),
@@ -112,7 +117,7 @@ def test_gradient_of_the_loss(kind):
 def test_the_loss_is_the_error_and_the_penalty_of_both_parts():
     shared, batch = toy_network(), toy_style()
     adapter = randomise(init_style(AdapterConfig("cp", 3), HIDDEN, 4, key=KEY), 2)
-    loss, error = pretrain_loss(shared, adapter, batch, Objective(0.5, "sum"), DROPOUT, KEY)
+    loss, error = pretrain_loss(PretrainParams(shared, adapter), batch, Objective(0.5, "sum"), None, DROPOUT, KEY)
     size = sum(float(jnp.abs(leaf).sum()) for leaf in jax.tree.leaves((shared, adapter)))
     np.testing.assert_allclose(loss - error, 0.5 * size, rtol=FLOAT32)
 
@@ -121,13 +126,13 @@ def test_the_loss_is_the_error_and_the_penalty_of_both_parts():
 @pytest.mark.parametrize("number", [0, 1, 5])
 def test_a_step_changes_its_own_style_alone(kind, number):
     state, style = dataclasses.replace(make_state(kind), step=jnp.int32(number)), number % 3
-    after, error = jax.jit(make_step())(state, toy_style(style), KEY)
+    after, error = jax.jit(make_step())(state, toy_style(style), FROZEN)
     for other in {0, 1, 2} - {style}:
-        assert_bitwise(style_of(after.modulation, other), style_of(state.modulation, other))
-        assert_bitwise(style_of(after.modulation_optimiser, other), style_of(state.modulation_optimiser, other))
-    assert some_changed(style_of(after.modulation, style), style_of(state.modulation, style))
-    assert some_changed(style_of(after.modulation_optimiser, style), style_of(state.modulation_optimiser, style))
-    assert some_changed(after.shared, state.shared)
+        assert_bitwise(style_of(after.params.modulation, other), style_of(state.params.modulation, other))
+        assert_bitwise(style_of(after.opt_state.modulation, other), style_of(state.opt_state.modulation, other))
+    assert some_changed(style_of(after.params.modulation, style), style_of(state.params.modulation, style))
+    assert some_changed(style_of(after.opt_state.modulation, style), style_of(state.opt_state.modulation, style))
+    assert some_changed(after.params.shared, state.params.shared)
     assert after.step == number + 1
     assert error > 0
 
@@ -136,27 +141,27 @@ def test_the_first_step_of_every_style_has_the_length_of_adams_rate():
     state, data = make_state(), toy_data()
     step = jax.jit(make_step(Dropout(main=jnp.float32(0), adapter=jnp.float32(0))))
     for style in range(3):  # the shared network has taken steps by then; the adapter's own Adam starts afresh
-        before = style_of(state.modulation, style)
-        state, _ = step(state, style_of(data, style), KEY)
-        change = jax.tree.map(lambda new, old: jnp.abs(new - old), style_of(state.modulation, style), before)
+        before = style_of(state.params.modulation, style)
+        state, _ = step(state, style_of(data, style), FROZEN)
+        change = jax.tree.map(lambda new, old: jnp.abs(new - old), style_of(state.params.modulation, style), before)
         for leaf in (change.a, change.b, change.d):
             np.testing.assert_allclose(leaf, RATE, rtol=ADAM_EPSILON)
 
 
 def test_each_step_draws_new_masks_and_a_repeated_step_the_same():
     state, batch, step = make_state(), toy_style(), jax.jit(make_step())
-    first, again = step(state, batch, KEY)[1], step(state, batch, KEY)[1]
+    first, again = step(state, batch, FROZEN)[1], step(state, batch, FROZEN)[1]
     assert first == again
-    assert first != step(dataclasses.replace(state, step=jnp.int32(3)), batch, KEY)[1]
-    assert first != step(state, batch, jax.random.key(8))[1]
+    assert first != step(dataclasses.replace(state, step=jnp.int32(3)), batch, FROZEN)[1]
+    assert first != step(state, batch, Frozen(jax.random.key(8)))[1]
 
 
 def test_a_dispatch_is_the_loop_of_its_steps():
     data, draw = all_rows(), draw_of(9)
-    together, errors = make_run_steps(make_step(), take)(make_state(), data, draw, KEY)
+    together, errors = scan_steps(make_step(), take)(make_state(), draw, data, FROZEN)
     state, step = make_state(), jax.jit(make_step())
     for number, error in enumerate(errors):
-        state, single = step(state, take(data, one_of(draw, number)), KEY)
+        state, single = step(state, take(data, one_of(draw, number)), FROZEN)
         np.testing.assert_array_equal(error, single)
     assert_bitwise(together, state)
 
@@ -164,35 +169,36 @@ def test_a_dispatch_is_the_loop_of_its_steps():
 @pytest.mark.parametrize("rolled", [True, False])
 def test_one_compiled_loop_and_single_dispatches_are_the_same(rolled):
     data, draw = all_rows(), draw_of(6)
-    reference = make_run_steps(make_step(), take)(make_state(), data, draw, KEY)
-    assert_bitwise(make_run_steps(make_step(), take, rolled=rolled)(make_state(), data, draw, KEY), reference)
+    reference = scan_steps(make_step(), take)(make_state(), draw, data, FROZEN)
+    assert_bitwise(scan_steps(make_step(), take, rolled=rolled)(make_state(), draw, data, FROZEN), reference)
     batches = jax.tree.map(np.asarray, take(data, draw))
-    assert_bitwise(make_run_batches(make_step(), rolled=rolled)(make_state(), batches, KEY), reference)
+    assert_bitwise(scan_steps(make_step(), streamed, rolled=rolled)(make_state(), batches, None, FROZEN), reference)
 
 
 @pytest.mark.parametrize("rolled", [True, False])
 def test_runs_donate_their_state(rolled):
     data, draw = all_rows(), draw_of(3)
     state = make_state()
-    make_run_steps(make_step(), take, rolled=rolled)(state, data, draw, KEY)
-    assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state.shared))
+    scan_steps(make_step(), take, rolled=rolled)(state, draw, data, FROZEN)
+    assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state.params.shared))
     state = make_state()
-    make_run_batches(make_step(), rolled=rolled)(state, jax.tree.map(np.asarray, take(data, draw)), KEY)
-    assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state.modulation_optimiser))
+    batches = jax.tree.map(np.asarray, take(data, draw))
+    scan_steps(make_step(), streamed, rolled=rolled)(state, batches, None, FROZEN)
+    assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state.opt_state.modulation))
 
 
 def test_all_styles_and_dispatches_of_one_length_share_one_compilation():
     chex.clear_trace_counter()
-    run = make_run_steps(cast(PretrainStep, chex.assert_max_traces(make_step(), n=1)), take)
+    scan = scan_steps(cast(Step, chex.assert_max_traces(make_step(), n=1)), take)
     data, draw = all_rows(), draw_of(12)
     state = make_state()
     for start in (0, 4, 8):  # dispatches that begin with styles 0, 1 and 2
-        state, _ = run(state, data, one_of(draw, slice(start, start + 4)), KEY)
+        state, _ = scan(state, one_of(draw, slice(start, start + 4)), data, FROZEN)
     assert state.step == 12
 
 
 def test_steps_do_not_touch_the_data():
     data = all_rows()
     before = on_host(data)
-    make_run_steps(make_step(), take)(make_state(), data, draw_of(3), KEY)
+    scan_steps(make_step(), take)(make_state(), draw_of(3), data, FROZEN)
     assert_bitwise(data, before)

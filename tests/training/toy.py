@@ -7,9 +7,10 @@ import numpy as np
 
 from pfnn_jax.models.config import NetworkConfig
 from pfnn_jax.models.network import Network, init_network
+from pfnn_jax.motion.datasets.splits import row_windows
 from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout
-from pfnn_jax.motion.features.normaliser import Statistics
-from pfnn_jax.training.data import Batch, Draw, StyleData, cut_windows
+from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
+from pfnn_jax.training.data import Batch, Draw, Rows
 
 INPUTS, OUTPUTS, HIDDEN = 5, 4, 16
 STYLES = ("angry", "old", "proud")
@@ -37,31 +38,33 @@ def toy_data(num_styles: int = len(STYLES), num_frames: int = 24, seed: int = 0)
     return Batch(x.astype(np.float32), y.astype(np.float32), phase.astype(np.float32))
 
 
-def toy_rows(num_frames: tuple[int, ...] = (24, 24, 24), seed: int = 0) -> StyleData:
-    """The frames of `toy_data` style after another, each style in its own number of them."""
+def toy_rows(num_frames: tuple[int, ...] = (24, 24, 24), seed: int = 0) -> Rows:
+    """Returns the frames of `toy_data`, one style after another, each style with its own number of frames."""
     data = toy_data(len(num_frames), max(num_frames), seed)
     x, y, phase = (np.concatenate([a[s, :n] for s, n in enumerate(num_frames)]) for a in (data.x, data.y, data.phase))
-    return StyleData(x, y, phase, np.cumsum([0, *num_frames]), LAYOUT)
+    return Rows(STYLES[: len(num_frames)], (Batch(x, y, phase),), np.cumsum([0, *num_frames]), LAYOUT)
 
 
-def body_rows(layout: str = "mason2022", num_frames: tuple[int, ...] = (300, 30, 260), seed: int = 0) -> StyleData:
+def body_rows(layout: str = "mason2022", num_frames: tuple[int, ...] = (300, 30, 260), seed: int = 0) -> Rows:
     """Random normalised rows of three joints under a layout of 2022, with windows, parents and statistics."""
     found, rng, total = LAYOUTS[layout](3), np.random.default_rng(seed), sum(num_frames)
     first = np.cumsum([0, *num_frames])
-    windows = [cut_windows(n) + np.array([row, 0], np.int32) for n, row in zip(num_frames, first, strict=False)]
+    windows = [row_windows(np.arange(n)) + np.array([row, 0]) for n, row in zip(num_frames, first, strict=False)]
     x, y = (rng.normal(size=(total, n)).astype(np.float32) for n in (found.input_size, found.output_size))
     size = (total, found.phase_size) if found.phase_size else (total,)
     mean = rng.normal(size=found.output_size).astype(np.float32)
-    return StyleData(
-        x=x,
-        y=y,
-        phase=rng.uniform(0, 6, size).astype(np.float32),
+    phase = rng.uniform(0, 6, size).astype(np.float32)
+    outputs = Statistics(mean, rng.uniform(0.5, 2.0, found.output_size).astype(np.float32))
+    inputs = Statistics(np.zeros(found.input_size, np.float32), np.ones(found.input_size, np.float32))
+    return Rows(
+        styles=STYLES[: len(num_frames)],
+        parts=(Batch(x, y, phase),),
         first_row=first,
         layout=found,
-        windows=np.concatenate(windows),
+        normaliser=Normaliser(inputs, outputs),
+        windows=np.concatenate(windows).astype(np.int32),
         first_window=np.cumsum([0, *map(len, windows)]),
         parents=np.array([-1, 0, 1]),
-        outputs=Statistics(mean, rng.uniform(0.5, 2.0, found.output_size).astype(np.float32)),
     )
 
 

@@ -17,7 +17,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
 from pfnn_jax.run import list_styles, load_run, load_style
-from pfnn_jax.training.few_shot_learning import FewShotConfig
+from pfnn_jax.training.config import FewShotConfig
 from pfnn_jax.viewer.page import uploads
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.run_library import RunLibrary

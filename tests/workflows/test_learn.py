@@ -1,4 +1,4 @@
-"""A style learned beside the released local-phase network: as a Film, from a real clip, without a trace of failure."""
+"""Learning a FiLM style for the released local-phase network from a real clip, and what is refused before training."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control import stability as turning
-from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.layers.film import FiLMStyle
@@ -18,11 +17,10 @@ from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.run import load_run, load_style
-from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.few_shot_learning import FewShotConfig
-from pfnn_jax.training.tuning import TuningConfig
+from pfnn_jax.training.config import FewShotConfig, PretrainConfig, TuningConfig
 from pfnn_jax.workflows.learn import learn_style, tune_style
 from pfnn_jax.workflows.pretrain import pretrain_run
+from tests.raising import assert_refused
 
 
 @pytest.fixture(scope="module")
@@ -48,11 +46,21 @@ def test_a_film_is_learned_from_a_clip(run, mocap, monkeypatch):
     assert info["frames"] == 238 and 0.3 < info["speed"] < 3.0
 
 
-def test_requests_that_cannot_be_met(run, mocap):
-    with pytest.raises(InputError, match="adapter kind: cp; must be film"):
-        learn_style(run, angry(mocap, "new"), FewShotConfig("cp"))
-    with pytest.raises(InputError, match="generator: absent"):
-        tune_style(run, angry(mocap, "new"), TuningConfig())
+def test_a_style_that_does_not_fit_the_run_is_refused(run, mocap):
+    assert_refused(
+        lambda: learn_style(run, angry(mocap, "new"), FewShotConfig("cp")),
+        place="adapter kind",
+        value="cp",
+    )
+    assert_refused(lambda: tune_style(run, angry(mocap, "new"), TuningConfig()), place="generator", value="absent")
+
+
+def test_paths_are_accepted_or_refused_before_any_work(run, tmp_path):
+    absent = tmp_path / "absent.bvh"
+    for path in (str(absent), absent):
+        assert_refused(lambda clip=path: learn_style(run, clip), file="absent.bvh")
+    assert_refused(lambda: learn_style(str(tmp_path / "none"), absent), rule_mentions="run directory")
+    assert_refused(lambda: learn_style(run, 3), place="argument", value="int")  # type: ignore[arg-type]
 
 
 def test_a_generator_is_tuned_to_a_clip_and_kept_as_it_was(tmp_path):

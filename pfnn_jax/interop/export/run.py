@@ -20,8 +20,7 @@ from pfnn_jax.interop.export.formats import Format
 from pfnn_jax.interop.export.onnx import write_onnx
 from pfnn_jax.interop.export.stablehlo import write_stablehlo
 from pfnn_jax.interop.export.styles import choose_styles, write_style
-from pfnn_jax.io.checkpoint import replacing
-from pfnn_jax.io.files import refuse_existing
+from pfnn_jax.io.files import refuse_existing, replacing
 from pfnn_jax.run import Run, load_run
 
 NUM_ROWS = 256

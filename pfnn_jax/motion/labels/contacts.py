@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pfnn_jax.io.files import read_rows
+from pfnn_jax.io.text_rows import read_rows
 from pfnn_jax.motion.features.layout import GAITS
 from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.skeleton import Roles

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import read_rows, refuse_existing, write_whole
+from pfnn_jax.io.files import refuse_existing, write_whole
+from pfnn_jax.io.text_rows import read_rows
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.labels.footsteps import find_steps, half_cycles

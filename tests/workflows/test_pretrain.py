@@ -13,18 +13,19 @@ import jax
 import numpy as np
 import pytest
 
-from pfnn_jax.errors import InputError, TrainingError
+from pfnn_jax.errors import TrainingError
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import list_styles, load_generator, load_run, load_style, train_step
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.data import dataset_rows, gather_from, stored_rows
-from pfnn_jax.training.films import mean_films
+from pfnn_jax.training.data import Rows
+from pfnn_jax.training.film_styles import mean_styles
 from pfnn_jax.training.log import read_metrics
 from pfnn_jax.training.order import order_of
 from pfnn_jax.workflows.pretrain import pretrain_run
+from tests.raising import assert_refused
 
 CONFIG = PretrainConfig(
     adapter=AdapterConfig(rank=2), hidden=8, steps=60, batch_size=16, steps_per_dispatch=5, save_every=10
@@ -36,7 +37,7 @@ KILLED = """
 import sys, time
 from pfnn_jax.motion.datasets.dataset import load_dataset
 from pfnn_jax.workflows.pretrain import pretrain_run
-from tests.training.test_loop import CONFIG
+from tests.workflows.test_pretrain import CONFIG
 def progress_callback(progress):
     print(progress.step, flush=True)
     time.sleep(0.05)
@@ -83,8 +84,7 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(dataset, whole, tmp_path):
         process.send_signal(signal.SIGKILL)
     saved = train_step(out)
     assert saved is not None and CONFIG.steps is not None and 0 < saved < CONFIG.steps
-    with pytest.raises(InputError, match="run it \\(again\\) to the end"):
-        load_run(out)
+    assert_refused(lambda: load_run(out), place="shared", value="absent")
     resumed = pretrain_run(dataset, out, CONFIG, resume=True)
     assert_bitwise_equal(parameters(resumed), parameters(whole))
     assert [record["loss"] for record in read_metrics(out)] == [record["loss"] for record in read_metrics(whole.path)]
@@ -103,15 +103,59 @@ def test_a_run_killed_before_its_first_save_begins_again(dataset, whole, tmp_pat
 
 
 def test_a_run_is_resumed_only_with_its_own_settings(dataset, whole):
-    with pytest.raises(InputError, match="pretrain: .*learning_rate 0.0001.*differs"):
-        pretrain_run(dataset, whole.path, replace(CONFIG, learning_rate=1e-3), resume=True)
+    assert_refused(
+        lambda: pretrain_run(dataset, whole.path, replace(CONFIG, learning_rate=1e-3), resume=True),
+        place="pretrain",
+        rule_mentions="started with",
+    )
 
 
 def test_an_existing_run_is_refused_and_left_alone(dataset, whole):
     before = (whole.path / "config.json").read_bytes()
-    with pytest.raises(InputError, match="output: exists"):
-        pretrain_run(dataset, whole.path, CONFIG)
+    assert_refused(lambda: pretrain_run(dataset, whole.path, CONFIG), place="output", value="exists")
     assert (whole.path / "config.json").read_bytes() == before
+
+
+def test_training_a_finished_run_longer_is_training_it_once(dataset, whole, tmp_path):
+    """20 steps are 10 steps and 10 more, also where the first training ended within a dispatch."""
+    out = tmp_path / "run"
+    short = pretrain_run(dataset, out, replace(CONFIG, steps=23))
+    assert short.fingerprint != whole.fingerprint
+    longer = pretrain_run(dataset, out, CONFIG, resume=True)
+    assert_bitwise_equal(parameters(longer), parameters(whole))
+    assert longer.config == whole.config
+    assert_refused(
+        lambda: pretrain_run(dataset, out, replace(CONFIG, steps=23), resume=True),
+        place="steps",
+        value=23,
+    )
+
+
+def test_an_unfinished_run_names_resuming_first(dataset, tmp_path):
+    def stop(progress):
+        if progress.step == 25:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        pretrain_run(dataset, out, CONFIG, progress_callback=stop)
+    refused = assert_refused(
+        lambda: pretrain_run(dataset, out, CONFIG), place="run", value="unfinished at step 20 of 60"
+    )
+    assert refused.rule.index("resume=True") < refused.rule.index("overwrite=True")
+
+
+def test_a_style_with_fewer_rows_than_a_batch_is_refused_before_anything_is_written(dataset, tmp_path):
+    large = replace(CONFIG, batch_size=10_000)
+    assert_refused(lambda: pretrain_run(dataset, tmp_path / "run", large), rule_mentions="batch_size 10000")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_dataset_may_be_given_by_its_folder(dataset, tmp_path, kind):
+    absent = kind(tmp_path / "absent")
+    assert_refused(lambda: pretrain_run(absent, tmp_path / "run"), file="dataset.json", place="file")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(
@@ -124,10 +168,9 @@ def test_sizes_that_no_network_has_are_refused_with_the_settings(sizes):
 
 def test_sizes_that_the_layout_cannot_have_are_refused_before_anything_is_written(dataset, tmp_path):
     assert PretrainConfig(num_control_points=3)  # experts of a gating network may be so few
-    with pytest.raises(
-        InputError, match="layout mason2018: .*num_control_points must be at least 4, got 3; see --help"
-    ):
-        pretrain_run(dataset, tmp_path / "run", replace(CONFIG, num_control_points=3))
+    wrong = replace(CONFIG, num_control_points=3)
+    refused = assert_refused(lambda: pretrain_run(dataset, tmp_path / "run", wrong), place="layout mason2018")
+    assert "num_control_points" in str(refused.value)
     assert not (tmp_path / "run").exists()
 
 
@@ -141,11 +184,11 @@ def test_training_that_turns_non_finite_keeps_the_last_good_save(dataset, tmp_pa
 
 
 def test_rows_on_disk_are_those_in_memory(dataset):
-    stored = stored_rows(dataset)
-    memory = dataset_rows(dataset)
-    assert dataset_rows(dataset, limit=0).nbytes == memory.nbytes == stored.nbytes
+    stored, memory = Rows.from_dataset(dataset, max_bytes=0), Rows.from_dataset(dataset)
+    assert len(stored.parts) == 2 and len(memory.parts) == 1
+    assert memory.nbytes == stored.nbytes
     draw = order_of(memory, 16, seed=0, num_clips=2).draw(0, 4)
-    assert_bitwise_equal(gather_from(stored, draw), gather_from(memory, draw))
+    assert_bitwise_equal(stored.gather(draw), memory.gather(draw))
 
 
 def test_a_film_run_from_disk_is_the_one_from_memory_and_holds_its_generator(dataset, tmp_path):
@@ -164,6 +207,6 @@ def test_a_film_run_from_disk_is_the_one_from_memory_and_holds_its_generator(dat
     sizes, generator = memory.config.generator, load_generator(memory)
     assert sizes is not None
     assert_bitwise_equal(generator, load_generator(disk))
-    films = mean_films(film_generator(sizes), generator, dataset_rows(dataset))
+    films = mean_styles(film_generator(sizes), generator, Rows.from_dataset(dataset))
     for index, style in enumerate(dataset.styles):
         assert_bitwise_equal(load_style(memory, style), jax.tree.map(lambda leaf, i=index: leaf[i], films))
