@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
-from pfnn_jax.control import calibration as standing
+from pfnn_jax.control import calibration
 from pfnn_jax.interop.export import reference_loop
 from pfnn_jax.interop.export.run import export_run
 from pfnn_jax.interop.export.walks import walks_of
@@ -37,13 +37,13 @@ def test_description_contains_what_an_engine_needs(runs, tmp_path):
 
 
 def test_description_contains_the_speed_to_command(runs, tmp_path, monkeypatch):
-    """The speed to ask of the network, which is not the speed at which the style walks: found by trying."""
+    """The speed to command differs from the speed at which the style walks; it is found by trial rollouts."""
     run = runs("mason2018", "cp")
 
-    def settle(setup, params, styles, own, asked):  # style0 tells 1 m/s, style1 1.1
-        return asked * np.where(own < 1.05, 1.0, 2.5)[:, None]
+    def measure_walk_speed(setup, params, styles, limits, requested):  # style0 was recorded at 1 m/s, style1 at 1.1
+        return requested * np.where(limits < 1.05, 1.0, 2.5)[:, None]
 
-    monkeypatch.setattr(standing, "settle", settle)
+    monkeypatch.setattr(calibration, "measure_walk_speed", measure_walk_speed)
     asked = [1.0, 1.1 * 0.4]
     description = export_run(run.path, "bins", tmp_path / "all")
     assert [style["asked_speed"] for style in description["styles"]] == pytest.approx(asked)

@@ -1,9 +1,8 @@
 """Reference loop for engines, in NumPy alone, on a folder written by `pfnn-jax export RUN --format bins`.
 
-Units are metres, seconds and radians at 60 frames per second; Y up, +Z forward, +X left. Ground points are complex
-numbers z + ix, so that a facing is e^(i yaw) and a rotation is a product. In `mason2018` and `pfnn2017` the output y
-describes the joints of the current frame and moves the root by a velocity; in `mason2022` (`next_frame`) it describes
-the joints of the next frame, and its first trajectory sample is the next root.
+Metres, seconds, radians, 60 frames per second; Y up, +Z forward, +X left. Ground points are complex numbers z + ix: a
+facing is e^(i yaw), a rotation is a product. In `mason2018` and `pfnn2017` y describes the joints of this frame and moves
+the root by a velocity; in `mason2022` (`next_frame`) it describes the next frame, with the next root as first sample.
 """
 
 import json
@@ -85,24 +84,16 @@ class Character:
     """Character state: 111 trajectory points (frames -60 to +50; index 60 is now), joints in the world, phase."""
 
     def __init__(self, folder, style: int | str = 0):
-        description = json.loads((Path(folder) / "description.json").read_text(encoding="utf-8"))
-        numbers = {
-            key: n for n, entry in enumerate(description["styles"] or [{"name": 0}]) for key in (n, entry["name"])
-        }
-        if description["format"] != "bins" or style not in numbers:
-            raise ValueError(
-                f"{folder}: {description['format']}, style {style!r}; must be bins, one of styles {[*numbers]}"
-            )
-        self.layout, self.k, self.evaluate = (
-            description["layout"],
-            description["loop"],
-            load_network(folder, description, numbers[style]),
-        )
-        self.late, self.phase = self.layout["next_frame"], np.array(description["start"]["phase"])
-        self.asked_speed = (description["styles"] or [description["start"]])[numbers[style]][
+        info = json.loads((Path(folder) / "description.json").read_text(encoding="utf-8"))
+        numbers = {key: n for n, entry in enumerate(info["styles"] or [{"name": 0}]) for key in (n, entry["name"])}
+        if info["format"] != "bins" or style not in numbers:
+            raise ValueError(f"{folder}: {info['format']}, style {style!r}; must be bins, one of styles {[*numbers]}")
+        self.layout, self.k, self.evaluate = info["layout"], info["loop"], load_network(folder, info, numbers[style])
+        self.late, self.phase = self.layout["next_frame"], np.array(info["start"]["phase"])
+        self.asked_speed = (info["styles"] or [info["start"]])[numbers[style]][
             "asked_speed"
         ]  # m/s to command for a walk
-        x = self.read(np.array(description["start"]["x"]), "inputs")
+        x = self.read(np.array(info["start"]["x"]), "inputs")
         self.positions, self.directions, self.gait = fill(x["position"]), unit(fill(x["direction"])), fill(x["gait"])
         self.velocity, self.facing = (self.positions[110] - self.positions[60]) * 60 / 50, self.directions[60]
         self.pose = self.to_world(x, 60 if self.late else 59)
@@ -124,9 +115,7 @@ class Character:
     def step(self, velocity, direction):
         """Advances one frame under a command (velocity in m/s, facing; both z + ix). Returns the blocks of y."""
         k, here, facing, ahead = self.k, self.positions[60], self.directions[60], np.arange(1, 51) / 60
-        self.velocity = mix(
-            self.velocity, k["command_gain"] * velocity, k["velocity_rate"]
-        )  # 1. blend the future trajectory towards the command
+        self.velocity = mix(self.velocity, k["command_gain"] * velocity, k["velocity_rate"])  # 1. steer the future
         self.facing = turn_towards(self.facing, direction, k["direction_rate"])
         steps = mix(np.diff(self.positions[60:]), self.velocity / 60, 1 - (1 - ahead) ** k["position_bias"])
         self.positions[61:] = here + np.cumsum(steps)
@@ -142,24 +131,22 @@ class Character:
         x = np.zeros(self.layout["input_size"])  # the ground is flat: terrain heights stay 0
         for name in blocks.keys() & self.layout["inputs"].keys():
             x[self.layout["inputs"][name]["columns"]] = blocks[name].ravel() / self.layout["inputs"][name]["scale"]
-        predicted = self.read(self.evaluate(x, self.phase))  # 3. evaluate; 4. advance body, root, trajectory and phase
-        pose = self.to_world(predicted, 60)
+        out = self.read(self.evaluate(x, self.phase))  # 3. evaluate; 4. advance body, root, trajectory and phase
+        pose = self.to_world(out, 60)
         moved = self.pose["joint_position"] + (pose if self.late else self.pose)["joint_velocity"] / 60
         self.pose = pose | {"joint_position": mix(moved, pose["joint_position"], k["pose_rate"])}
         if self.late:
-            positions = fill(mix(self.positions[60::10], here + predicted["position"] * facing, k["trajectory_rate"]))
-            directions = fill(
-                turn_towards(self.directions[60::10], predicted["direction"] * facing, k["trajectory_rate"])
-            )
-            self.phase = mix(self.phase + predicted["local_phase_change"], predicted["local_phase"], k["phase_rate"])
+            positions = fill(mix(self.positions[60::10], here + out["position"] * facing, k["trajectory_rate"]))
+            directions = fill(turn_towards(self.directions[60::10], out["direction"] * facing, k["trajectory_rate"]))
+            self.phase = mix(self.phase + out["local_phase_change"], out["local_phase"], k["phase_rate"])
         else:
             rate = max(1 - self.gait[60, 0], 0) ** 0.25 / 60  # no drift while standing
-            here = here + rate * facing * (predicted["root_velocity"] @ [1j, 1])
-            facing = facing * np.exp(1j * rate * predicted["root_yaw_rate"][0])
-            positions = here + facing * np.append(0, fill(predicted["position"])[1:])
-            directions = facing * np.append(1, fill(predicted["direction"])[1:])
-            self.phase = (self.phase + (0.9 * rate + 0.1 / 60) * predicted["phase_change"][0]) % (2 * np.pi)
+            here = here + rate * facing * (out["root_velocity"] @ [1j, 1])
+            facing = facing * np.exp(1j * rate * out["root_yaw_rate"][0])
+            positions = here + facing * np.append(0, fill(out["position"])[1:])
+            directions = facing * np.append(1, fill(out["direction"])[1:])
+            self.phase = (self.phase + (0.9 * rate + 0.1 / 60) * out["phase_change"][0]) % (2 * np.pi)
         self.positions = np.append(self.positions[1:61], positions)
         self.directions = np.append(self.directions[1:61], unit(directions))
         self.gait = np.concatenate([self.gait[1:61], self.gait[60:]])
-        return predicted
+        return out
