@@ -1,8 +1,8 @@
 """Reference loop for engines, in NumPy alone, on a folder written by `pfnn-jax export RUN --format bins`.
 
 Metres, seconds, radians, 60 frames per second; Y up, +Z forward, +X left. Ground points are complex numbers z + ix: a
-facing is e^(i yaw), a rotation is a product. In `mason2018` and `pfnn2017` y describes the joints of this frame and moves
-the root by a velocity; in `mason2022` (`next_frame`) it describes the next frame, with the next root as first sample.
+facing is e^(i yaw), a rotation is a product. In `mason2018` and `pfnn2017` y describes this frame's joints and the root
+velocity; in `mason2022` (`next_frame`) it describes the next frame, whose root is the first trajectory sample.
 """
 
 import json
@@ -90,9 +90,7 @@ class Character:
             raise ValueError(f"{folder}: {info['format']}, style {style!r}; must be bins, one of styles {[*numbers]}")
         self.layout, self.k, self.evaluate = info["layout"], info["loop"], load_network(folder, info, numbers[style])
         self.late, self.phase = self.layout["next_frame"], np.array(info["start"]["phase"])
-        self.asked_speed = (info["styles"] or [info["start"]])[numbers[style]][
-            "asked_speed"
-        ]  # m/s to command for a walk
+        self.asked_speed = (info["styles"] or [info["start"]])[numbers[style]]["asked_speed"]  # m/s, for a walk
         x = self.read(np.array(info["start"]["x"]), "inputs")
         self.positions, self.directions, self.gait = fill(x["position"]), unit(fill(x["direction"])), fill(x["gait"])
         self.velocity, self.facing = (self.positions[110] - self.positions[60]) * 60 / 50, self.directions[60]
