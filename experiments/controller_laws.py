@@ -2,7 +2,7 @@
 
 Parent    Mason 2018 §5.1 and Mason 2022 §4.4 describe a trajectory blended with the user's command; neither measures
           whether the character obeys. The loop of their demos is the one that is compared with (`--published`).
-Question  what share of commands is reached, with the published loop and with pace and turning (`runtime.regulation`)?
+Question  what share of commands is reached, with the published loop and with command tracking (`control.tracking`)?
 Data      the runs given. Every style walks off from its start, is told to go on, to turn by 45 or 90 degrees to either
           side or to walk a circle of 45 degrees per second, at 0.75, 1 and 1.25 times its own speed, and to stop. And,
           at its own speed, to go to either side or back while it faces ahead.
@@ -70,7 +70,7 @@ class Config:
         out: JSON file of results, or None to print them only.
         styles: how many of a run's styles, evenly chosen; 0 for all.
         minutes: of random commands for every style, beside the others.
-        published: with the published loop instead of regulation.
+        published: use the published loop instead of command tracking.
         chunk: characters at once.
     """
 

@@ -76,7 +76,7 @@ def _run(folder: Path, layout: str, adapter: AdapterConfig, hidden: int) -> Run:
 
 def _crowd(controller: Controller, number: int) -> tuple:
     """Some steps of a crowd in the midst of a walk, and their arguments: all parameters are shared, nothing else is."""
-    setup = replace(controller.setup, regulation=EVERY_FRAME)
+    setup = replace(controller.setup, tracking=EVERY_FRAME)
 
     def crowd_steps(params, states: ControllerState, commands: Command) -> ControllerState:
         one = jax.vmap(partial(step, setup, params))

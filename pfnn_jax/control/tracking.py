@@ -151,7 +151,7 @@ def init_tracking(velocity: jax.Array, clearance: jax.Array, time_scale: float) 
 
 
 def is_moving(command: Command) -> jax.Array:
-    """Returns [] bool, whether a command is to move, not to stop."""
+    """Returns whether [] a command is to move, not to stop."""
     return length(command.velocity) > STOP_SPEED
 
 

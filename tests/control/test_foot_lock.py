@@ -1,4 +1,4 @@
-"""Laws of held feet: nothing without contact, nothing slides in contact, nothing jumps, the world is free."""
+"""Laws of foot locking: identity without contact, no sliding in contact, smoothness, equivariance."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FRAMES, CYCLE = 240, 60
 
 
 def walk(slide: float = 0.25) -> tuple[MotionClip, np.ndarray]:
-    """A walk of bent legs whose stance feet slide by `slide` metres per second; and its contacts [T, 4]."""
+    """Returns a walk of bent legs whose stance feet slide by `slide` metres per second, and its contacts [T, 4]."""
     skeleton = body_clip().skeleton
     time = np.arange(FRAMES)
     angles = np.zeros((FRAMES, skeleton.num_joints))
@@ -53,7 +53,7 @@ def walked() -> tuple[MotionClip, np.ndarray, MotionClip]:
     return clip, contacts, fix_feet(clip, contacts)
 
 
-def test_held_toes_stand_still_and_heels_slide_less(walked):
+def test_held_toes_do_not_move_and_heels_slide_less(walked):
     clip, contacts, fixed = walked
     feet = list(make_rig(clip.skeleton).feet)
     before, after = joints(clip)[:, feet], joints(fixed)[:, feet]
@@ -67,7 +67,7 @@ def test_held_toes_stand_still_and_heels_slide_less(walked):
     assert contact_sliding(after, contacts > 0.5, 60.0) < 0.25 * contact_sliding(before, contacts > 0.5, 60.0)
 
 
-def test_bones_keep_their_lengths_and_only_legs_and_the_hips_height_change(walked):
+def test_only_legs_and_the_height_of_the_hips_change_and_bones_keep_their_lengths(walked):
     clip, _, fixed = walked
     rig = make_rig(clip.skeleton)
     moving = {joint for hip, knee, heel, _ in rig.legs for joint in (hip, knee, heel)}
@@ -88,8 +88,8 @@ def test_without_contact_nothing_changes():
     np.testing.assert_allclose(joints(fixed), joints(clip), atol=FLOAT32)
 
 
-def test_nothing_jumps(walked):
-    """Accelerations stay of the size of those that stopping the sliding foot within a frame makes."""
+def test_corrected_joints_move_smoothly(walked):
+    """Accelerations are no larger than if the sliding foot stopped within a frame."""
     clip, _, fixed = walked
     feet = [joint for leg in make_rig(clip.skeleton).legs for joint in leg]
     before, after = (np.linalg.norm(np.diff(joints(c)[:, feet], 2, axis=0), axis=-1) * 3600 for c in (clip, fixed))
@@ -98,7 +98,7 @@ def test_nothing_jumps(walked):
     assert np.median(after) < 2.0 * np.median(before) + 1.0
 
 
-def test_moves_and_turns_with_the_world(walked):
+def test_foot_lock_is_equivariant_under_rigid_motion(walked):
     clip, contacts, fixed = walked
     yaw, shift = quat_from_yaw(2.0), np.array([40.0, 0.0, -7.0])
     rotations = clip.rotations.copy()
@@ -109,7 +109,7 @@ def test_moves_and_turns_with_the_world(walked):
     )
 
 
-def test_mirrors(walked):
+def test_foot_lock_is_equivariant_under_mirroring(walked):
     clip, contacts, fixed = walked
     mirror, flip = clip.skeleton.mirror, np.array([1.0, 1.0, -1.0, -1.0])
     reflect = np.array([-1.0, 1.0, 1.0])
@@ -118,7 +118,7 @@ def test_mirrors(walked):
     np.testing.assert_allclose(found, joints(fixed)[:, mirror] * reflect, atol=FLOAT32)
 
 
-def test_many_characters_are_as_one():
+def test_vmap_equals_one_by_one():
     clip, contacts = walk()
     rig = make_rig(clip.skeleton)
     rows = slice(20, 36)
@@ -137,7 +137,7 @@ def test_many_characters_are_as_one():
             np.testing.assert_allclose(a, b[i], atol=1e-5)
 
 
-def test_slopes_are_finite_at_full_stretch():
+def test_gradients_are_finite_at_full_stretch():
     skeleton = body_clip().skeleton
     rig = make_rig(skeleton)
     straight = jnp.zeros((rig.num_joints, 4)).at[:, 0].set(1.0)  # the T-pose: both legs at their full length
@@ -152,12 +152,15 @@ def test_slopes_are_finite_at_full_stretch():
     assert all(np.isfinite(leaf).all() for leaf in slope)
 
 
-def test_arrays_that_do_not_fit_and_settings_out_of_range_are_refused():
+def test_wrong_shapes_and_settings_out_of_range_are_refused():
     clip, contacts = walk()
-    with pytest.raises(InputError, match="contacts"):
-        fix_feet(clip, contacts[:-1])
-    with pytest.raises(InputError, match="joints"):
-        fix_feet(clip, contacts, joints=np.zeros((FRAMES, 2, 3)))
+    for place, arguments in (
+        ("contacts", {"contacts": contacts[:-1]}),
+        ("joints", {"contacts": contacts, "joints": np.zeros((FRAMES, 2, 3))}),
+    ):
+        with pytest.raises(InputError) as caught:
+            fix_feet(clip, **arguments)
+        assert caught.value.place == place
     with pytest.raises(ValueError, match="lock_threshold"):
         FootLockConfig(lock_threshold=0.2, release_threshold=0.3)
     with pytest.raises(ValueError, match="release_time"):

@@ -1,4 +1,4 @@
-"""From rollouts to clips: recorded motion comes back whole; a run's motion reaches a BVH file at the right scale."""
+"""From rollouts to clips: recorded motion is reproduced; generated motion reaches a BVH file at the right scale."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ SPEED = 1.1
 
 
 def recorded(params, x, phase):
-    """(y [T, Dy], phase [T]) of less than one cycle -> the recorded output of the frame at this phase."""
+    """Returns the recorded output at a phase, of params (y [T, Dy], phase [T]) of less than one cycle."""
     y, phases = params
     return y[jnp.argmax(jnp.cos(phases - phase))]
 
 
 @pytest.mark.parametrize("name", ["mason2018", "pfnn2017", "mason2022_pfnn"])
-def test_recorded_motion_comes_back(name):
-    """A network that repeats a clip's outputs gives back the clip: joints, and rotations on rigid bones."""
+def test_rollout_reproduces_recorded_motion(name):
+    """A network that repeats the outputs of a clip generates the clip: joints, and rotations on rigid bones."""
     frames = 200
     clip, labels = synthesise("neutral", np.full(frames, 0.4), np.full(frames, SPEED), seed=1)
     layout = LAYOUTS[name](clip.skeleton.num_joints)
@@ -73,7 +73,7 @@ def test_recorded_motion_comes_back(name):
 
 
 def aligned(positions):
-    """World joints [T, J, 3] without the frames that still forget, turned and moved so that the hips agree."""
+    """Returns world joints [T, J, 3] after the initial transient, moved and rotated so that the hips agree."""
     positions = np.asarray(positions, np.float64)[FORGOTTEN:]
     ground = positions[..., [2, 0]] @ np.array([1.0, 1.0j])
     ground = ground - ground[0, 0]

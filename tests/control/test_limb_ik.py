@@ -1,4 +1,4 @@
-"""Laws of two-bone limbs and of arms: bones keep their lengths, targets are reached or come near, slopes are finite."""
+"""Laws of two-bone limbs and of arms: bones keep their lengths, targets are reached, gradients are finite."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_targets_within_reach_are_reached_and_bones_keep_their_lengths():
     np.testing.assert_allclose(bones(after), np.tile(LENGTHS, (COUNT, 1)), atol=FLOAT32)
 
 
-def test_beyond_reach_the_limb_points_at_the_target_and_is_nearly_straight():
+def test_a_limb_points_at_targets_beyond_its_reach():
     hip = POSITIONS[:, LEG[0]]
     away = TARGETS - hip
     far = hip + away / np.linalg.norm(away, axis=-1, keepdims=True) * (2.0 * RIG.leg_length)
@@ -56,7 +56,7 @@ def test_beyond_reach_the_limb_points_at_the_target_and_is_nearly_straight():
     assert length.max() <= full + FLOAT32 and length.min() > 0.997 * full  # a knee bent askew stays a little so
 
 
-def test_only_hip_and_knee_turn_and_a_target_that_is_reached_already_turns_nothing():
+def test_only_hip_and_knee_turn_and_a_reached_target_changes_nothing():
     after = solve(POSES, jnp.asarray(TARGETS))
     others = [joint for joint in range(RIG.num_joints) if joint not in LEG[:2]]
     np.testing.assert_array_equal(np.asarray(after.rotations)[:, others], np.asarray(POSES.rotations)[:, others])
@@ -65,7 +65,7 @@ def test_only_hip_and_knee_turn_and_a_target_that_is_reached_already_turns_nothi
     np.testing.assert_allclose(still.rotations, POSES.rotations, atol=STILL)
 
 
-def test_moves_and_turns_with_the_world():
+def test_two_bone_is_equivariant_under_rigid_motion():
     yaw, shift = quat_from_yaw(1.1), np.array([3.0, 0.0, -2.0])
     turned = quat_multiply(yaw, np.asarray(POSES.rotations[:, 0]))
     poses = Pose(
@@ -77,7 +77,7 @@ def test_moves_and_turns_with_the_world():
     np.testing.assert_allclose(after, expected, atol=10 * FLOAT32)  # knees near full stretch are steep in the target
 
 
-def test_one_by_one_and_uncompiled_is_the_same():
+def test_vmap_and_jit_equal_one_by_one():
     together = solve(POSES, jnp.asarray(TARGETS))
     one = jax.jit(partial(two_bone, RIG), static_argnums=1)(
         jax.tree.map(lambda leaf: leaf[3], POSES), LEG, jnp.asarray(TARGETS[3])
@@ -92,7 +92,7 @@ def test_one_by_one_and_uncompiled_is_the_same():
 
 
 def bent_leg(flexion: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Hip, knee and ankle of a leg of two bones of half a metre, hanging down, the knee forward."""
+    """Returns hip, knee and ankle of a leg of two bones of half a metre, hanging down, the knee forward."""
     half = flexion / 2
     knee = np.array([0.0, -0.5 * np.cos(half), 0.5 * np.sin(half)])
     return np.zeros(3), knee, np.array([0.0, -np.cos(half), 0.0])
@@ -107,8 +107,8 @@ def test_a_straight_leg_bends_its_knee_forward(flexion):
     assert float(knee[2]) == pytest.approx(0.5 * np.sin(np.arccos(0.9)), abs=1e-3)
 
 
-def test_places_are_continuous_through_full_stretch():
-    """The knee of a leg drawn past its reach, and of one that comes back, never jumps."""
+def test_two_bone_is_continuous_through_full_stretch():
+    """The knee moves continuously while the target passes beyond the reach of the leg, and back."""
     heights = jnp.linspace(-0.90, -1.10, 401)
 
     def knee(height):
@@ -120,7 +120,7 @@ def test_places_are_continuous_through_full_stretch():
     assert steps.max() < 3e-3  # for steps of the target of half a millimetre
 
 
-def test_slopes_are_right_at_generic_places_and_finite_at_singular_ones():
+def test_gradients_are_correct_at_generic_targets_and_finite_at_singular_ones():
     with jax.enable_x64(True):
         pole = jnp.array([0.1, 0.0, 1.0])
 

@@ -1,4 +1,4 @@
-"""Laws of rigs and poses: the same body as the clip's, whatever the tree, batched, compiled and in either library."""
+"""Laws of rigs and poses: they equal the NumPy kinematics of clips on any tree, under `vmap` and `jit`."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def poses_of(clip) -> Pose:
 
 
 def plain_rig(skeleton) -> Rig:
-    """A rig of any tree, without limbs."""
+    """Returns a rig of any tree, without limbs."""
     return Rig(tuple(map(int, skeleton.parents)), tuple(map(tuple, skeleton.offsets.tolist())), (), (), 1.0)
 
 
 @pytest.mark.parametrize("seed, joints", [(0, 1), (1, 2), (2, 9), (3, 40)])
-def test_forward_kinematics_is_that_of_clips_on_any_tree(seed, joints):
+def test_forward_kinematics_equals_that_of_clips_on_any_tree(seed, joints):
     clip = random_clip(np.random.default_rng(seed), joints, 4)
     expected = kinematics.forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     found = jax.vmap(lambda pose: forward_kinematics(plain_rig(clip.skeleton), pose))(poses_of(clip))
@@ -47,7 +47,7 @@ def test_pose_from_world_inverts_forward_kinematics():
     np.testing.assert_allclose(again.rotations, poses.rotations, atol=FLOAT32)
 
 
-def test_turning_a_joint_turns_all_that_hangs_from_it_and_nothing_else():
+def test_turning_a_joint_turns_its_descendants_only():
     clip = body_clip(frames=1)
     rig = make_rig(clip.skeleton)
     pose = jax.tree.map(lambda leaf: leaf[0], poses_of(clip))
@@ -152,7 +152,7 @@ def test_quaternions_of_both_libraries_agree():
         np.testing.assert_allclose(found, expected, atol=FLOAT32)
 
 
-def test_slopes_of_quaternions_are_finite_where_they_have_no_direction():
+def test_gradients_of_quaternions_are_finite_at_singular_values():
     zero, x = jnp.zeros(3), jnp.array([1.0, 0.0, 0.0])
     with jax.debug_nans(True):
         for function, at in (

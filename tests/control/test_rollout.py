@@ -1,4 +1,4 @@
-"""Laws of the controller, of rollouts along commands and paths, and of the rollout that feeds back the pose alone."""
+"""Laws of the published loop, of rollouts under commands and along paths, and of locked rollouts."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_oracle_is_reproduced(layout, turn_rate):
 
 @layouts
 def test_inputs_follow_the_frame_rule(layout):
-    """The joints of x_{i+1} are those of y_i in root i; the trajectory of x is that around root i."""
+    """The joints of x_{i+1} are those of y_i in root i; the trajectory of x is relative to root i."""
     config = LoopConfig(1e-6, 1e-6, 0.5, 0.5, 0.5, 0.5)  # the steering bends nothing
     command = Command(velocity=jnp.ones(2), direction=jnp.asarray([0.6, 0.8]))
 
@@ -102,7 +102,7 @@ def test_state_repeats_the_row_it_came_from(layout):
     np.testing.assert_allclose(state.positions[ROOT], [3.0, -2.0], atol=REORDERED)
 
 
-def test_rollout_turns_and_moves_with_its_path():
+def test_rollout_is_equivariant_under_rigid_motion():
     layout = LAYOUT["pfnn2017"]
     yaw, shift = 2.2, np.array([4.0, -3.0], np.float32)
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -120,7 +120,7 @@ def test_rollout_turns_and_moves_with_its_path():
     np.testing.assert_allclose(here.progress, there.progress, atol=20 * DRIFT)
 
 
-def test_mirrored_walker_on_mirrored_path():
+def test_rollout_is_equivariant_under_mirroring():
     layout = LAYOUT["mason2018"]
     into = reflection({name: layout.input_width(name) for name in layout.input_blocks})
     out = reflection({name: layout.output_width(name) for name in layout.output_blocks})
@@ -177,7 +177,7 @@ def evaluate_small(params, x, phase):
     return 0.1 * predict(network, adapter, jnp.tanh(x), phase)
 
 
-def test_adapters_in_one_vmap_beside_one_network():
+def test_styles_in_one_vmap_share_one_network():
     layout = LAYOUT["mason2018"]
     network, adapters = small_network(layout, 2)
     track, state = make_timed_path(circle(2.0), 1.2), start(layout)
@@ -240,7 +240,7 @@ def test_figure_eight_is_followed_through_its_crossing():
 
 
 @layouts
-def test_end_of_an_open_path_is_kept(layout):
+def test_a_character_stays_at_the_end_of_an_open_path(layout):
     state = start(layout, WALK | {"turn_rate": 1e-3})
     frames = follow_path(OBEDIENT[layout.name], sway(layout), layout, state, make_timed_path(straight(3.0), 1.2), 500)
     np.testing.assert_allclose(frames.root_positions[-1], [0.0, 3.0], atol=0.3)
@@ -248,7 +248,7 @@ def test_end_of_an_open_path_is_kept(layout):
     assert float(frames.progress[-1]) <= 3.0
 
 
-def test_points_along_tracks():
+def test_points_along_paths():
     closed, opened = make_timed_path(circle(1.0), 1.0), make_timed_path(straight(2.0), 1.0)
     round_once = point_at(closed, jnp.asarray([0.0, np.pi, 2 * np.pi, 3 * np.pi], jnp.float32))
     np.testing.assert_allclose(round_once, [[0, 0], [2, 0], [0, 0], [2, 0]], atol=2e-3)
@@ -278,7 +278,7 @@ def test_stability_of_a_known_walk(layout):
     assert seen.trajectory_error is None
 
 
-def test_stability_of_a_broken_rollout_is_infinite():
+def test_stability_of_a_diverging_rollout_is_infinite():
     layout = LAYOUT["mason2018"]
 
     def broken(params, x, phase):
@@ -308,6 +308,6 @@ def test_step_is_differentiable():
 
 
 @pytest.mark.parametrize("change", [{"velocity_rate": 0.0}, {"pose_rate": 1.5}, {"position_bias": -1.0}])
-def test_controller_config_is_checked(change):
+def test_loop_config_is_validated(change):
     with pytest.raises(ValueError, match=next(iter(change))):
         replace(LOOP_CONFIGS["mason2018"], **change)

@@ -1,4 +1,4 @@
-"""Laws of the frame rule of Mason et al. 2022: known walks come back, poses are handed on into the next root."""
+"""Laws of the frame rule of Mason et al. 2022: known walks are reproduced, poses move to the next root."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ phased = pytest.mark.parametrize("layout", [LAYOUT["mason2022"], LAYOUT["mason20
 
 
 def vector_of(angle):
-    """Local phases of four end effectors that all stand at one angle."""
+    """Returns local phases of four end effectors that all have one angle."""
     return jnp.tile(jnp.stack([jnp.sin(angle), jnp.cos(angle)]), 4)
 
 
 def blocks_of(walk, angle, layout):
-    """Joints at a phase of the walk, seen from their own root."""
+    """Returns the joints at a phase of the walk, relative to their own root."""
     dt = 1.0 / layout.fps
     turn, travel = -walk["turn_rate"] * dt, walk["speed"] * dt
     here, before = jnp.asarray(pose(angle)), jnp.asarray(pose(angle - walk["cadence"] * dt))
@@ -63,7 +63,7 @@ def facing_of(yaw):
 
 
 def oracle(layout):
-    """(walk, x, phase) -> y of the walk's next frame."""
+    """Returns a function (walk, x, phase) -> y of the walk's next frame."""
 
     def evaluate(walk, x, phase):
         dt = 1.0 / layout.fps
@@ -107,8 +107,8 @@ def ahead(num_frames):
 
 @phased
 @pytest.mark.parametrize("turn_rate", [1e-3, 0.6])
-def test_known_walk_comes_back(layout, turn_rate):
-    """With the prediction taken whole; mixed with what stood there, the root lags by design."""
+def test_rollout_reproduces_a_known_walk(layout, turn_rate):
+    """With `trajectory_rate` 1; below, the root lags by design."""
     walk, config = WALK | {"turn_rate": turn_rate}, replace(LOOP_CONFIGS[layout.name], trajectory_rate=1.0)
     frames = rollout(oracle(layout), walk, layout, start(layout, walk), ahead(120), config=config)
     yaw = turn_rate / 60.0 * np.arange(121)
@@ -122,7 +122,7 @@ def test_known_walk_comes_back(layout, turn_rate):
 
 
 @phased
-def test_state_repeats_its_row_wherever_it_stands(layout):
+def test_state_repeats_its_row_at_any_position(layout):
     x = input_row(layout, WALK)
     state = jax.jit(place_state)(start(layout, WALK), jnp.asarray([3.0, -2.0]), jnp.float32(2.0))
     np.testing.assert_allclose(network_input(layout, state), x, atol=REORDERED)
@@ -139,7 +139,7 @@ def test_the_next_root_is_a_share_of_the_predicted_one():
     np.testing.assert_allclose(turned, 0.85 * WALK["turn_rate"] / 60.0, rtol=1e-3)
 
 
-def test_velocity_networks_read_their_phase_from_the_pose():
+def test_velocity_networks_gate_by_end_effector_velocities_of_the_pose():
     layout = LAYOUT["mason2022_mann"]
     truth = oracle(LAYOUT["mason2022"])
 
@@ -155,8 +155,8 @@ def test_velocity_networks_read_their_phase_from_the_pose():
     np.testing.assert_allclose(after.phase, velocities[np.array(layout.ends)].reshape(-1), atol=REORDERED)
 
 
-def test_locked_rollout_hands_the_pose_into_the_true_next_root():
-    """A network that is right about each frame's outputs is given back each frame's true inputs."""
+def test_locked_rollout_moves_the_pose_to_the_true_next_root():
+    """A network with exact outputs receives the true input of each frame."""
     clip, labels = synthesise("neutral", np.full(120, 0.8), np.full(120, 1.2), seed=0)
     layout = layout_for("mason2022_pfnn", clip.skeleton)
     rows = clip_features(clip, layout, labels)

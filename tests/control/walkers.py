@@ -1,4 +1,4 @@
-"""Walkers whose motion is known: stand-ins for a network in the tests of the controller."""
+"""Walkers with known motion, which replace networks in the tests of the controller."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _LAG = np.arange(3 * JOINTS).reshape(JOINTS, 3)
 
 
 def pose(phase):
-    """Joint positions [J, 3] metres relative to the root at a phase []; `jnp` or `np` by its type."""
+    """Returns joint positions [J, 3] metres relative to the root at a phase []; `jnp` or `np` by its type."""
     numpy = np if isinstance(phase, float | np.floating) else jnp
     return _REST.astype(np.float32) + _SWING.astype(np.float32) * numpy.sin(phase + _LAG.astype(np.float32))
 
 
 def write_output(layout: FrameLayout, blocks: dict) -> jnp.ndarray:
-    """y from named blocks in metres, metres and radians per second; blocks not given are zero."""
+    """Returns y from named blocks in metres, metres and radians per second; blocks not given are zero."""
     rate = layout.time_unit / layout.length_unit
     units = {
         "joint_position": 1.0 / layout.length_unit,
@@ -48,7 +48,7 @@ def write_output(layout: FrameLayout, blocks: dict) -> jnp.ndarray:
 
 
 def arc(speed, turn_rate, seconds):
-    """Positions [N, 2] and directions [N, 2] of a walk on a circle after some seconds [N] (turn rate not 0)."""
+    """Returns positions [N, 2] and directions [N, 2] of a walk on a circle after some seconds [N] (turn rate not 0)."""
     angle = turn_rate * seconds
     radius = speed / turn_rate
     positions = jnp.stack([radius * (1.0 - jnp.cos(angle)), radius * jnp.sin(angle)], -1)
@@ -56,7 +56,9 @@ def arc(speed, turn_rate, seconds):
 
 
 def _oracle(layout: FrameLayout):
-    """(walk, x, phase) -> y of a walk on a circle, by phase alone; one root step is straight ahead, then turns."""
+    """Returns a function (walk, x, phase) -> y of a walk on a circle, a function of the phase alone.
+
+    Each root step goes straight ahead, then turns."""
 
     def evaluate(walk, x, phase):
         dt = 1.0 / layout.fps
@@ -85,7 +87,7 @@ ORACLES = {name: _oracle(layout) for name, layout in LAYOUT.items()}
 
 
 def true_walk(walk: dict, fps: float, num_frames: int, phase: float = 0.0):
-    """Roots [T, 2], yaw [T], phase [T] and world joints [T, J, 3] of the oracle's walk, in float64 NumPy."""
+    """Returns roots [T, 2], yaw [T], phase [T] and world joints [T, J, 3] of the oracle's walk, in float64 NumPy."""
     frames = np.arange(num_frames)
     yaw, phases = walk["turn_rate"] / fps * frames, phase + walk["cadence"] / fps * frames
     steps = walk["speed"] / fps * np.stack([np.sin(yaw), np.cos(yaw)], -1)
@@ -103,9 +105,9 @@ def true_walk(walk: dict, fps: float, num_frames: int, phase: float = 0.0):
 
 
 def _obedient(layout: FrameLayout):
-    """(weights [Dy, Dx], x, phase) -> y of a walker that goes and faces where its input trajectory leads.
+    """Returns a function (weights [Dy, Dx], x, phase) -> y of a walker that follows its input trajectory.
 
-    Its joints sway with the whole input in a lopsided way, so that a law which holds for it holds for any network.
+    Its joints sway asymmetrically with the whole input, so that a law which holds for it holds for any network.
     """
 
     def evaluate(weights, x, phase):
@@ -135,7 +137,7 @@ OBEDIENT = {name: _obedient(layout) for name, layout in LAYOUT.items()}
 
 
 def sway(layout: FrameLayout, scale: float = 1e-3) -> jnp.ndarray:
-    """Weights [Dy, Dx] of an obedient walker's sway, in its joints alone."""
+    """Returns weights [Dy, Dx] of an obedient walker's sway, in its joints alone."""
     weights = np.zeros((layout.output_size, layout.input_size), np.float32)
     rows = layout.output_slice("joint_position")
     size = (layout.output_width("joint_position"), layout.input_size)
@@ -144,7 +146,7 @@ def sway(layout: FrameLayout, scale: float = 1e-3) -> jnp.ndarray:
 
 
 def reflection(widths: dict[str, int]) -> jnp.ndarray:
-    """Signs that reflect a vector of blocks of these widths in the plane x = 0."""
+    """Returns the signs that reflect a vector of blocks of these widths in the plane x = 0."""
     signs = {"root_velocity": [-1.0, 1.0], "root_yaw_rate": [-1.0]}
     for name in ("joint_position", "joint_velocity", "joint_forward", "joint_up"):
         signs[name] = [-1.0, 1.0, 1.0] * JOINTS
@@ -157,7 +159,7 @@ def reflection(widths: dict[str, int]) -> jnp.ndarray:
 
 @partial(jax.jit, static_argnums=0)
 def input_row(layout: FrameLayout, walk: dict, phase: float = 0.0) -> jnp.ndarray:
-    """x of a frame of the oracle's walk: the joints are those of the frame before."""
+    """Returns x of a frame of the oracle's walk; its joints are those of the previous frame."""
     dt = 1.0 / layout.fps
     positions, directions = arc(walk["speed"], walk["turn_rate"], jnp.arange(-6, 6) / 6.0)
     y = ORACLES[layout.name](walk, jnp.zeros(layout.input_size), phase - walk["cadence"] * dt)

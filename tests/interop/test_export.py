@@ -131,7 +131,7 @@ def reference_walk(folder: Path) -> np.ndarray:
     ],
 )
 def test_reference_loop_equals_the_controller_loop(runs, tmp_path, name, kind, choice):
-    """Without regulation and feet held, in a style and in a mixture of two."""
+    """Without command tracking and foot locks, in a style and in a mixture of two."""
     run = runs(name, kind)
     description = export_run(run.path, "bins", tmp_path / "bins", style=choice)
     expected = walk(run, choice, description)
