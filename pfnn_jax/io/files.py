@@ -124,9 +124,6 @@ def exchange(new: Path, target: Path) -> None:
     remove(old)
 
 
-swap_folder = exchange
-
-
 def locate(target: Path) -> Path | None:
     """Returns where the last complete output is: at its own path, moved aside to `.NAME.old`, or None."""
     return next((path for path in (target, _old(target)) if path.exists()), None)

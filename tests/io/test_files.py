@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import failure, refuse_existing, require_suffix, swap_folder, write_whole
+from pfnn_jax.io.files import exchange, failure, refuse_existing, require_suffix, write_whole
 from tests.raising import assert_refused
 
 
@@ -57,7 +57,7 @@ def test_a_finished_folder_takes_its_place(tmp_path, there):
     elif there == "link":
         (tmp_path / "far").mkdir()
         target.symlink_to(tmp_path / "far")
-    swap_folder(new, target)
+    exchange(new, target)
     assert names(target) == ["a"] and not target.is_symlink()
     assert names(tmp_path) == (["far", "target"] if there == "link" else ["target"])
 
@@ -67,7 +67,7 @@ def test_a_folder_that_cannot_take_its_place_leaves_the_old_one(tmp_path):
     target.mkdir()
     (target / "b").write_text("old")
     with pytest.raises(OSError):
-        swap_folder(tmp_path / "absent", target)
+        exchange(tmp_path / "absent", target)
     assert names(target) == ["b"] and names(tmp_path) == ["target"]
 
 

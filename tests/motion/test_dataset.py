@@ -199,7 +199,7 @@ def test_a_failed_write_leaves_nothing_and_keeps_the_old_dataset(takes, tmp_path
     ("field", "value"), [("layout", "mason2019"), ("fps", 30), ("seed", -1), ("validation", -0.1), ("test", 0.5)]
 )
 def test_bad_settings_are_refused(field, value):
-    with pytest.raises(ValueError, match=f"PrepareConfig.{field} must .*, got {value}"):
+    with pytest.raises(ValueError, match=rf"PrepareConfig\.{field} must .*{value}"):
         PrepareConfig(**{field: value})
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from functools import partial
@@ -245,3 +246,23 @@ def test_two_processes_started_by_a_script_without_a_guard_change_no_byte(takes,
     assert done.stdout.split() == ["once"]
     alone = prepare(tmp_path / "bvh", tmp_path / "alone", PrepareConfig("mason2022", test=0.1), workers=1)
     assert alone.styles == ("calm", "hasty") and files_of(tmp_path / "set") == files_of(alone.path)
+
+
+INTERRUPTED = """
+import os, signal, sys
+from pfnn_jax.motion.datasets.preparation import prepare
+prepare(sys.argv[1], sys.argv[2], progress=lambda *event: os.kill(os.getpid(), signal.SIGKILL))
+"""
+
+
+def test_what_a_killed_preparation_leaves_is_removed_by_the_next(takes, tmp_path):
+    for index, style in enumerate(("calm", "hasty")):
+        (tmp_path / "bvh" / style).mkdir(parents=True)
+        write_bvh(tmp_path / "bvh" / style / "walk.bvh", takes[index].clip)
+    out = tmp_path / "out" / "set"
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED, str(tmp_path / "bvh"), str(out)], timeout=120, env=env)
+    assert done.returncode == -signal.SIGKILL
+    assert not out.exists() and len(list(out.parent.iterdir())) == 1
+    prepare(tmp_path / "bvh", out)
+    assert [path.name for path in out.parent.iterdir()] == ["set"]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
@@ -15,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import failure, refuse_existing, swap_folder
+from pfnn_jax.errors import InputError, check_field, check_not_negative, check_one_of
+from pfnn_jax.io.files import failure, refuse_existing, replacing
 from pfnn_jax.io.npy import NpyWriter
 from pfnn_jax.motion.datasets.clip_rows import (
     ClipGroup,
@@ -68,16 +66,12 @@ class PrepareConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.layout not in LAYOUTS:
-            raise ValueError(f"PrepareConfig.layout must be one of {', '.join(LAYOUTS)}, got {self.layout}.")
+        check_one_of(self, "layout", tuple(LAYOUTS))
         fps = LAYOUTS[self.layout](1).fps
-        if self.fps != fps:
-            raise ValueError(f"PrepareConfig.fps must be {fps:g}, as in layout {self.layout}, got {self.fps:g}.")
+        check_field(self, "fps", f"be {fps:g}, as in layout {self.layout}", lambda value: value == fps)
         for name in ("validation", "test"):
-            if not 0 <= getattr(self, name) < 0.5:
-                raise ValueError(f"PrepareConfig.{name} must be in [0, 0.5), got {getattr(self, name)}.")
-        if self.seed < 0:
-            raise ValueError(f"PrepareConfig.seed must not be negative, got {self.seed}.")
+            check_field(self, name, "be in [0, 0.5)", lambda share: 0 <= share < 0.5)
+        check_not_negative(self, "seed")
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -124,15 +118,12 @@ def prepare(
     if workers is not None and workers < 1:
         raise InputError(out, "workers", workers, "must be at least 1")
     roles_file = None if roles_file is None else Path(roles_file)
-    work = out.with_name(f".{out.name}.{os.getpid()}")
     try:
-        work.mkdir(parents=True)
-        _write_dataset(sources, work, config, roles_file, progress, workers)
-        swap_folder(work, out)
+        with replacing(out) as work:
+            work.mkdir()
+            _write_dataset(sources, work, config, roles_file, progress, workers)
     except OSError as error:
         raise InputError(out, "folder", failure(error), "must be writable, with space for the dataset") from error
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
     return load_dataset(out)
 
 
