@@ -17,7 +17,7 @@ from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.layers.one_hot import OneHot
 from pfnn_jax.models.network import Dropout, Network, forward, init_network
 from pfnn_jax.models.style import mix_styles
-from tests.models.helpers import random_layer, randomise
+from tests.models.helpers import randomise
 
 FLOAT64 = 1e-12  # a few small layers in double precision
 NO_VARIANCE = 1e-7  # relative effect of 1e-8 inside the root on variances near one
@@ -132,15 +132,6 @@ def test_gradients_of_forward_with_film(float64: None):
 @pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
 def test_gradients_of_modulate(normalise, float64: None):
     check_grads(jax.jit(lambda film, f: film.modulate(0, f, normalise)), (random_film(), features()), order=2)
-
-
-@pytest.mark.parametrize("kind", ["film", "cp", "dense", "bias"])
-def test_a_mixture_at_a_vertex_is_that_style(kind: str):
-    one = random_film() if kind == "film" else random_layer(kind, POINTS, HIDDEN, HIDDEN, 2)
-    stacked = randomise(jax.tree.map(lambda leaf: jnp.zeros((3, *leaf.shape)), one), 9)
-    for index in range(3):
-        vertex = mix_styles(stacked, jnp.eye(3)[index])
-        assert jax.tree.all(jax.tree.map(lambda a, b, i=index: bool((a == b[i]).all()), vertex, stacked))
 
 
 def test_a_mixture_is_linear_before_modulation(float64: None):

@@ -74,7 +74,7 @@ def test_turning_the_points_turns_the_phase(num: int, phase: float):
 
 @pytest.mark.parametrize("num", CONTROL_POINTS)
 def test_passes_through_its_control_points(num: int, float64: None):
-    knots = 2 * jnp.pi * jnp.arange(num) / num
+    knots = 2 * jnp.pi * jnp.arange(float(num)) / num
     np.testing.assert_allclose(jax.vmap(catmull_rom_basis, (0, None))(knots, num), np.eye(num), atol=FLOAT64)
 
 
@@ -82,7 +82,7 @@ def test_passes_through_its_control_points(num: int, float64: None):
 def test_derivatives_from_both_sides_agree_at_every_knot(num: int, float64: None):
     """The spline is C¹: a training signal does not jump where one segment ends."""
     derivative = jax.vmap(jax.jacfwd(lambda p: catmull_rom_basis(p, num)))
-    knots = 2 * jnp.pi * jnp.arange(num) / num
+    knots = 2 * jnp.pi * jnp.arange(float(num)) / num
     before, after = derivative(knots - 1e-9), derivative(knots + 1e-9)
     np.testing.assert_allclose(before, after, atol=1e-7)  # second derivatives are O(K²), times the gap of 2e-9
     central = 0.5 * (np.roll(np.eye(num), 1, axis=1) - np.roll(np.eye(num), -1, axis=1)) * num / (2 * np.pi)
@@ -115,6 +115,12 @@ def test_a_whole_number_is_a_phase():
 
 def test_keeps_the_dtype_of_the_phase():
     assert catmull_rom_basis(jnp.float32(0.1)).dtype == jnp.float32
+
+
+def test_needs_no_gather_or_scatter():
+    """Not every exchange format has them."""
+    text = jax.jit(jax.vmap(lambda phase: catmull_rom_basis(phase, 5))).lower(jnp.zeros(7)).as_text()
+    assert "gather" not in text and "scatter" not in text and "floor" in text
 
 
 def test_three_control_points_are_refused():

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.inference.predictor import Predictor, evaluate, evaluate_at
+from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
@@ -27,34 +26,13 @@ def batch_function(predictor: Predictor, film_input: bool = False) -> BatchFunct
         film_input: whether the style is a third argument [B, 4H], in the order scale 1, shift 1, scale 2, shift 2.
     """
 
-    def one(x: jax.Array, blending: jax.Array, *film: jax.Array) -> jax.Array:
-        own = replace(predictor, style=FiLMStyle.from_vector(film[0])) if film else predictor
-        return evaluate_at(own, x, blending)
-
-    def gated(x: jax.Array, phase: jax.Array, *film: jax.Array) -> jax.Array:
-        own = replace(predictor, style=FiLMStyle.from_vector(film[0])) if film else predictor
-        return evaluate(own, x, phase)
-
-    def function(x: jax.Array, phase: jax.Array, *film: jax.Array) -> jax.Array:
-        if predictor.network.gating is not None:
-            return jax.vmap(gated)(x, phase, *film)
-        return jax.vmap(one)(x, spline_weights(phase, predictor.network.num_control_points), *film)
+    def one(x: jax.Array, gating_input: jax.Array, *film: jax.Array) -> jax.Array:
+        style = FiLMStyle.from_vector(film[0]) if film else predictor.style
+        return evaluate(replace(predictor, style=style), x, gating_input)
 
     if film_input:
-        return lambda x, phase, style: function(x, phase, style)
-    return lambda x, phase: function(x, phase)
-
-
-def spline_weights(phase: jax.Array, num_control_points: int) -> jax.Array:
-    """Coefficients [B, K] of phases [B] in radians: `catmull_rom_basis` without gathering or scattering.
-
-    A control point's weight depends on its distance from the phase alone, as a piecewise cubic (Mason 2018 Eq. 1).
-    """
-    knots = np.arange(num_control_points, dtype=np.float32)
-    turns = phase[:, None] * (num_control_points / (2.0 * math.pi)) - knots[None]
-    d = jnp.abs(turns - num_control_points * jnp.floor(turns / num_control_points + 0.5))
-    near, far = (1.0 - d) * (1.0 + d - 1.5 * d * d), -0.5 * (d - 1.0) * (d - 2.0) * (d - 2.0)
-    return jnp.where(d < 1.0, near, jnp.where(d < 2.0, far, 0.0))
+        return lambda x, phase, style: jax.vmap(one)(x, phase, style)
+    return lambda x, phase: jax.vmap(one)(x, phase)
 
 
 def sample_rows(

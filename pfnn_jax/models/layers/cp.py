@@ -72,7 +72,7 @@ class CPLayer(Layer):
         return type(self)(a=self.a, b=self.b, d=(coefficients @ self.d)[None], bias=self.bias)
 
     def affine(self, coefficients: Any) -> Affine:
-        return (self.a * (coefficients @ self.d)) @ self.b.T, self.bias
+        return (self.a * (coefficients @ self.d)[None]) @ self.b.T, self.bias
 
     def mix(self, weights: jax.Array) -> Self:
         """Returns the mixture of S layers of rank R as one layer of rank S R, with the weights in its diagonal."""
