@@ -19,6 +19,7 @@ from pfnn_jax.control.vectors import orthonormal
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import evaluate
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.network import Network, init_network
 from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.encode import clip_features
@@ -274,6 +275,7 @@ def mirrored(controller: Controller, partners: np.ndarray) -> Controller:
         output_mean=params.predictor.output_mean[o] * o_signs,
         output_std=params.predictor.output_std[o],
     )
+    assert isinstance(params.bank, CPLayer)
     return replace(
         controller,
         params=replace(

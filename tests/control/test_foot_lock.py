@@ -154,12 +154,12 @@ def test_gradients_are_finite_at_full_stretch():
 
 def test_wrong_shapes_and_settings_out_of_range_are_refused():
     clip, contacts = walk()
-    for place, arguments in (
-        ("contacts", {"contacts": contacts[:-1]}),
-        ("joints", {"contacts": contacts, "joints": np.zeros((FRAMES, 2, 3))}),
+    for place, labels, joints in (
+        ("contacts", contacts[:-1], None),
+        ("joints", contacts, np.zeros((FRAMES, 2, 3))),
     ):
         with pytest.raises(InputError) as caught:
-            fix_feet(clip, **arguments)
+            fix_feet(clip, labels, joints=joints)
         assert caught.value.place == place
     with pytest.raises(ValueError, match="lock_threshold"):
         FootLockConfig(lock_threshold=0.2, release_threshold=0.3)

@@ -17,7 +17,7 @@ from pfnn_jax.inference.mixture import file_stem
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import predict_rows
 from pfnn_jax.interop.export import reference_loop
-from pfnn_jax.interop.export.batch import batch_function, relative_error, sample_rows, spline_weights
+from pfnn_jax.interop.export.batch import batch_function, relative_error, sample_rows
 from pfnn_jax.interop.export.bins import write_bins
 from pfnn_jax.interop.export.onnx import TOLERANCE
 from pfnn_jax.interop.export.run import export_run
@@ -34,12 +34,6 @@ FLOAT32 = 2e-5  # of an output's largest value: tables are rounded once, read ba
 LOOP = 1e-4  # metres after 300 frames; float32 against float64 on real networks gives 2e-6
 FRAMES = 300
 IMPORTS = {"pfnn2017": import_released_pfnn, "mason2018": import_released_cp, "mason2022": import_released_lpn}
-
-
-def test_gather_free_spline_equals_the_basis():
-    phases = np.linspace(-7.0, 13.0, 401, dtype=np.float32)
-    expected = jax.vmap(lambda phase: catmull_rom_basis(phase, 5))(phases)
-    np.testing.assert_allclose(spline_weights(jnp.asarray(phases), 5), expected, atol=2e-6)
 
 
 def film_numbers(run, style) -> np.ndarray:
