@@ -25,7 +25,6 @@ from pfnn_jax.interop.released.holden2017 import import_released_pfnn
 from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
 from pfnn_jax.models.layers.film import FiLMStyle
-from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.motion.units import authors2018, convert_columns
 from pfnn_jax.run import Run
 from tests.raising import assert_refused
