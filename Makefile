@@ -4,7 +4,7 @@ WORKERS ?= 2
 PORT ?= 8080
 BIN := .venv/bin
 
-.PHONY: test lint types pytest docs demo play serve lock clean
+.PHONY: test lint types pytest docs notebooks demo play serve lock clean
 
 test: lint types pytest docs
 
@@ -20,6 +20,11 @@ pytest: .venv/.installed
 
 docs: .venv/.installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site
+
+# The copies that the documentation shows.
+notebooks: .venv/.installed
+	$(BIN)/jupyter nbconvert --to notebook --execute --ExecutePreprocessor.record_timing=False --output-dir docs/notebooks \
+	  notebooks/*.ipynb
 
 demo: .venv/.installed
 	$(BIN)/pfnn-jax demo --out demo --overwrite

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -68,6 +69,20 @@ def test_every_public_name_is_in_the_reference():
         for name in re.findall(r" as (\w+)$", stub.read_text(encoding="utf-8"), re.MULTILINE)
     }
     assert not public - shown
+
+
+def cells(path: Path) -> list[tuple[str, str]]:
+    """(kind, source) of every cell of a notebook."""
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    return [(cell["cell_type"], "".join(cell["source"])) for cell in notebook["cells"]]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_the_documentation_shows_the_notebook_executed(path: Path):
+    """`make notebooks` writes the executed copies."""
+    executed = ROOT / "docs" / "notebooks" / path.name
+    assert cells(executed) == cells(path)
+    assert '"output_type"' in executed.read_text(encoding="utf-8")
 
 
 def test_notebooks_are_stored_without_outputs():
