@@ -1,21 +1,23 @@
-"""Does a character go where it is sent, as fast as it is sent, in every style, and at what price to its feet?
+"""Does a character reach the commanded speed and heading in every style, and how does this affect its feet?
 
-Parent    Mason 2018 §5.1 and Mason 2022 §4.4 describe a trajectory blended with the user's command; neither measures
-          whether the character obeys. The loop of their demos is the one that is compared with (`--published`).
+Parent    Mason 2018 §5.1 and Mason 2022 §4.4 blend the trajectory with the user's command; neither measures whether
+          the character reaches it. The baseline is the loop of their demos (`--published`).
 Question  what share of commands is reached, with the published loop and with command tracking (`control.tracking`)?
-Data      the runs given. Every style walks off from its start, is told to go on, to turn by 45 or 90 degrees to either
-          side or to walk a circle of 45 degrees per second, at 0.75, 1 and 1.25 times its own speed, and to stop. And,
-          at its own speed, to go to either side or back while it faces ahead.
-Measure   over the two seconds around the third after the command: speed within 20 %, the way made good and the mean
-          facing within 10 degrees; on circles the speed along the way, and the turn rate within 20 %. Aside and back:
-          speed and way over the two seconds around the fifth, as networks that were not shown that turn about first.
-          Two seconds after it is told to stop, the root moves less than 2 cm/s and the feet less than 1 cm/s; told as
-          well are the seconds until the pace is 0, and how high the higher of its feet is then above the least that it
-          was at while walking. Sliding is the speed of feet in contact, before and after feet are held. Pose distance
-          is the mean squared normalised distance of joint positions from the run's mean pose, about 1 on its data.
+Data      the given runs. Every style starts to walk and is then commanded to walk straight on, to turn by 45 or 90
+          degrees to either side, or to walk a circle at 45 degrees per second, at 0.75, 1 and 1.25 times its natural
+          speed, and finally to stop. At its natural speed it is also commanded to strafe to either side and to walk
+          backward.
+Measure   over the two seconds around the third after the command: speed within 20 %, heading and mean facing within 10
+          degrees; on circles the speed along the path, and the turn rate within 20 %. Strafing and backward: speed and
+          heading over the two seconds around the fifth, because networks that were not trained on such motion turn
+          around first. Two seconds after the command to stop, the root must move at less than 2 cm/s and the feet at
+          less than 1 cm/s. Also reported are the seconds until the time scale is 0, and the height of the higher foot
+          at that time above its minimum while walking. Sliding is the speed of feet in contact, before and after foot
+          IK. Pose distance is the mean squared normalised distance of joint positions from the run's mean pose, about
+          1 on its data.
 Expect    on the demo's run all commands in all 9 styles (70 % with the published loop), on Bandai-Namco-2 all with an
-          LPN (14 %) and with a PFNN (13 %), on 25 of the authors' 100 styles 96 % (39 %); aside and back 92 to 100 %
-          (0 to 43 %); see docs/results.md. Twenty minutes on 2 cores.
+          LPN (14 %) and with a PFNN (13 %), on 25 of the authors' 100 styles 96 % (39 %); strafing and backward 92 to
+          100 % (0 to 43 %); see docs/results_appendix.md. Twenty minutes on 2 cores.
 Run       python -m experiments.controller_laws --runs RUN [RUN ...] --out laws.json
 """
 
@@ -46,19 +48,23 @@ from pfnn_jax.run import list_styles, load_run
 
 FPS = 60
 WALK_OFF, OBEY, STOP = 3 * FPS, 6 * FPS, 3 * FPS
-"""Frames: straight on from standing, then under the command that is judged, then told to stand."""
+"""Frames of walking straight from standing, then of the evaluated command, then of the command to stop."""
 
-JUDGED, JUDGED_ASIDE = (slice(WALK_OFF + second * FPS, WALK_OFF + (second + 2) * FPS) for second in (2, 4))
-"""Two seconds around the third, and the fifth, after a command: no gait's cycle is longer, so swaying is no error."""
+WINDOW, STRAFE_WINDOW = (slice(WALK_OFF + second * FPS, WALK_OFF + (second + 2) * FPS) for second in (2, 4))
+"""Evaluated frames: two seconds around the third, or the fifth, second of a command. No gait cycle is longer, so that
+swaying within a cycle averages out."""
 
-SPEEDS, TURNS, CIRCLES, ASIDE = (0.75, 1.0, 1.25), (0.0, 45.0, -45.0, 90.0, -90.0), (45.0, -45.0), (90.0, -90.0, 180.0)
-"""Shares of the style's own speed, degrees, degrees per second, and degrees from the facing to the way."""
+SPEEDS, TURNS, CIRCLES = (0.75, 1.0, 1.25), (0.0, 45.0, -45.0, 90.0, -90.0), (45.0, -45.0)
+"""Multiples of the style's natural speed, degrees, and degrees per second."""
+
+STRAFES = (90.0, -90.0, 180.0)
+"""Degrees from the facing to the heading."""
 
 HEADING, SPEED, RATE = 10.0, 0.2, 0.2
-"""Degrees, share of the commanded speed, and share of the turn rate, within which a command counts as reached."""
+"""Degrees, share of the commanded speed, and share of the turn rate, within which a command is reached."""
 
 DRIFT, POSE_DRIFT = 0.02, 0.01
-"""Metres per second below which root and feet stand."""
+"""Speeds in m/s below which the root and the feet are at rest."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +74,10 @@ class Config:
     Attributes:
         runs: run directories.
         out: JSON file of results, or None to print them only.
-        styles: how many of a run's styles, evenly chosen; 0 for all.
-        minutes: of random commands for every style, beside the others.
+        styles: number of a run's styles, evenly spaced; 0 for all.
+        minutes: minutes of additional random commands for every style.
         published: use the published loop instead of command tracking.
-        chunk: characters at once.
+        chunk: characters simulated at once.
     """
 
     runs: tuple[Path, ...]
@@ -83,31 +89,38 @@ class Config:
 
 
 @struct.dataclass(kw_only=True)
-class Track:
-    """What is kept of every frame: leaves [N, T, ...]."""
+class Recording:
+    """The signals recorded in every frame: leaves [N, T, ...]."""
 
     root: Any  # [2]
     facing: Any  # [2]
-    predicted: Any  # [4, 3] feet as the network has them
-    feet: Any  # [4, 3] feet as they are drawn
+    predicted: Any  # [4, 3] feet as predicted by the network
+    feet: Any  # [4, 3] feet after foot IK
     contacts: Any  # [4]
-    pace: Any
+    time_scale: Any
     distance: Any
 
 
-def commands(speed: jax.Array, turn: jax.Array, circle: jax.Array, aside: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Velocities [T, 2] and directions [T, 2] of one character: m/s, radians, radians per second, radians."""
+def commands(speed: jax.Array, turn: jax.Array, circle: jax.Array, strafe: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Returns velocities [T, 2] and directions [T, 2] of one character.
+
+    Args:
+        speed: m/s.
+        turn: radians, yaw of the turn at the start of the evaluated command.
+        circle: radians per second.
+        strafe: radians from the facing to the heading.
+    """
     frame = jnp.arange(WALK_OFF + OBEY + STOP)
     since = jnp.clip(frame - WALK_OFF, 0, OBEY)
     yaw = jnp.where(frame >= WALK_OFF, turn, 0.0) + circle * since / FPS
-    way = yaw + jnp.where(frame >= WALK_OFF, aside, 0.0)
-    direction, going = (jnp.stack([jnp.sin(angle), jnp.cos(angle)], -1) for angle in (yaw, way))
-    return going * jnp.where(frame < WALK_OFF + OBEY, speed, 0.0)[:, None], direction
+    travel = yaw + jnp.where(frame >= WALK_OFF, strafe, 0.0)
+    direction, heading = (jnp.stack([jnp.sin(angle), jnp.cos(angle)], -1) for angle in (yaw, travel))
+    return heading * jnp.where(frame < WALK_OFF + OBEY, speed, 0.0)[:, None], direction
 
 
 @partial(jax.jit, static_argnums=0)
-def walk(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *asked: jax.Array) -> Track:
-    """One character in a style [C] under the commands of `commands`."""
+def walk(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *command: jax.Array) -> Recording:
+    """Simulates one character in a style [C] under the commands that `commands` returns for `command`."""
     layout, feet, statistics = setup.layout, np.array(setup.rig.feet), params.predictor
     pose = layout.output_slice("joint_position")
     mean, std = statistics.output_mean[pose], statistics.output_std[pose]
@@ -115,96 +128,96 @@ def walk(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *as
     def frame(state, row):
         state = step(setup, params, state, Command(velocity=row[0], direction=row[1], style=style))
         local = to_local(state.next.joints - to_3d(state.next.root)[None], state.next.facing) / layout.length_unit
-        return state, Track(
+        return state, Recording(
             root=state.root,
             facing=state.facing,
             predicted=state.motion.joint_positions[feet],
             feet=state.joints[feet],
             contacts=state.contacts,
-            pace=state.time_scale,
+            time_scale=state.time_scale,
             distance=jnp.mean(((local.reshape(-1) - mean) / std) ** 2),
         )
 
     begin = start_standing(setup, params, jnp.zeros(2), jnp.zeros(()), style)
-    return jax.lax.scan(frame, begin, commands(*asked))[1]
+    return jax.lax.scan(frame, begin, commands(*command))[1]
 
 
 def walk_all(controller: Controller, chunk: int) -> dict[str, Any]:
-    """The shares and means of all styles and commands, and those of every style."""
+    """Simulates all styles under all commands; returns the measures over all of them and for every style."""
     numbers = range(len(controller.styles))
     cases = [(s, v, t, 0.0, 0.0) for s in numbers for v in SPEEDS for t in TURNS]
     cases += [(s, v, 0.0, c, 0.0) for s in numbers for v in SPEEDS for c in CIRCLES]
-    cases += [(s, 1.0, 0.0, 0.0, a) for s in numbers for a in ASIDE]
-    index, share, turn, circle, aside = (np.array(column) for column in zip(*cases, strict=True))
+    cases += [(s, 1.0, 0.0, 0.0, a) for s in numbers for a in STRAFES]
+    index, share, turn, circle, strafe = (np.array(column) for column in zip(*cases, strict=True))
     speed = np.asarray(controller.params.speeds)[index] * share
     weights = np.eye(controller.capacity, dtype=np.float32)[index]
     many = jax.vmap(partial(walk, controller.setup), in_axes=(None, 0, 0, 0, 0, 0))
-    columns = [np.asarray(c, np.float32) for c in (weights, speed, *np.deg2rad([turn, circle, aside]))]
+    columns = [np.asarray(c, np.float32) for c in (weights, speed, *np.deg2rad([turn, circle, strafe]))]
     chunk, parts = min(chunk, len(cases)), []
     for first in range(0, len(cases), chunk):
         rows = np.minimum(np.arange(first, first + chunk), len(cases) - 1)
         parts.append(jax.tree.map(np.asarray, many(controller.params, *(c[rows] for c in columns))))
-    track = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(cases)], *parts)
-    judged = judge(track, speed, turn, circle, aside)
+    recording = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(cases)], *parts)
+    found = measure(recording, speed, turn, circle, strafe)
     styles = {
-        name: {key: _mean(values[index == s]) for key, values in judged.items()}
+        name: {key: _mean(values[index == s]) for key, values in found.items()}
         for s, name in enumerate(controller.styles)
     }
-    return {"all": {key: _mean(values) for key, values in judged.items()}, "styles": styles}
+    return {"all": {key: _mean(values) for key, values in found.items()}, "styles": styles}
 
 
-def judge(
-    track: Track, speed: np.ndarray, turn: np.ndarray, circle: np.ndarray, aside: np.ndarray
+def measure(
+    recording: Recording, speed: np.ndarray, turn: np.ndarray, circle: np.ndarray, strafe: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Measures [N] of N walks; NaN where one does not apply."""
-    straight, ahead = circle == 0.0, aside == 0.0
+    """Returns measures [N] of N walks; NaN where a measure does not apply."""
+    straight, ahead = circle == 0.0, strafe == 0.0
     plain = straight & ahead
-    made, way = _made_good(track.root, JUDGED)
-    seconds = (JUDGED.stop - JUDGED.start) / FPS
-    along = np.linalg.norm(np.diff(track.root[:, JUDGED.start : JUDGED.stop + 1], axis=1), axis=-1).sum(1) / seconds
-    made = np.where(straight, made, along)
-    made_aside, way_aside = _made_good(track.root, JUDGED_ASIDE)
-    yaw = np.unwrap(np.arctan2(track.facing[..., 0], track.facing[..., 1]), axis=1)
-    rate = np.rad2deg(yaw[:, JUDGED.stop] - yaw[:, JUDGED.start]) / seconds
-    off, faced = (np.abs(_short(value - turn)) for value in (way, np.rad2deg(yaw[:, JUDGED].mean(1))))
-    obeys_speed, obeys_way = np.abs(made / speed - 1.0) <= SPEED, off <= HEADING
-    obeys_aside = (np.abs(made_aside / speed - 1.0) <= SPEED) & (np.abs(_short(way_aside - aside)) <= HEADING)
-    told = WALK_OFF + OBEY
+    achieved, heading = _net_motion(recording.root, WINDOW)
+    seconds = (WINDOW.stop - WINDOW.start) / FPS
+    along = np.linalg.norm(np.diff(recording.root[:, WINDOW.start : WINDOW.stop + 1], axis=1), axis=-1).sum(1) / seconds
+    achieved = np.where(straight, achieved, along)
+    strafe_speed, strafe_heading = _net_motion(recording.root, STRAFE_WINDOW)
+    yaw = np.unwrap(np.arctan2(recording.facing[..., 0], recording.facing[..., 1]), axis=1)
+    rate = np.rad2deg(yaw[:, WINDOW.stop] - yaw[:, WINDOW.start]) / seconds
+    off, faced = (np.abs(_short(value - turn)) for value in (heading, np.rad2deg(yaw[:, WINDOW].mean(1))))
+    obeys_speed, obeys_heading = np.abs(achieved / speed - 1.0) <= SPEED, off <= HEADING
+    obeys_strafe = (np.abs(strafe_speed / speed - 1.0) <= SPEED) & (np.abs(_short(strafe_heading - strafe)) <= HEADING)
+    stop = WALK_OFF + OBEY
     drift, pose_drift = (
-        np.linalg.norm(np.diff(values[:, told + 2 * FPS :], axis=1), axis=-1).reshape(len(speed), -1).max(1) * FPS
-        for values in (track.root, track.feet)
+        np.linalg.norm(np.diff(values[:, stop + 2 * FPS :], axis=1), axis=-1).reshape(len(speed), -1).max(1) * FPS
+        for values in (recording.root, recording.feet)
     )
-    raised = track.predicted[..., 1].reshape(*track.pace.shape, 2, 2).min(-1).max(-1)
-    moving = slice(FPS, told)
+    raised = recording.predicted[..., 1].reshape(*recording.time_scale.shape, 2, 2).min(-1).max(-1)
+    moving = slice(FPS, stop)
     return {
         "speed": np.where(plain, obeys_speed, np.nan),
-        "way": np.where(plain, obeys_way, np.nan),
-        "speed and way": np.where(plain, obeys_speed & obeys_way, np.nan),
+        "heading": np.where(plain, obeys_heading, np.nan),
+        "speed and heading": np.where(plain, obeys_speed & obeys_heading, np.nan),
         "facing": np.where(plain, faced <= HEADING, np.nan),
         "speed on circles": np.where(straight, np.nan, obeys_speed),
         "rate on circles": np.where(straight, np.nan, np.abs(rate / np.where(straight, 1.0, circle) - 1.0) <= RATE),
-        "aside and back": np.where(ahead, np.nan, obeys_aside),
+        "strafe and backward": np.where(ahead, np.nan, obeys_strafe),
         "stops": ((drift < DRIFT) & (pose_drift < POSE_DRIFT)).astype(float),
-        "seconds to a halt": (track.pace[:, told:] > 0.0).sum(1) / FPS,
-        "feet at a halt, m": raised[:, -1] - raised[:, moving].min(1),
-        "finite": np.isfinite(track.feet).all((1, 2, 3)).astype(float),
-        "degrees off": np.where(plain, off, np.nan),
-        "share of speed": np.where(ahead, made / speed, np.nan),
-        "pace": track.pace[:, JUDGED].mean(1),
-        "sliding, predicted": _sliding(track.predicted[:, moving], track.contacts[:, moving]),
-        "sliding, drawn": _sliding(track.feet[:, moving], track.contacts[:, moving]),
-        "pose distance": track.distance[:, moving].mean(1),
+        "seconds to stop": (recording.time_scale[:, stop:] > 0.0).sum(1) / FPS,
+        "feet at stop, m": raised[:, -1] - raised[:, moving].min(1),
+        "finite": np.isfinite(recording.feet).all((1, 2, 3)).astype(float),
+        "heading error, degrees": np.where(plain, off, np.nan),
+        "share of speed": np.where(ahead, achieved / speed, np.nan),
+        "time scale": recording.time_scale[:, WINDOW].mean(1),
+        "sliding, predicted": _sliding(recording.predicted[:, moving], recording.contacts[:, moving]),
+        "sliding, after foot IK": _sliding(recording.feet[:, moving], recording.contacts[:, moving]),
+        "pose distance": recording.distance[:, moving].mean(1),
     }
 
 
-def _made_good(root: np.ndarray, frames: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Metres per second [N] and degrees [N] of the straight lines between the ends of tracks [N, T, 2]."""
+def _net_motion(root: np.ndarray, frames: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the speed [N] in m/s and yaw [N] in degrees of the straight line between the ends of root [N, T, 2]."""
     line = root[:, frames.stop] - root[:, frames.start]
     return np.linalg.norm(line, axis=-1) * FPS / (frames.stop - frames.start), np.rad2deg(np.arctan2(*line.T))
 
 
 def _sliding(feet: np.ndarray, contacts: np.ndarray) -> np.ndarray:
-    """[N] m/s, mean horizontal speed of feet [N, T, 4, 3] between frames both in contact."""
+    """Returns the mean horizontal speed [N] in m/s of feet [N, T, 4, 3] between adjacent frames in contact."""
     both = (contacts[:, 1:] >= 0.5) & (contacts[:, :-1] >= 0.5)
     speed = np.linalg.norm(np.diff(feet, axis=1)[..., [0, 2]], axis=-1) * FPS
     return (speed * both).sum((1, 2)) / np.maximum(both.sum((1, 2)), 1)
@@ -219,12 +232,14 @@ def _mean(values: np.ndarray) -> float:
 
 
 WORST = ("pose distance", "speed of a joint, m/s", "height of a joint, m", "not finite")
-"""What must stay bounded under random commands."""
+"""Quantities that must stay bounded under random commands."""
 
 
 def random_commands(seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities [T, 2], 1 being a style's own speed, and directions [T, 2]: another every one to three seconds, one in
-    six of them to stand."""
+    """Returns random velocities [T, 2], as multiples of the natural speed, and directions [T, 2].
+
+    The command changes every one to three seconds; one in six is to stand.
+    """
     rng, frames = np.random.default_rng(seed), round(seconds * FPS)
     lengths = rng.integers(FPS, 3 * FPS, frames // FPS + 1)
     yaw, speed = rng.uniform(-np.pi, np.pi, len(lengths)), rng.uniform(0.3, 1.5, len(lengths))
@@ -235,8 +250,8 @@ def random_commands(seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @partial(jax.jit, static_argnums=0)
-def wander(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *asked: jax.Array) -> dict[str, Any]:
-    """The worst of a character in a style [C] under commands [T, 2]: what must stay bounded."""
+def wander(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *command: jax.Array) -> dict[str, Any]:
+    """Returns the largest values of `WORST` of a character in a style [C] under commands [T, 2]."""
     statistics, pose = params.predictor, setup.layout.output_slice("joint_position")
     mean, std = statistics.output_mean[pose], statistics.output_std[pose]
 
@@ -254,11 +269,11 @@ def wander(setup: ControllerSetup, params: ControllerParams, style: jax.Array, *
 
     begin = start_standing(setup, params, jnp.zeros(2), jnp.zeros(()), style)
     zero: dict[str, Any] = {name: jnp.zeros(()) for name in WORST}
-    return jax.lax.scan(frame, (begin, zero), asked)[0][1]
+    return jax.lax.scan(frame, (begin, zero), command)[0][1]
 
 
 def wander_all(controller: Controller, minutes: float) -> dict[str, Any]:
-    """The worst of every style under random commands, and over all styles."""
+    """Returns the largest values of `WORST` over all styles under random commands."""
     count, (velocity, direction) = len(controller.styles), random_commands(60.0 * minutes, 0)
     weights = jnp.eye(count, controller.capacity)
     velocities = velocity[None] * np.asarray(controller.params.speeds)[:count, None, None]
@@ -268,13 +283,13 @@ def wander_all(controller: Controller, minutes: float) -> dict[str, Any]:
 
 
 def chosen(names: Sequence[str], count: int) -> list[str]:
-    """Some of the names, evenly; all where the count is 0."""
-    places = np.linspace(0, len(names) - 1, min(count or len(names), len(names)))
-    return [str(names[round(float(place))]) for place in places]
+    """Returns `count` evenly spaced names, or all if it is 0."""
+    positions = np.linspace(0, len(names) - 1, min(count or len(names), len(names)))
+    return [str(names[round(float(position))]) for position in positions]
 
 
 def main(config: Config) -> dict[str, Any]:
-    """Walks every run and prints what it finds."""
+    """Simulates and measures every run; prints the results."""
     result = {}
     for path in config.runs:
         run = load_run(path)

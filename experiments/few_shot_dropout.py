@@ -1,11 +1,11 @@
-"""Which dropout, for a style learned from seconds of straight walking, generalises to turning? (Mason 2018 §7.2)
+"""Which dropout generalises to turning, for a style learned from seconds of straight walking? (Mason 2018 §7.2)
 
-Parent    Mason 2018 §7.2: a search over the dropout rate of the adapter, judged by eye; 0.3 everywhere else.
+Parent    Mason 2018 §7.2: a search over the dropout rate of the adapter, assessed visually; 0.3 everywhere else.
 Question  how does the error on unseen turns depend on the drop probability before the adapter, and on the one before
-          the shared layers? Does the straight error show the same?
-Data      8 procedural styles, and a ninth from 3 seconds of straight walking: exact truth on turns and on other
-          straight walks. Or --dataset, a prepared one, with --clip, a BVH file of a style that is not in it: then the
-          straight error is that of the clip's held-out end, and the turning error that of the --turning files.
+          the shared layers? Does the error on straight walks behave in the same way?
+Data      8 procedural styles, and a ninth from 3 seconds of straight walking: exact ground truth on turns and on
+          other straight walks. Or --dataset, a prepared one, with --clip, a BVH file of a style that is not in it: then
+          the straight error is measured on the held-out end of the clip, and the turning error on --turning files.
 Expect    (3 seeds) no adapter 2.00 straight and 2.04 turning. Without main dropout, straight .52 .53 .54 .56 .62 for
           adapter dropout .1 .3 .5 .7 .9, turning .72 .71 .70 .70 .73: the straight error is smallest with the least
           dropout, the turning error in the middle, in every seed, but its means lie within 5 %. Main
@@ -32,8 +32,9 @@ from pfnn_jax.demo.pipeline import TURNS, DemoConfig, procedural_dataset, straig
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.plots import loss_curves
 from pfnn_jax.evaluation.style_methods import without_adapter
-from pfnn_jax.evaluation.style_test import pose_and_velocity_error, predict_rows
+from pfnn_jax.evaluation.style_test import pose_and_velocity_error
 from pfnn_jax.inference.predictor import Predictor
+from pfnn_jax.inference.rows import evaluate_rows
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.network import Network
 from pfnn_jax.motion.clip import mirror_clip
@@ -60,16 +61,16 @@ class Config:
         dataset: prepared dataset to pretrain on; None makes the procedural one.
         clip: BVH file of the new style, needed with `dataset`.
         turning: BVH files of the new style that turn, needed with `dataset`.
-        mirror: learn from the mirrored clip too.
-        method: of few-shot training.
-        learning_rate, epochs: of few-shot training; at the paper's rate of 1e-4 an adapter of this small network has
-            learned little after 100 epochs.
+        mirror: also learn from the mirror image of the clip.
+        method: method of few-shot training.
+        learning_rate, epochs: settings of few-shot training; at the paper's rate of 1e-4 an adapter of this small
+            network learns little in 100 epochs.
         adapter_dropouts, main_dropouts: the rates to compare.
         seeds: repetitions, each with its own network and few-shot training.
-        hidden, steps, batch_size, pretrain_rate: of pretraining.
-        seconds_per_style: of each procedural style.
-        seconds: of the procedural clip.
-        test_seconds: of each procedural test take.
+        hidden, steps, batch_size, pretrain_rate: settings of pretraining.
+        seconds_per_style: seconds of each procedural style.
+        seconds: length of the procedural clip.
+        test_seconds: length of each procedural test take.
     """
 
     out: Path
@@ -95,12 +96,12 @@ class Config:
         if self.seeds < 1:
             raise InputError("few_shot_dropout", "seeds", self.seeds, "must be at least 1")
         if self.dataset is not None and (self.clip is None or not self.turning):
-            raise InputError("few_shot_dropout", "dataset", self.dataset, "needs --clip and --turning beside it")
+            raise InputError("few_shot_dropout", "dataset", self.dataset, "must come with --clip and --turning")
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Rows of the new style: to learn from, to rank by, and the two tests."""
+    """Rows of the new style: training rows, held-out rows for ranking, and the two tests."""
 
     learn: list[Features]
     held_out: list[Features]
@@ -108,7 +109,7 @@ class Task:
 
 
 def procedural_task(config: Config, layout: FrameLayout) -> Task:
-    """A ninth style from a straight walk; tested on walks with other irregularities and speeds, and on turns."""
+    """Returns the task of a ninth style: learned from a straight walk, tested on other straight walks and on turns."""
     clip = straight_walk(config.seconds, seed=1000)
     frames, speed = round(config.test_seconds * layout.fps), STYLES[UNSEEN_STYLE].speed
 
@@ -125,7 +126,7 @@ def procedural_task(config: Config, layout: FrameLayout) -> Task:
 
 
 def recorded_task(config: Config, layout: FrameLayout) -> Task:
-    """A style from a BVH file; its held-out end is the straight test, the files of turning the other."""
+    """Returns the task of a style from a BVH file: tested on the held-out end of the clip and on the turning files."""
     assert config.clip is not None  # the configuration refuses a dataset without a clip
     clip = load_labelled(ClipFile(config.clip, config.clip.stem), layout.fps)
     learn, held_out = hold_out(_parts(clip, layout, config.mirror), FewShotConfig().held_out, str(config.clip))
@@ -142,7 +143,7 @@ def _parts(take: LabelledClip, layout: FrameLayout, mirror: bool) -> list[Featur
 
 
 def pretrained(dataset: Dataset, config: Config, seed: int) -> Network:
-    """A shared network of all styles of the dataset."""
+    """Pretrains a shared network on all styles of the dataset."""
     settings = PretrainConfig(
         hidden=config.hidden,
         steps=config.steps,
@@ -154,7 +155,7 @@ def pretrained(dataset: Dataset, config: Config, seed: int) -> Network:
 
 
 def errors(shared: Network, dataset: Dataset, task: Task, config: Config, seed: int) -> list[dict[str, float]]:
-    """Rates and test errors of every setting, all trained at once."""
+    """Trains all settings at once; returns the rates and test errors of each."""
     grid = FewShotConfig(
         config.method,
         learning_rates=(config.learning_rate,),
@@ -173,16 +174,16 @@ def errors(shared: Network, dataset: Dataset, task: Task, config: Config, seed: 
 
 
 def test_errors(predictor: Predictor, dataset: Dataset, task: Task) -> dict[str, float]:
-    """Mean squared normalised error of joint positions and velocities on every test."""
+    """Returns the mean squared normalised error of joint positions and velocities on every test."""
     std, found = np.asarray(dataset.normaliser.outputs.std), {}
     for name, test in task.tests.items():
-        predicted = np.asarray(predict_rows(predictor, test.x, test.phase))
+        predicted = evaluate_rows(predictor, test.x, test.phase)
         found[name] = float(pose_and_velocity_error(test.y, predicted, dataset.layout, std).mean())
     return found
 
 
 def summary(rows: list[dict[str, float]], config: Config) -> list[dict[str, Any]]:
-    """Mean and standard deviation over seeds of every pair of rates, in the configured order."""
+    """Returns mean and standard deviation over seeds for every pair of rates, in the configured order."""
     table = []
     for main in config.main_dropouts:
         for adapter in config.adapter_dropouts:
@@ -215,7 +216,7 @@ def main(config: Config) -> dict[str, Any]:
     plain["turning"] = [str(path) for path in config.turning]
     result = {"config": plain, "rows": rows, "no_adapter": untrained, "summary": table}
     write_whole(config.out / "few_shot_dropout.json", json.dumps(result, indent=1) + "\n")
-    head = ("main", "adapter", "straight", "turning", "turning, spread over seeds")
+    head = ("main", "adapter", "straight", "turning", "turning, std over seeds")
     lines = [[row[k] for k in ("main", "adapter", "straight", "turning", "turning_std")] for row in table]
     without = [float(np.mean([row[test] for row in untrained])) for test in ("straight", "turning")]
     lines.insert(0, ["no adapter", None, *without, None])

@@ -1,13 +1,13 @@
-"""Generated walks before and after feet are held in place: sliding, bones, and what smoothness it costs.
+"""How much does foot IK reduce the sliding of feet, and how does it affect bones and smoothness?
 
 Parent    Mason 2022 §4.4: foot contact inverse kinematics after the network, to reduce sliding; no numbers.
-Question  how much less do feet slide while they are in contact, by the network's own contacts, and do accelerations
-          and jitter grow?
-Data      runs; of each its styles walk along a figure of eight.
+Question  how much less do feet slide during the contacts predicted by the network, and do accelerations and jitter
+          increase?
+Data      the given runs, whose styles walk along a figure-eight.
 Expect    toes slide, before and after, in m/s: 0.241 and 0.010 (Bandai-Namco-2, PFNN with CP), 0.244 and 0.008 (LPN
           with FiLM), 0.372 and 0.057 (the authors' PFNN), 0.413 and 0.108 (their LPN, 8 styles). Accelerations of toes
           fall by 4 to 15 %; those of knees rise by 0 to 4 % on Bandai-Namco-2, by 27 and 18 % on the authors'; jitter
-          grows by 0 to 12 %. Bones, which the networks' positions miss by 2 to 6 mm, keep their lengths.
+          rises by 0 to 12 %. Bones keep their lengths; in the networks' predictions they are wrong by 2 to 6 mm.
 Run       python -m experiments.foot_ik --runs RUN [RUN ...] --out runs/foot_ik
 """
 
@@ -37,7 +37,7 @@ from pfnn_jax.workflows.generate import generate_walk
 COLUMNS = {
     "toes": ("toes slide, m/s", 3),
     "heels": ("heels slide, m/s", 3),
-    "held": ("held toes, mm per frame", 2),
+    "held": ("planted toes, mm per frame", 2),
     "toe_acceleration": ("toes, m/s²", 1),
     "knee_acceleration": ("knees, m/s²", 1),
     "jitter": ("jitter, m/s³", 0),
@@ -52,9 +52,9 @@ class Config:
     Attributes:
         runs: run directories.
         out: folder of results.
-        styles: of every run that has them; all of a run's by default.
-        most: at most so many styles of a run, spread over its list.
-        seconds: of each walk; the first second is not judged.
+        styles: styles to use where a run has them; all styles by default.
+        most: largest number of styles per run, evenly spaced over its list.
+        seconds: length of each walk; the first second is not evaluated.
     """
 
     runs: tuple[Path, ...]
@@ -73,7 +73,7 @@ def main(config: Config) -> dict[str, Any]:
             found = compare(run, style, config.seconds)
             rows.append({"run": path.name, "style": style or "(none)", **found})
     if not rows:
-        raise InputError(config.out, "runs", "none", "name at least one run")
+        raise InputError(config.out, "runs", "none", "pass at least one run with --runs")
     config.out.mkdir(parents=True, exist_ok=True)
     write_json(config.out / "foot_ik.json", {"rows": rows})
     text = _table(rows)
@@ -83,7 +83,7 @@ def main(config: Config) -> dict[str, Any]:
 
 
 def compare(run: Run, style: str | None, seconds: float) -> dict[str, dict[str, float]]:
-    """The measures of one walk `network` (joints as predicted), `before` (rigid bones) and `after`."""
+    """Returns the measures of one walk: `network` (joints as predicted), `before` (rigid bones) and `after` foot IK."""
     made = generate_walk(run, style, figure_eight(), seconds=seconds, foot_ik=False, published_loop=True)
     contacts = made.contacts
     if contacts is None:
@@ -94,7 +94,7 @@ def compare(run: Run, style: str | None, seconds: float) -> dict[str, dict[str, 
 
 
 def measures(run: Run, positions: np.ndarray, contacts: np.ndarray) -> dict[str, float]:
-    """Of joints [T, J, 3] in metres whose contacts are [T, 4]: see `COLUMNS`."""
+    """Returns the measures of `COLUMNS` for joints [T, J, 3] in metres with contacts [T, 4]."""
     fps, skip, rig = run.layout.fps, round(run.layout.fps), make_rig(run.skeleton)
     positions, touching = positions[skip:], contacts[skip:] >= 0.5
     feet, toes, heels = positions[:, list(rig.feet)], [1, 3], [0, 2]
@@ -111,7 +111,7 @@ def measures(run: Run, positions: np.ndarray, contacts: np.ndarray) -> dict[str,
 
 
 def _middle_steps(toes: np.ndarray, touching: np.ndarray) -> float:
-    """Median step in metres between frames of contact: what a toe moves in the midst of a stance."""
+    """Returns a toe's median displacement in metres between adjacent frames in contact, typical of mid-stance."""
     both = touching[1:] & touching[:-1]
     steps = np.linalg.norm(np.diff(toes, axis=0), axis=-1)[both]
     return float(np.median(steps)) if len(steps) else float("nan")
@@ -146,4 +146,4 @@ def _table(rows: list[dict[str, Any]]) -> str:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    main(tyro.cli(Config, description=__doc__))

@@ -1,17 +1,17 @@
-"""Learn each style from one straight walk, and test it on real turns that no method has seen.
+"""Which method of learning a style from one straight walk generalises to real turns?
 
-Parent    Mason 2018 §7-8, which had no ground truth for turns and judged by eye.
-Question  which way of adding a style generalises from a few seconds of straight walking to turning?
+Parent    Mason 2018 §7-8, which had no ground truth for turns and assessed results visually.
+Question  which method of adding a style generalises from a few seconds of straight walking to turning?
 Data      Bandai-Namco-2: 7 styles, each with straight walks and 90° turns. For each style: pretrain on the other six,
           adapt on at most 5 seconds of one straight walk (another one for each seed), test on all its turning takes
-          and on its other straight walks. Settings and stopping points are chosen on the last fifth of the adaptation
+          and on its other straight walks. Settings and numbers of epochs are chosen on the last fifth of the adaptation
           clip and by rollouts on circles; nothing is chosen on the turning takes.
 Expect    (3 seeds, errors on turns) no adapter .196, the paper's recipe .101, CP at 1e-4 without dropout .098, CP as
           `few-shot` chooses it .097, bias and diagonal .101, full .147, fine-tuning 5 / 25 / 100 epochs .103 / .149 /
           .282, from scratch 1.36, CP chosen by held-out frames alone .120, CP on the style's own turns .043. All
-          measures: docs/results.md. About 2.7 minutes a fold on 2 cores.
+          measures: docs/results_appendix.md. About 2.7 minutes per fold on 2 cores.
 Run       python -m experiments.leave_one_style_out --data FOLDER --out runs/leave_one_style_out
-          Each fold is written when it is done; run again with the same --out, and it goes on.
+          Each fold is written when it is finished; run again with the same --out to resume.
 """
 
 from __future__ import annotations
@@ -55,15 +55,15 @@ class Config:
         out: folder of results.
         styles: held-out styles; all of the folder's by default.
         seeds: number of repetitions; each has its own networks, shuffling and adaptation clip.
-        steps: of pretraining.
-        batch_size: of pretraining.
-        learning_rate: of pretraining; 10 times the paper's, as its batches are 8 times larger and its steps fewer.
+        steps, batch_size: settings of pretraining.
+        learning_rate: learning rate of pretraining; 10 times the paper's, because batches are 8 times larger and steps
+            fewer.
         hidden: H.
-        epochs: longest few-shot training; all `eval_epochs` above are dropped.
-        seconds: of the adaptation clip.
+        epochs: longest few-shot training; later `eval_epochs` are dropped.
+        seconds: length of the adaptation clip.
         neutral: the style on which the one-style network is pretrained.
         circle_seconds: length of the walks on circles.
-        takes: at most so many takes of each style and content, 0 for all.
+        takes: largest number of takes of each style and content, 0 for all.
     """
 
     data: Path
@@ -83,7 +83,7 @@ class Config:
 
 @dataclass(frozen=True, eq=False)
 class Take:
-    """One take and its mirror image, as rows."""
+    """The rows of one take and of its mirror image."""
 
     style: str
     content: str
@@ -94,7 +94,7 @@ class Take:
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """What every method of one held-out style and seed shares."""
+    """The data that all methods share for one held-out style and seed."""
 
     clip: tuple[Features, Features]  # the adaptation clip and its mirror image
     test: StyleTest
@@ -102,7 +102,7 @@ class Fold:
 
 
 def load_takes(config: Config) -> tuple[list[Take], FrameLayout, Skeleton]:
-    """All takes of the folder as rows of `mason2018`, and their layout and skeleton."""
+    """Returns all takes of the folder as rows of `mason2018`, with their layout and skeleton."""
     takes, counts, layout, skeleton = [], {}, None, None
     for clip_file in list_clips(config.data):
         key = (clip_file.style, clip_file.content)
@@ -120,7 +120,7 @@ def load_takes(config: Config) -> tuple[list[Take], FrameLayout, Skeleton]:
 
 
 def balanced(takes: Sequence[Take], styles: Sequence[str], seed: int) -> dict[str, Features]:
-    """Equal numbers of rows of each style, chosen at random, mirrored ones included."""
+    """Returns equal numbers of random rows of each style, mirror images included."""
     rng = np.random.default_rng(seed)
     rows = {s: join_rows([p for t in takes if t.style == s for p in (t.rows, t.mirrored)]) for s in styles}
     count = min(len(part.x) for part in rows.values())
@@ -129,7 +129,7 @@ def balanced(takes: Sequence[Take], styles: Sequence[str], seed: int) -> dict[st
 
 
 def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, seed: int):
-    """A shared network, its normaliser and the mean loss of its last dispatch, from balanced rows of some styles."""
+    """Pretrains on the rows of some styles; returns the shared network, its normaliser and its last mean loss."""
     normaliser = fit_normaliser([p.x for p in parts.values()], [p.y for p in parts.values()], layout, grouped=True)
     data = Rows.from_features({style: [part] for style, part in parts.items()}, layout, normaliser)
     settings = PretrainConfig(
@@ -145,7 +145,7 @@ def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, 
 
 
 def make_fold(takes: Sequence[Take], style: str, seed: int, layout, skeleton, std, config: Config) -> Fold:
-    """The adaptation clip of this seed, and the test takes."""
+    """Returns the adaptation clip of this seed and the test takes."""
     own = [take for take in takes if take.style == style]
     walks = [take for take in own if take.content == "walk"]
     turns = [take for take in own if "turn" in take.content]
@@ -159,7 +159,10 @@ def make_fold(takes: Sequence[Take], style: str, seed: int, layout, skeleton, st
 
 
 def bound(shared, normaliser: Normaliser, fold: Fold, config: Config, seed: int) -> dict[str, Any]:
-    """CP trained on half of the style's own turns and tested on the other half, both ways: what one could hope for."""
+    """Measures CP trained on half of the style's own turns and tested on the other half, in both directions.
+
+    The result is a bound for methods that do not see turns.
+    """
     epochs = min(10, config.epochs)
     grid = FewShotConfig("cp", learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(epochs,), seed=seed)
     results = []
@@ -173,7 +176,7 @@ def bound(shared, normaliser: Normaliser, fold: Fold, config: Config, seed: int)
 
 
 def _mean(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Numbers averaged; tables per take joined."""
+    """Averages numbers and merges tables per take."""
     merged = {}
     for key in results[0]:
         values = [result[key] for result in results]
@@ -186,7 +189,7 @@ def _mean(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def run_fold(takes, style: str, seed: int, layout, skeleton, neutral, config: Config) -> dict[str, Any]:
-    """All rows of one held-out style and seed."""
+    """Returns all rows of one held-out style and seed."""
     started = time.perf_counter()
     styles = sorted({take.style for take in takes} - {style})
     shared, normaliser, loss = pretrained(balanced(takes, styles, seed), layout, config, seed)
@@ -214,7 +217,7 @@ def run_fold(takes, style: str, seed: int, layout, skeleton, neutral, config: Co
 
 
 def main(config: Config) -> None:
-    """Runs the folds that are not there yet, and writes the tables and plots of all."""
+    """Runs the missing folds, and writes the tables and plots of all folds."""
     config.out.mkdir(parents=True, exist_ok=True)
     takes, layout, skeleton = load_takes(config)
     styles = config.styles or tuple(sorted({take.style for take in takes}))
@@ -235,4 +238,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    main(tyro.cli(Config, description=__doc__))

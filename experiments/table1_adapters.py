@@ -1,15 +1,15 @@
-"""What a style costs: memory, training time and run time of the adapters (Mason 2018, Table 1).
+"""How much memory, training time and run time do the adapters need? (Mason 2018, Table 1)
 
 Parent    Mason 2018 §7.1 and Table 1: full, diagonal and CP adapters of rank 30, on a GPU and a laptop's processor.
-Question  do the three adapters cost here what they cost there, and is a network that is CP-decomposed in every layer
-          as small and fast as the paper's aside says (136 MB to 1 MB, 3 to 4 times faster)?
+Question  do the three adapters need the memory and times of the paper, and is a network that is CP-decomposed in every
+          layer as small and fast as the paper mentions (136 MB to 1 MB, 3 to 4 times faster)?
 Expect    memory as in the paper (4.01/50.1, .016/.20, .120/.125 MB), whose megabytes are 2^20 bytes for full and
           diagonal and 10^6 bytes for CP. On 2 cores, training 16.4, 5.7 and 6.7 s with compilation (paper: 99, 44 and
           50 s on a GPU); by lookup the adapters cost the same (.24 to .28 ms), as full and diagonal ones are added into
-          the table and a CP one is two thin products. The CP network is 340 times smaller than the 50 slices of the
-          full one (112 to .33 MB), and 4.3 times faster at the exact spline, 3.8 times by lookup, 8.2 in a crowd.
+          the table and a CP adapter is two thin matrix products. The CP network is 340 times smaller than the 50 slices
+          of the full one (112 to .33 MB), 4.3 times faster at the exact spline, 3.8 times by lookup, 8.2 in a crowd.
 Run       python -m experiments.table1_adapters --out runs/table1_adapters
-          Frames are random: neither time nor memory depends on them.
+          Frames are random, because neither time nor memory depends on them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from pfnn_jax.training.few_shot_learning import train_grid
 
 MEBIBYTE = 2**20
 BLENDED = ("weights", "biases", "d")
-"""Fields of the layers that have the control points as their leading axis."""
+"""Fields of layers whose leading axis is the control points."""
 
 KINDS: tuple[AdapterKind, ...] = ("full", "diagonal", "cp")
 
@@ -61,13 +61,13 @@ class Config:
         out: folder of results.
         num_joints: J of the layout `mason2018`: 234 inputs and 400 outputs at 31.
         hidden: H.
-        rank: of the CP adapter, and of every layer of the CP network.
-        frames: of the clip, before mirroring.
-        epochs: of few-shot training.
-        timed_frames: frames of one character in one repetition.
-        crowd: characters of the batch behind the column `crowd`, whose time is given per character.
-        slices: of the lookup table.
-        repetitions: of the run times; the training times, compilation included, are taken once.
+        rank: rank of the CP adapter and of every layer of the CP network.
+        frames: length of the clip, before mirroring.
+        epochs: epochs of few-shot training.
+        timed_frames: frames of one character per repetition.
+        crowd: batch size of the column `crowd`, whose time is per character.
+        slices: slices of the lookup table.
+        repetitions: measurements of the run times; training times, with compilation, are measured once.
     """
 
     out: Path
@@ -82,12 +82,12 @@ class Config:
     repetitions: int = 9
 
     def network(self, rank: int | None = None) -> NetworkConfig:
-        """The shared network, CP-decomposed in every layer where a rank is given."""
+        """Returns the sizes of the shared network, CP-decomposed in every layer if a rank is given."""
         return NetworkConfig(48 + 6 * self.num_joints, 28 + 12 * self.num_joints, self.hidden, rank=rank)
 
 
 def memory(layers: Any, slices: int | None = None) -> float:
-    """Mebibytes of float32: of the control points, or of a table where what is blended is stored for each slice."""
+    """Returns mebibytes of float32 of the control points, or of a table that stores blended arrays for every slice."""
     total = 0
     for path, leaf in jax.tree_util.tree_leaves_with_path(layers):
         blended = getattr(path[-1], "name", None) in BLENDED
@@ -96,7 +96,7 @@ def memory(layers: Any, slices: int | None = None) -> float:
 
 
 def training_seconds(config: Config) -> dict[str, float]:
-    """Seconds to train one style by the paper's recipe, compilation included, by kind of adapter."""
+    """Returns the seconds of training one style with the paper's settings, with compilation, by kind of adapter."""
     shared = init_network(config.network(), key=jax.random.key(0))
     data = random_frames((2 * config.frames,), config.network())
     few = jax.tree.map(lambda leaf: leaf[:32], data)
@@ -112,7 +112,7 @@ def training_seconds(config: Config) -> dict[str, float]:
 
 
 def run_seconds(predictors: dict[str, Predictor], config: Config) -> dict[str, dict[str, np.ndarray]]:
-    """Seconds per frame [n] of every network: `exact` and `lookup` for one character, `crowd` for one of a batch."""
+    """Returns seconds per frame [n] of every network: `exact` and `lookup` for one character, `crowd` in a batch."""
     sizes = config.network()
     batch = random_frames((config.crowd,), sizes)
     works: dict[str, Work] = {}
@@ -128,7 +128,7 @@ def run_seconds(predictors: dict[str, Predictor], config: Config) -> dict[str, d
 
 
 def measure(config: Config) -> dict[str, Any]:
-    """All rows of the table, and how many times the CP network is smaller and faster than the full one."""
+    """Returns all rows of the table, and the ratios of size and time of the full and the CP network."""
     adapters = {kind: AdapterConfig(kind, config.rank) for kind in KINDS}
     predictors = {f"{kind} adapter": random_predictor(config.network(), adapters[kind]) for kind in KINDS}
     predictors["network, no adapter"] = random_predictor(config.network())

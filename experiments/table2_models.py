@@ -1,13 +1,13 @@
-"""What the seven models of Mason 2022 cost: parameters, storage and run time (Table 2).
+"""How many parameters and how much storage and run time do the seven models of Mason 2022 need? (Table 2)
 
-Parent    Mason 2022 §5.2.1 and Table 2, whose times are of one frame of a Unity demo on an unnamed processor.
-Question  do the models have the parameters of the table, what do they take on disk, and how long does a frame take?
-Expect    every count as printed, but for the FiLM generator: 39,214,592 numbers where the paper has 35,668,530, which
-          counts each convolution without its input channels. Times: see docs/results.md. By the exact spline or the
-          gating network all experts are blended in every frame; a table of 50 blended networks exists for PFNNs only,
-          which is the optimisation that the paper says scales poorly to gated experts.
+Parent    Mason 2022 §5.2.1 and Table 2, whose times are for one frame of a Unity demo on an unnamed processor.
+Question  do the models have the parameters of the table, how large are they on disk, how long does a frame take?
+Expect    every count as printed, except for the FiLM generator: 39,214,592 parameters instead of 35,668,530, which
+          counts each convolution without its input channels. Times: see docs/results_appendix.md. By the exact spline
+          or the gating network all experts are blended in every frame; a table of 50 blended networks exists for PFNNs
+          only, which is the optimisation that the paper says scales poorly to gated experts.
 Run       python -m experiments.table2_models --out runs/table2_models
-          Parameters are random: neither counts nor time depend on them. Under a minute.
+          Parameters are random, because neither counts nor times depend on them. Under a minute.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.presets import TABLE2, counts, network_config
 
 BYTES = 4
-"""Of a parameter: float32."""
+"""Bytes of a float32 parameter."""
 
 MEGABYTE = 10**6
 
@@ -44,7 +44,7 @@ PAPER: dict[str, tuple[int, int, int, float]] = {
     "mann_film": (4_870_392, 35_668_530, 2048, 4.48),
     "lpn_film": (4_935_928, 35_668_530, 2048, 4.53),
 }
-"""Table 2: parameters of synthesis network, modulation network and one style, and milliseconds of a frame."""
+"""Table 2: parameters of synthesis network, modulation network and one style, and milliseconds per frame."""
 
 COLUMNS = (
     "synthesis",
@@ -65,12 +65,12 @@ class Config:
 
     Attributes:
         out: folder of results.
-        num_styles: S, styles of the modulation column.
-        num_joints: J of the networks that are timed.
-        hidden: H of the same.
-        timed_frames: frames of one character in one repetition.
-        slices: of the lookup table.
-        repetitions: of the run times.
+        num_styles: S, number of styles in the modulation column.
+        num_joints: J of the timed networks.
+        hidden: H of the timed networks.
+        timed_frames: frames of one character per repetition.
+        slices: slices of the lookup table.
+        repetitions: measurements of the run times.
     """
 
     out: Path
@@ -83,7 +83,7 @@ class Config:
 
 
 def frame_works(config: Config) -> dict[str, Work]:
-    """Work of `timed_frames` frames of each model: `NAME/frame`, and for PFNNs `NAME/table`."""
+    """Returns works of `timed_frames` frames of each model: `NAME/frame`, and for PFNNs `NAME/table`."""
     works: dict[str, Work] = {}
     for name, preset in TABLE2.items():
         sizes = network_config(preset.backbone, config.num_joints, config.hidden)
@@ -97,7 +97,7 @@ def frame_works(config: Config) -> dict[str, Work]:
 
 
 def measure(config: Config) -> dict[str, Any]:
-    """All rows: counts and storage of the paper's character, medians of the run times and ratios to LPN FiLM's."""
+    """Returns all rows: counts and storage of the paper's character, median run times and their ratios to LPN FiLM."""
     seconds = interleave(frame_works(config), config.repetitions)
     rows, ratios = {}, {}
     for name in TABLE2:
@@ -123,7 +123,7 @@ def _milliseconds(seconds: np.ndarray, config: Config) -> float:
 
 
 def table(result: dict[str, Any]) -> str:
-    """Every model over the paper's own row."""
+    """Returns a table with every model above the row of the paper."""
     lines = []
     for name, row in result["rows"].items():
         synthesis, modulation, per_style, milliseconds = PAPER[name]

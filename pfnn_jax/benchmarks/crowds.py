@@ -1,4 +1,4 @@
-"""How many characters can be driven at once: whole steps of the controller, with and without foot IK."""
+"""Benchmark of crowds: full controller steps of many characters at once, with and without foot IK."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ SYSTEMS: dict[str, tuple[str, AdapterKind]] = {
     "PFNN with CP": ("mason2018", "cp"),
     "LPN with FiLM": ("mason2022", "film"),
 }
-"""The systems of Mason 2018 and 2022: layout and kind of style."""
+"""Layout and kind of style of the systems of Mason 2018 and 2022."""
 
 STYLES = ("neutral", "proud")
 
 EVERY_FRAME = TrackingConfig(min_time_scale=1.0, max_time_scale=1.0)
-"""A character at this time scale evaluates its network once in every step. Otherwise it does so more or less often,
-by how fast a network walks that was hardly trained."""
+"""Fixes the time scale, so that every character evaluates its network once per step. Otherwise the number of
+evaluations would depend on the walking speed of a network that is hardly trained."""
 
 STRIDE, STEPS = 120, 5
-"""Frames after which a character is in its stride, and steps in one repetition."""
+"""Frames until a character walks steadily, and steps per repetition."""
 
 
 def crowd_figures(hidden: int, num_characters: tuple[int, ...], repetitions: int) -> list[Figure]:
-    """Characters per second of controller steps, for crowds of several sizes, each in a mixture of two styles.
+    """Measures the controller steps per second of crowds of several sizes, every character in a mixture of two styles.
 
-    The networks have the papers' sizes and a step of training on procedural walkers of 21 joints: what they are worth
-    as walkers makes no difference to their time.
+    The networks have the papers' sizes and are trained for one step on procedural walkers of 21 joints: how well they
+    walk does not affect the time of a step.
 
     Args:
         hidden: H of the networks.
         num_characters: sizes of the crowds.
-        repetitions: of every figure.
+        repetitions: number of measurements of every figure.
     """
     figures = []
     for system, (layout, kind) in SYSTEMS.items():
@@ -69,13 +69,13 @@ def crowd_figures(hidden: int, num_characters: tuple[int, ...], repetitions: int
 def _run(folder: Path, layout: str, adapter: AdapterConfig, hidden: int) -> Run:
     takes = [clip for style in STYLES for clip in synthetic_clips(style, 10.0, clip_seconds=5.0)]
     dataset = prepare(takes, folder / "data", PrepareConfig(layout=layout))
-    # A generator makes Films, once: its size makes no difference here.
+    # The generator only computes the styles' FiLM parameters once, so its size does not matter here.
     config = PretrainConfig(adapter=adapter, steps=1, hidden=hidden, generator_filters=8, generator_hidden=8)
     return pretrain_run(dataset, folder / "run", config)
 
 
 def _crowd(controller: Controller, number: int) -> tuple:
-    """Some steps of a crowd in the midst of a walk, and their arguments: all parameters are shared, nothing else is."""
+    """Returns the compiled steps of a walking crowd and their arguments; all characters share the parameters."""
     setup = replace(controller.setup, tracking=EVERY_FRAME)
 
     def crowd_steps(params, states: ControllerState, commands: Command) -> ControllerState:
@@ -85,7 +85,7 @@ def _crowd(controller: Controller, number: int) -> tuple:
     ahead, style = jnp.asarray([0.0, 1.0]), controller.style_weights(dict.fromkeys(STYLES, 0.5))
     command = Command(velocity=ahead, direction=ahead, style=jnp.asarray(style))
     alone = controller.start()
-    for _ in range(STRIDE):  # from standing into the walk
+    for _ in range(STRIDE):  # from standing to steady walking
         alone = step(setup, controller.params, alone, command)
     states, commands = (
         jax.tree.map(lambda leaf: jnp.tile(leaf[None], (number, *(1,) * leaf.ndim)), one) for one in (alone, command)

@@ -1,4 +1,4 @@
-"""Speed of the system of Mason 2022: training with experts, one character, the FiLM generator, local phases."""
+"""Benchmark of the system of Mason 2022: training, one character, FiLM generator, local phases, preparation."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.benchmarks.runtime import random_predictor, walk, write_synthetic
+from pfnn_jax.benchmarks.preparation import Prepared, measure_preparation, write_synthetic
+from pfnn_jax.benchmarks.runtime import elu, random_predictor, walk
 from pfnn_jax.benchmarks.timing import Figure, figure, interleave
 from pfnn_jax.benchmarks.training import compare_steps
-from pfnn_jax.evaluation.prepared import Prepared, measure_preparation
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
 from pfnn_jax.models.film_generator import film_generator
@@ -27,48 +27,49 @@ from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.training.config import EXPERTS, num_clip_columns
 
 STEP_AIMS = {256: 10.0}
-"""How many times faster than with per-sample weights, by batch size."""
+"""Required speed-up over per-sample weights, by batch size."""
 
 CHARACTER_AIM = 1.2
-"""Times of plain NumPy with blended experts that a frame may take."""
+"""Largest allowed time of a frame, relative to plain NumPy with blended experts."""
 
 FIT_AIM = 50_000.0
-"""Windows per second of the sinusoid fit."""
+"""Required windows per second of the sinusoid fit."""
 
 PREPARATION_AIM = 20_000.0
-"""Frames per second from BVH to a prepared dataset."""
+"""Required frames per second from BVH files to a prepared dataset."""
 
 MEMORY_AIM = 4.0
-"""Gigabytes that preparation may take."""
+"""Largest allowed memory of preparation, in gigabytes."""
 
 FIT_WINDOW = 31
-"""Frames of a window of the fit at 60 fps."""
+"""Frames per window of the sinusoid fit, at 60 fps."""
 
 BONES = 4
-"""End effectors, each with a local phase."""
+"""Number of end effectors, each with a local phase."""
 
 LAYOUT = "mason2022"
 
 
 def lpn_sizes(num_joints: int, hidden: int) -> NetworkConfig:
-    """An LPN's sizes: 348 inputs, 342 outputs and 8 experts at 25 joints."""
+    """Returns the sizes of an LPN: 348 inputs, 342 outputs and 8 experts at 25 joints."""
     layout = LAYOUTS[LAYOUT](num_joints)
     return NetworkConfig(layout.input_size, layout.output_size, hidden, EXPERTS, phase_size=layout.phase_size)
 
 
 def lpn_step_figures(sizes: NetworkConfig, batch_size: int, repetitions: int, num_steps: int) -> list[Figure]:
-    """A training step of an LPN with a bank of Films beside the per-sample formulation, in pairs."""
+    """Compares a training step of an LPN with a bank of FiLM styles to the per-sample formulation."""
     section, aim = f"LPN training step, batch {batch_size}", STEP_AIMS.get(batch_size)
     return compare_steps(section, sizes, AdapterConfig("film"), 0.0, batch_size, repetitions, num_steps, aim)
 
 
 class NumpyExperts:
-    """An LPN with FiLM as one writes it without a library.
+    """An LPN with FiLM written in plain NumPy, the baseline of the benchmark.
 
     Args:
         predictor: the network and style.
-        blended: whether the experts are blended into one network, then three products; else the input is multiplied
-            with every coefficient first, and three products go over all experts: the same numbers.
+        blended: whether to blend the experts into one network and compute three matrix products. Otherwise the input is
+            scaled by every coefficient, and each of the three products covers all experts. Both compute the same
+            function.
     """
 
     def __init__(self, predictor: Predictor, blended: bool = True):
@@ -85,22 +86,23 @@ class NumpyExperts:
         values = (p.input_mean, p.input_std, p.output_mean, p.output_std, p.phase_mean, p.phase_std)
         self.statistics = [np.array(value) for value in values]
 
-    def __call__(self, x: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        """x [Dx] at phases [G] -> y [Dy], all in layout units."""
+    def __call__(self, x: np.ndarray, gating_input: np.ndarray) -> np.ndarray:
+        """Returns outputs y [Dy] of inputs x [Dx] at the gating input [G], all in layout units."""
         input_mean, input_std, output_mean, output_std, phase_mean, phase_std = self.statistics
-        g = self._gate((phase - phase_mean) / phase_std)
+        g = self._gate((gating_input - phase_mean) / phase_std)
         h = (x - input_mean) / input_std
         for index in range(2):
             f = self._layer(index, g, h)
             f = f - f.mean()
-            h = _elu(self.scale[index] * f / np.sqrt((f * f).mean() + 1e-8) + self.shift[index])
+            h = elu(self.scale[index] * f / np.sqrt((f * f).mean() + 1e-8) + self.shift[index])
         return self._layer(2, g, h) * output_std + output_mean
 
-    def _gate(self, phase: np.ndarray) -> np.ndarray:
+    def _gate(self, gating_input: np.ndarray) -> np.ndarray:
+        h = gating_input
         for index, (weights, biases) in enumerate(self.gating):
-            phase = phase @ weights + biases
-            phase = _elu(phase) if index < 2 else np.exp(phase - phase.max())
-        return phase / phase.sum()
+            h = h @ weights + biases
+            h = elu(h) if index < 2 else np.exp(h - h.max())
+        return h / h.sum()
 
     def _layer(self, index: int, g: np.ndarray, h: np.ndarray) -> np.ndarray:
         inputs, outputs = self.shapes[index]
@@ -111,14 +113,10 @@ class NumpyExperts:
         return product + g @ self.biases[index]
 
 
-def _elu(x: np.ndarray) -> np.ndarray:
-    return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
-
-
 def lpn_character_figures(sizes: NetworkConfig, repetitions: int, num_frames: int) -> list[Figure]:
-    """One frame of one character by an LPN with FiLM, beside the same in NumPy in two ways.
+    """Compares one frame of one character, by an LPN with FiLM, to two implementations in plain NumPy.
 
-    Inputs and outputs are NumPy arrays, as an application holds them.
+    Inputs and outputs are NumPy arrays, as in an application.
     """
     section = "LPN with FiLM, one character, one frame"
     predictor = random_predictor(sizes, AdapterConfig("film"))
@@ -136,7 +134,7 @@ def lpn_character_figures(sizes: NetworkConfig, repetitions: int, num_frames: in
 
 
 def generator_figures(config: GeneratorConfig, num_clips: int, repetitions: int) -> list[Figure]:
-    """Clips per second through the FiLM generator, and with the gradient of its parameters."""
+    """Measures clips per second through the FiLM generator, without and with the gradient of its parameters."""
     section = f"FiLM generator, {num_clips} clips at once"
     generator = film_generator(config)
     parameters = generator.init(jax.random.key(0))
@@ -156,7 +154,7 @@ def generator_figures(config: GeneratorConfig, num_clips: int, repetitions: int)
 
 
 def local_phase_figures(seconds_of_motion: float, repetitions: int) -> list[Figure]:
-    """Windows per second: the sinusoid fit alone, and whole clips from joints to phases (four windows a frame)."""
+    """Measures windows per second of the sinusoid fit alone, and from a clip to its phases (four windows per frame)."""
     section = "local phases"
     clip = synthetic_clips("neutral", seconds_of_motion, clip_seconds=seconds_of_motion)[0].clip
     frames = np.arange(clip.num_frames + FIT_WINDOW - 1) / clip.fps
@@ -181,10 +179,10 @@ def local_phase_figures(seconds_of_motion: float, repetitions: int) -> list[Figu
 
 
 def lpn_preparation_figures(mocap: Path | None, seconds_per_style: float, repetitions: int) -> list[Figure]:
-    """Frames per second from BVH files to a prepared dataset on disk under `mason2022`, and the most memory taken.
+    """Measures frames per second from BVH files to a prepared dataset of layout `mason2022`, and the peak memory.
 
-    Counted are frames at 60 fps, mirrored ones included; memory is that of all processes together. Of real motion
-    capture the whole of `bandai-namco-2` is read; without it, procedural walks.
+    Frames are counted at 60 fps with mirror images; memory is the sum over all processes. The data is all of
+    `bandai-namco-2` if it is there, and procedural walks otherwise.
     """
     with tempfile.TemporaryDirectory() as folder:
         if mocap is not None and (mocap / "bandai-namco-2").is_dir():
@@ -196,7 +194,7 @@ def lpn_preparation_figures(mocap: Path | None, seconds_per_style: float, repeti
 
 
 def preparation_rows(name: str, found: list[Prepared]) -> list[Figure]:
-    """The figures of repeated preparations."""
+    """Returns the figures of repeated preparations."""
     section = f"preparation under {LAYOUT}, BVH to disk"
     rates = np.array([one.rows / one.seconds for one in found])
     memory = np.array([one.peak_bytes / 1e9 for one in found])
@@ -207,6 +205,6 @@ def preparation_rows(name: str, found: list[Prepared]) -> list[Figure]:
 
 
 def generator_config(num_joints: int, hidden: int, filters: int, width: int) -> GeneratorConfig:
-    """The generator for a character of J joints and a network of H hidden units."""
+    """Returns the generator configuration for a character of J joints and a network of H hidden units."""
     features = num_clip_columns(LAYOUTS[LAYOUT](num_joints))
     return GeneratorConfig(features, filters=filters, hidden=width, film_hidden=hidden)

@@ -1,12 +1,10 @@
-"""Speed at run time: one character beside plain NumPy, and preparation of motion capture."""
+"""Benchmark of run time: one frame of one character, compared to plain NumPy."""
 
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -19,28 +17,16 @@ from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style
-from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.clip import mirror_clip
-from pfnn_jax.motion.datasets.labelled import load_labelled
-from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
-from pfnn_jax.motion.features.encode import clip_features
-from pfnn_jax.motion.features.layout import LAYOUTS
-from pfnn_jax.motion.labels.footsteps import NoGaitError
-from pfnn_jax.motion.labels.phase import mirror_phase
-from pfnn_jax.motion.synthetic.walks import PRETRAINING_STYLES, synthetic_clips
 
 CYCLE = 60
-"""Frames of one gait cycle: consecutive frames read neighbouring slices, as in a walk."""
+"""Frames per gait cycle: consecutive frames read neighbouring slices, as in a walk."""
 
 LOOKUP_AIM = 2.0
-"""Times of plain NumPy that the lookup may take."""
-
-PREPARATION_AIM = 20_000.0
-"""Frames per second from BVH to features."""
+"""Largest allowed time of the lookup, relative to plain NumPy."""
 
 
 def random_predictor(sizes: NetworkConfig, adapter: AdapterConfig | None = None) -> Predictor:
-    """A fresh network with unit statistics, and a fresh adapter where one is described."""
+    """Returns a freshly initialised network with unit statistics, and with a fresh adapter if one is configured."""
     key = jax.random.key(0)
     style = None if adapter is None else init_style(adapter, sizes.hidden, sizes.num_control_points, key=key)
     widths = [width for width in (sizes.input_size, sizes.output_size, sizes.phase_size) if width]
@@ -49,35 +35,36 @@ def random_predictor(sizes: NetworkConfig, adapter: AdapterConfig | None = None)
 
 
 class NumpyTable:
-    """The lookup as one writes it without a library: 50 blended networks, three products a frame."""
+    """The lookup written in plain NumPy, the baseline: 50 blended networks, three matrix products per frame."""
 
     def __init__(self, lookup: Lookup):
         layers = [[layer for layer in s.network.layers if isinstance(layer, BlendedLayer)] for s in lookup.slices]
-        # Stored [O, I], as the released controllers' files are.
+        # Stored as [O, I], like the files of the released controllers.
         self.weights = [[np.array(layer.weights[0].T) for layer in network] for network in layers]
         self.biases = [[np.array(layer.biases[0]) for layer in network] for network in layers]
         p = lookup.predictor
         self.statistics = [np.array(v) for v in (p.input_mean, p.input_std, p.output_mean, p.output_std)]
 
     def __call__(self, x: np.ndarray, phase: float) -> np.ndarray:
-        """x [Dx] at a phase in radians -> y [Dy], both in layout units."""
+        """Returns outputs y [Dy] of inputs x [Dx] at a phase in radians, both in layout units."""
         slices = len(self.weights)
         index = math.floor(phase * slices / (2 * math.pi) + 0.5) % slices
         (w0, w1, w2), (b0, b1, b2) = self.weights[index], self.biases[index]
         input_mean, input_std, output_mean, output_std = self.statistics
-        h = _elu(w0 @ ((x - input_mean) / input_std) + b0)
-        h = _elu(w1 @ h + b1)
+        h = elu(w0 @ ((x - input_mean) / input_std) + b0)
+        h = elu(w1 @ h + b1)
         return (w2 @ h + b2) * output_std + output_mean
 
 
-def _elu(x: np.ndarray) -> np.ndarray:
+def elu(x: np.ndarray) -> np.ndarray:
+    """Returns the exponential linear unit of x, in NumPy."""
     return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
 
 
 def character_figures(sizes: NetworkConfig, rank: int, repetitions: int, num_frames: int) -> list[Figure]:
-    """One frame of one character: exact spline and lookup, beside the lookup's three products in NumPy.
+    """Compares one frame of one character, by exact spline and by lookup, to the lookup in plain NumPy.
 
-    Inputs and outputs are NumPy arrays, as an application holds them.
+    Inputs and outputs are NumPy arrays, as in an application.
     """
     section = "one character, one frame"
     plain, styled = random_predictor(sizes), random_predictor(sizes, AdapterConfig("cp", rank))
@@ -97,13 +84,13 @@ def character_figures(sizes: NetworkConfig, rank: int, repetitions: int, num_fra
 
 
 def walk(evaluate_frame: Callable, input_size: int, num_frames: int, phase_size: int = 0) -> Work:
-    """Work of one character's frames, one after another: (x [Dx] NumPy, phase) -> y, fetched as a NumPy array.
+    """Returns the work of evaluating one character's frames in sequence, with NumPy inputs and outputs.
 
     Args:
-        evaluate_frame: of one frame.
+        evaluate_frame: computes one frame: (x [Dx], phase) -> y.
         input_size: Dx.
-        num_frames: of the walk.
-        phase_size: G numbers that go round together, as local phases do; 0 for a scalar phase in radians.
+        num_frames: length of the walk.
+        phase_size: G, size of a gating input that oscillates like local phases; 0 for a scalar phase in radians.
     """
     x = np.random.default_rng(0).normal(size=input_size).astype(np.float32)
     phases = [np.float32(2 * math.pi * (frame % CYCLE) / CYCLE) for frame in range(num_frames)]
@@ -115,52 +102,3 @@ def walk(evaluate_frame: Callable, input_size: int, num_frames: int, phase_size:
             np.asarray(evaluate_frame(x, phase))
 
     return work
-
-
-def preparation_figures(mocap: Path | None, seconds_per_style: float, repetitions: int) -> list[Figure]:
-    """Frames per second from BVH files to features: reading, 60 fps, phase labels, kinematics, windows.
-
-    Counted are frames at 60 fps, mirrored ones included.
-    """
-    figures = []
-    with tempfile.TemporaryDirectory() as folder:
-        figures.append(
-            _prepare_figure("synthetic clips", write_synthetic(Path(folder), seconds_per_style), repetitions)
-        )
-    for name in ("bandai-namco-2", "pfnn") if mocap is not None else ():
-        if mocap is not None and (mocap / name).is_dir():
-            figures.append(_prepare_figure(name, list_clips(mocap / name)[:24], repetitions))
-    return figures
-
-
-def write_synthetic(folder: Path, seconds_per_style: float) -> list[ClipFile]:
-    """One procedural walk of each pretraining style as a BVH file, without labels beside it."""
-    files = []
-    for style in PRETRAINING_STYLES:
-        clip = synthetic_clips(style, seconds_per_style, clip_seconds=seconds_per_style)[0].clip
-        write_bvh(folder / f"{style}.bvh", clip)
-        files.append(ClipFile(folder / f"{style}.bvh", style))
-    return files
-
-
-def prepare_clips(files: list[ClipFile]) -> int:
-    """Features of every clip and its mirror image, not kept: the number of rows."""
-    rows = 0
-    for file in files:
-        try:
-            labelled = load_labelled(file)
-        except NoGaitError:
-            continue
-        clip = labelled.clip
-        layout = LAYOUTS["mason2018"](clip.skeleton.num_joints)
-        rows += len(clip_features(clip, layout, labelled.labels).frames)
-        if labelled.symmetric:
-            rows += len(clip_features(mirror_clip(clip), layout, mirror_phase(labelled.labels)).frames)
-    return rows
-
-
-def _prepare_figure(name: str, files: list[ClipFile], repetitions: int) -> Figure:
-    rows = prepare_clips(files)
-    seconds = interleave({name: lambda: prepare_clips(files)}, repetitions, warm_up=False)[name]
-    section = "preparation, BVH to features"
-    return figure(section, f"{name}: {len(files)} clips", rows / seconds, "frames/s", at_least=PREPARATION_AIM)

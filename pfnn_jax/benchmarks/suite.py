@@ -1,4 +1,4 @@
-"""How fast everything is on this machine: medians of repetitions, compared in pairs within one run."""
+"""The benchmark of both papers' systems: medians of repetitions, compared within one run."""
 
 from __future__ import annotations
 
@@ -22,9 +22,11 @@ from pfnn_jax.benchmarks.lpn import (
     lpn_sizes,
     lpn_step_figures,
 )
-from pfnn_jax.benchmarks.runtime import character_figures, preparation_figures
+from pfnn_jax.benchmarks.preparation import preparation_figures
+from pfnn_jax.benchmarks.runtime import character_figures
 from pfnn_jax.benchmarks.timing import Figure, machine, versions
 from pfnn_jax.benchmarks.training import few_shot_figures, rate_figures, step_figures
+from pfnn_jax.errors import check_at_least
 from pfnn_jax.models.config import NetworkConfig
 
 
@@ -35,23 +37,23 @@ def _mocap() -> Path | None:
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """Sizes of the benchmark; the defaults are the papers' networks and take some 8 minutes on two cores.
+    """Sizes of the benchmark; the defaults are the papers' networks and take about 8 minutes on two cores.
 
     Attributes:
         num_joints: J of the layout `mason2018`, which gives the network's inputs and outputs (234 and 400 at 31).
         hidden: H.
         rank: R of the CP adapters.
-        batch_sizes: of the training steps; the share of the product rate is measured at the largest.
+        batch_sizes: batch sizes of the training steps; the share of the product rate is measured at the largest.
         steps_per_dispatch: training steps compiled into one call.
         few_shot_frames: frames of the clip of a new style, before mirroring.
-        few_shot_epochs: length of its training.
+        few_shot_epochs: epochs of few-shot training.
         characters: sizes of the crowds.
-        frames: of one character in one repetition.
+        frames: frames of one character per repetition.
         lpn_joints: J of the layout `mason2022`, which gives the LPN's inputs and outputs (348 and 342 at 25).
         generator_filters, generator_hidden: sizes of the FiLM generator.
-        clips: that it reads at once.
-        seconds_per_style: of synthetic motion to prepare, of each of 8 styles.
-        repetitions: of every short figure; few-shot training takes a third of them.
+        clips: clips that the generator reads at once.
+        seconds_per_style: seconds of procedural motion to prepare for each of 8 styles.
+        repetitions: measurements of every short figure; long ones are measured a third as often.
         mocap: folder with real motion capture (`bandai-namco-2`, `pfnn`) to prepare; from PFNN_JAX_MOCAP by default.
     """
 
@@ -73,18 +75,13 @@ class BenchmarkConfig:
     mocap: Path | None = field(default_factory=_mocap)
 
     def __post_init__(self):
-        for name in ("num_joints", "hidden", "rank", "steps_per_dispatch", "few_shot_frames", "few_shot_epochs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"BenchmarkConfig.{name} must be at least 1, got {getattr(self, name)}.")
-        for name in ("frames", "repetitions"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"BenchmarkConfig.{name} must be at least 1, got {getattr(self, name)}.")
-        if self.seconds_per_style < 5:
-            raise ValueError(f"BenchmarkConfig.seconds_per_style must be at least 5, got {self.seconds_per_style}.")
+        check_at_least(self, "num_joints", "hidden", "rank", "steps_per_dispatch", "few_shot_frames")
+        check_at_least(self, "few_shot_epochs", "frames", "repetitions")
+        check_at_least(self, "seconds_per_style", least=5)
 
     @property
     def network(self) -> NetworkConfig:
-        """Sizes of the network that is measured."""
+        """Sizes of the measured network."""
         return NetworkConfig(48 + 6 * self.num_joints, 28 + 12 * self.num_joints, self.hidden)
 
 
@@ -95,10 +92,10 @@ def run_benchmark(
 
     Args:
         config: sizes.
-        on_section: told what is measured next.
+        on_section: called with the name of each section before it is measured.
 
     Returns:
-        `machine`, `versions`, `seconds` in all, and `figures`: what `Figure.to_json` gives, for every figure.
+        `machine`, `versions`, total `seconds`, and `figures`: `Figure.to_json` of every figure.
     """
     config = config or BenchmarkConfig()
     started, figures = time.perf_counter(), []
@@ -125,7 +122,7 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
     sections["crowds"] = lambda: crowd_figures(config.hidden, config.characters, few)
     sections |= _sections_2022(config)
     sections["preparation"] = lambda: preparation_figures(config.mocap, config.seconds_per_style, few)
-    # Last, as it empties the caches of compiled functions.
+    # Last, because it clears the caches of compiled functions.
     sections["few-shot learning"] = lambda: few_shot_figures(
         sizes, rank, config.few_shot_frames, config.few_shot_epochs, few
     )
@@ -133,7 +130,7 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
 
 
 def _sections_2022(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
-    """The system of Mason 2022."""
+    """Returns the sections of the system of Mason 2022."""
     sizes, repetitions = lpn_sizes(config.lpn_joints, config.hidden), config.repetitions
     few = max(1, repetitions // 3)
     generator = generator_config(config.lpn_joints, config.hidden, config.generator_filters, config.generator_hidden)
@@ -150,11 +147,11 @@ def _sections_2022(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figur
 
 
 def print_benchmark(result: dict[str, Any], console: Console | None = None) -> None:
-    """Prints what `run_benchmark` returned as a table."""
+    """Prints the result of `run_benchmark` as a table."""
     console = console or Console()
     about = result["machine"]
-    console.print(f"{about['processor']}, {about['cores']} cores, {about['backend']}; {result['seconds']:.0f} s in all")
-    table = Table("measured", "median", "quartiles", "aim", "", "n")
+    console.print(f"{about['processor']}, {about['cores']} cores, {about['backend']}; {result['seconds']:.0f} s total")
+    table = Table("figure", "median", "quartiles", "aim", "", "n")
     section = None
     for row in result["figures"]:
         if row["section"] != section:
@@ -171,5 +168,5 @@ def print_benchmark(result: dict[str, Any], console: Console | None = None) -> N
 
 
 def _number(value: float) -> str:
-    """Three digits, without an exponent."""
+    """Formats a number with three digits, without an exponent."""
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

@@ -1,4 +1,4 @@
-"""Times compared within one run: repetitions interleaved, medians, ratios of pairs."""
+"""Timing of functions within one run: interleaved repetitions, medians and quartiles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 Work = Callable[[], Any]
-"""Does the work once and returns arrays, which are waited for."""
+"""Does the work once and returns arrays, which the timer waits for."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Figure:
 
     Attributes:
         section, name: what was measured.
-        value: the median.
-        unit: of the value.
+        value: median over the repetitions.
+        unit: unit of the value.
         low, high: quartiles over the repetitions.
-        repetitions: how often it was measured.
+        repetitions: number of measurements.
         aim: the value to reach, or None.
         at_most: whether the aim is an upper limit.
     """
@@ -44,13 +44,13 @@ class Figure:
 
     @property
     def meets_aim(self) -> bool | None:
-        """Whether the aim is reached; None without one."""
+        """Whether the aim is reached; None without an aim."""
         if self.aim is None:
             return None
         return self.value <= self.aim if self.at_most else self.value >= self.aim
 
     def to_json(self) -> dict[str, Any]:
-        """The attributes, and whether the aim is reached."""
+        """Returns the attributes and whether the aim is reached."""
         return {**asdict(self), "meets_aim": self.meets_aim}
 
 
@@ -63,7 +63,7 @@ def figure(
     at_most: float | None = None,
     at_least: float | None = None,
 ) -> Figure:
-    """The median and quartiles of repeated values [n], with an aim of one kind or none."""
+    """Returns the median and quartiles of repeated values [n], with at most one of the two kinds of aim."""
     low, value, high = np.percentile(values, (25, 50, 75))
     aim = at_most if at_least is None else at_least
     count = len(np.atleast_1d(values))
@@ -71,11 +71,12 @@ def figure(
 
 
 def interleave(works: Mapping[str, Work], repetitions: int, *, warm_up: bool = True) -> dict[str, np.ndarray]:
-    """Seconds [n] of several works, run in turn so that a busy machine slows them alike.
+    """Returns the seconds [n] of several works, interleaved so that a busy machine slows all of them equally.
 
     Args:
-        works: by name. Each is run once before, to compile, unless `warm_up` is off.
+        works: works by name.
         repetitions: n.
+        warm_up: whether to run each work once beforehand, so that it is compiled.
     """
     if warm_up:
         for work in works.values():
@@ -90,7 +91,7 @@ def interleave(works: Mapping[str, Work], repetitions: int, *, warm_up: bool = T
 
 
 def machine() -> dict[str, Any]:
-    """The processor, its cores and JAX's device."""
+    """Returns the processor, its number of cores, and JAX's device."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -101,13 +102,13 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages whose speed is measured."""
+    """Returns the versions of Python and of the packages whose speed is measured."""
     packages = ("pfnn-jax", "jax", "jaxlib", "flax", "optax", "numpy", "scipy")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 
 
 def _processor() -> str:
-    """The processor's name and model numbers: cloud machines often hide the name alone."""
+    """Returns the processor's name with its model numbers, because cloud machines often hide the name."""
     info = Path("/proc/cpuinfo")
     if not info.is_file():
         return platform.processor() or platform.machine()

@@ -1,4 +1,4 @@
-"""Speed of training: against per-sample weight matrices, against the machine's own products, and a whole style."""
+"""Benchmark of training: steps compared to per-sample weight matrices and to matrix products; few-shot learning."""
 
 from __future__ import annotations
 
@@ -18,34 +18,27 @@ from pfnn_jax.models.dropout import Dropout, drop
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network, coefficients, init_network
-from pfnn_jax.models.style import Layer, init_bank
+from pfnn_jax.models.style import Layer, Style, init_bank
 from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig
 from pfnn_jax.training.data import Batch, Draw
 from pfnn_jax.training.few_shot_learning import refit, train_grid
 from pfnn_jax.training.loop import TrainState, scan_steps
-from pfnn_jax.training.losses import Objective, l1_penalty, squared_error
-from pfnn_jax.training.steps import (
-    Frozen,
-    PretrainParams,
-    descend,
-    init_train_state,
-    make_pretrain_step,
-    predict_batch,
-)
+from pfnn_jax.training.losses import Objective, squared_error
+from pfnn_jax.training.steps import Frozen, init_train_state, make_pretrain_step, predict_batch
 
 STYLES, FRAMES = 8, 1024
-"""Size of the data that training steps run over; it fits every cache level alike for both formulations."""
+"""Size of the data of the training steps, which is the same for both formulations."""
 
 RATE = 0.3
 L1 = 0.01
 LEARNING_RATE = 1e-4
 
 AIMS = {32: 12.0, 256: 20.0}
-"""How many times faster than with per-sample weights, by batch size."""
+"""Required speed-up over per-sample weights, by batch size."""
 
 
 def random_frames(shape: tuple[int, ...], sizes: NetworkConfig, seed: int = 0) -> Batch:
-    """Normal inputs and outputs at uniform phases or, for a gating network, normal ones; leading axes `shape`."""
+    """Returns random frames with leading axes `shape`: normal x and y, uniform phases or normal gating inputs."""
     rng = np.random.default_rng(seed)
     x, y = (rng.normal(size=(*shape, size)).astype(np.float32) for size in (sizes.input_size, sizes.output_size))
     phase = rng.normal(size=(*shape, sizes.phase_size)) if sizes.phase_size else rng.uniform(0, 2 * np.pi, shape)
@@ -53,18 +46,19 @@ def random_frames(shape: tuple[int, ...], sizes: NetworkConfig, seed: int = 0) -
 
 
 def fresh_state(sizes: NetworkConfig, form: AdapterConfig, num_styles: int = STYLES) -> TrainState:
-    """A state at step 0 with a bank of styles."""
+    """Returns a training state at step 0 with a bank of styles."""
     bank = init_bank(form, sizes.hidden, sizes.num_control_points, num_styles, key=jax.random.key(1))
     return init_train_state(init_network(sizes, key=jax.random.key(0)), bank, optax.adam(LEARNING_RATE))
 
 
 def per_sample_outputs(
-    network: Network, style: Layer | FiLMStyle, batch: Batch, dropout: Dropout, key: jax.Array
+    network: Network, style: Style | None, batch: Batch, dropout: Dropout | None, key: jax.Array | None
 ) -> jax.Array:
-    """The network as published implementations write it: a weight matrix [I, O] blended for every frame.
+    """Returns normalised outputs [B, O] as published implementations do, blending a matrix [I, O] for every frame.
 
-    The same function of its arguments as `predict_batch`, up to the draw of the dropout masks.
+    Computes the same function as `predict_batch`, except for the random numbers of the dropout masks.
     """
+    assert style is not None and dropout is not None and key is not None
     x, phase, keys = jnp.asarray(batch.x), jnp.asarray(batch.phase), jax.random.split(key, 5)
     blend = jax.vmap(lambda phase, key: coefficients(network, phase, dropout=dropout, key=key))
     c = blend(phase, jax.random.split(keys[4], x.shape[0]))
@@ -81,35 +75,13 @@ def per_sample_outputs(
     hidden = activate(0, blended(first, drop(keys[0], dropout.main, x)))
     f = blended(second, drop(keys[1], dropout.main, hidden))
     if not isinstance(style, FiLMStyle):
+        assert isinstance(style, Layer)
         f = f + jax.vmap(style)(c, drop(keys[3], dropout.adapter, hidden))
     return blended(third, drop(keys[2], dropout.main, activate(1, f)))
 
 
-def make_per_sample_step(dropout: Dropout, l1: float = L1) -> Callable:
-    """`make_pretrain_step` with `per_sample_outputs`: the same loss, Adam, bank and state."""
-    tx = optax.adam(LEARNING_RATE)
-
-    def loss(shared, adapter, batch, key):
-        error = squared_error(per_sample_outputs(shared, adapter, batch, dropout, key), batch.y)
-        return error + (l1 * (l1_penalty(shared) + l1_penalty(adapter)) if l1 else 0.0), error
-
-    def step(state: TrainState, batch: Batch, frozen: Frozen):
-        banks = state.params.modulation, state.opt_state.modulation
-        number = state.step % jax.tree.leaves(state.params.modulation)[0].shape[0]
-        style, style_state = jax.tree.map(lambda leaf: leaf[number], banks)
-        key = jax.random.fold_in(frozen.key, state.step)
-        gradient = jax.grad(loss, argnums=(0, 1), has_aux=True)
-        (to_shared, to_style), error = gradient(state.params.shared, style, batch, key)
-        shared, shared_state = descend(tx, to_shared, state.opt_state.shared, state.params.shared)
-        changed = descend(tx, to_style, style_state, style)
-        bank, bank_state = jax.tree.map(lambda leaf, one: leaf.at[number].set(one), banks, changed)
-        return TrainState(PretrainParams(shared, bank), PretrainParams(shared_state, bank_state), state.step + 1), error
-
-    return step
-
-
 def stepper(step: Callable, state: TrainState, data: Batch, batch_size: int, num_steps: int) -> Work:
-    """Work of one dispatch of `num_steps` donated training steps on data [S, N, ...]."""
+    """Returns the work of one dispatch of `num_steps` training steps on data [S, N, ...], with a donated state."""
     scan = scan_steps(step, gather_rows)
     num_styles, num_frames = data.phase.shape[:2]
     rows = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), data)
@@ -125,14 +97,15 @@ def stepper(step: Callable, state: TrainState, data: Batch, batch_size: int, num
 
 
 def gather_rows(data: Batch, draw: Draw) -> Batch:
-    """Rows of a draw, without clips."""
+    """Returns the rows of a draw, without clips."""
     return jax.tree.map(lambda leaf: leaf[draw.rows], data)
 
 
 def products(sizes: NetworkConfig, rank: int, batch_size: int) -> list[tuple[int, int, int]]:
-    """All matrix products (m, k, n) of one training step with a CP adapter, forward and backward.
+    """Returns all matrix products (m, k, n) of one training step with a CP adapter, forward and backward.
 
-    The first layer's input needs no gradient; every other product has two transposed ones.
+    Every product has two transposed products in the backward pass, except that the first layer's input needs no
+    gradient.
     """
     hidden, points = sizes.hidden, sizes.num_control_points
     first = (batch_size, points * sizes.input_size, hidden)
@@ -147,12 +120,12 @@ def products(sizes: NetworkConfig, rank: int, batch_size: int) -> list[tuple[int
 
 
 def flops(shapes: list[tuple[int, int, int]]) -> int:
-    """Floating-point operations of products (m, k, n)."""
+    """Returns the number of floating-point operations of products (m, k, n)."""
     return sum(2 * m * k * n for m, k, n in shapes)
 
 
 def step_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: int, num_steps: int) -> list[Figure]:
-    """A training step beside the per-sample formulation, in pairs."""
+    """Compares a training step of a PFNN with CP adapters to the per-sample formulation."""
     section, aim = f"training step, batch {batch_size}", AIMS.get(batch_size)
     return compare_steps(section, sizes, AdapterConfig("cp", rank), L1, batch_size, repetitions, num_steps, aim)
 
@@ -167,22 +140,22 @@ def compare_steps(
     num_steps: int,
     aim: float | None,
 ) -> list[Figure]:
-    """A training step of a network with styles of any form beside the per-sample formulation, in pairs.
+    """Compares a training step of a network with any kind of style to the per-sample formulation.
 
     Args:
-        section: name of the figures' section.
-        sizes: of the network.
-        form: of the styles.
-        l1: weight of the penalty; there is no bone-length loss.
+        section: section of the figures.
+        sizes: sizes of the network.
+        form: kind of the styles.
+        l1: weight of the L1 penalty; there is no bone-length loss.
         batch_size: B.
-        repetitions: of each.
-        num_steps: steps in one dispatch of ours.
-        aim: how many times faster ours should be.
+        repetitions: number of measurements.
+        num_steps: steps per dispatch of the package's training step.
+        aim: required speed-up.
     """
     dropout = Dropout(main=jnp.float32(RATE), adapter=jnp.float32(RATE))
     data = random_frames((STYLES, FRAMES), sizes)
     ours = make_pretrain_step(optax.adam(LEARNING_RATE), Objective(l1), dropout)
-    naive = make_per_sample_step(dropout, l1)
+    naive = make_pretrain_step(optax.adam(LEARNING_RATE), Objective(l1), dropout, predict=per_sample_outputs)
     seconds = interleave(
         {
             "ours": stepper(ours, fresh_state(sizes, form), data, batch_size, num_steps),
@@ -200,10 +173,10 @@ def compare_steps(
 
 
 def rate_figures(sizes: NetworkConfig, rank: int, batch_size: int, repetitions: int, num_steps: int) -> list[Figure]:
-    """The share of the machine's matrix-product rate that a step reaches, and what takes the rest.
+    """Measures the share of the machine's matrix-product rate that a training step and its parts reach.
 
-    The machine's rate is the highest that any of the step's own products reaches alone, in the same run. Not every
-    shape reaches it, so the products one by one bound what a step can reach.
+    The machine's rate is the highest rate of any of the step's products, measured alone in the same run. Other shapes
+    are slower, so the rate of all products measured separately is an upper bound for the step.
     """
     section = f"share of the matrix-product rate, batch {batch_size}"
     shapes = products(sizes, rank, batch_size)
@@ -246,15 +219,15 @@ def _product(shape: tuple[int, int, int]) -> Work:
 
 
 def few_shot_figures(sizes: NetworkConfig, rank: int, num_frames: int, epochs: int, repetitions: int) -> list[Figure]:
-    """Seconds to learn a style from `num_frames` frames and their mirror images, compilation included.
+    """Measures the seconds of learning a style from `num_frames` frames and their mirror images, with compilation.
 
-    The single setting is the paper's (1e-4, dropout 0.3) on all frames. The grid is the default of `few-shot`, ranked
-    on held-out frames, and its choice is trained once more on all frames.
+    The single setting is the paper's (1e-4, dropout 0.3) on all frames. The grid is the default of `few-shot`: ranked
+    on held-out frames, then refit on all frames with the chosen setting.
     """
     shared = init_network(sizes, key=jax.random.key(0))
     data = random_frames((2 * num_frames,), sizes)
     default = FewShotConfig(rank=rank)
-    eval_epochs = tuple(stop for stop in default.eval_epochs if stop < epochs) + (epochs,)
+    eval_epochs = tuple(epoch for epoch in default.eval_epochs if epoch < epochs) + (epochs,)
     default = dataclasses.replace(default, eval_epochs=eval_epochs)
     single = dataclasses.replace(MASON2018_FEW_SHOT, rank=rank, adapter_dropouts=(RATE,), eval_epochs=(epochs,))
     few = round(2 * num_frames * default.held_out)
@@ -276,7 +249,7 @@ def few_shot_figures(sizes: NetworkConfig, rank: int, num_frames: int, epochs: i
 
 
 def _cold(work: Work, repetitions: int) -> np.ndarray:
-    """Seconds [n] of a work that finds nothing compiled."""
+    """Returns the seconds [n] of a work that is compiled again in every repetition."""
     seconds = np.empty(repetitions)
     for repetition in range(repetitions):
         jax.clear_caches()

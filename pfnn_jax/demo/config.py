@@ -1,4 +1,4 @@
-"""The sizes of the demo. Without JAX, for the options of the command."""
+"""Sizes of the demo, in a module without JAX so that the command line loads quickly."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """Sizes of the demo; the defaults take some two minutes on two cores.
+    """Sizes of the demo; the defaults take about two minutes on two cores.
 
     Attributes:
-        seconds_per_style: of motion of each of the 8 pretraining styles, before mirroring.
-        clip_seconds: of straight walking from which the ninth style is learned.
-        test_seconds: of each test take.
+        seconds_per_style: seconds of motion of each of the 8 pretraining styles, before mirroring.
+        clip_seconds: seconds of straight walking from which the ninth style is learned.
+        test_seconds: seconds of each test take.
         hidden: H.
-        steps, batch_size, learning_rate: of pretraining.
+        steps, batch_size, learning_rate: settings of pretraining.
         epochs: longest few-shot training.
-        walk_seconds: of generated motion along the figure-eight.
-        seed: of the data and of training.
+        walk_seconds: seconds of generated motion along the figure-eight.
+        seed: seed of the data and of training.
     """
 
     seconds_per_style: float = 60.0

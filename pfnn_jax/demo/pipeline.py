@@ -1,4 +1,4 @@
-"""The whole way without data: procedural styles, pretraining, a ninth style from 3 seconds, its motion, a report."""
+"""The full pipeline on procedural data: pretraining on 8 styles, a ninth style from 3 seconds, its motion, a report."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from pfnn_jax.workflows.learn import clip_parts, learn_style
 from pfnn_jax.workflows.pretrain import pretrain_run
 
 TURNS = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
-"""Degrees per second of the test takes, none of which the adaptation clip shows."""
+"""Turn rates of the test takes in degrees per second; the adaptation clip does not turn."""
 
 FIGURE_EIGHT_RADIUS = 1.2
-"""Metres: at a walk of 0.8 m/s, turns of 38 degrees per second, first one way, then the other."""
+"""Metres; at a walk of 0.8 m/s this is a turn rate of 38 degrees per second, first to one side, then to the other."""
 
 
 def demo(
@@ -45,19 +45,19 @@ def demo(
     overwrite: bool = False,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> dict[str, Any]:
-    """Runs the demo.
+    """Runs the demo and writes everything into one folder.
 
     Args:
-        out: folder for everything: `dataset/`, `run/`, `clip/`, `motion/`, `report.json`, `report.html`.
+        out: folder of `dataset/`, `run/`, `clip/`, `motion/`, `report.json`, `report.html`.
         config: sizes.
-        overwrite: replace what an earlier demo left there.
-        on_stage: told what is being done.
+        overwrite: whether to replace the files of an earlier demo.
+        on_stage: called with the name of each stage before it starts.
 
     Returns:
-        What `report.json` holds.
+        The content of `report.json`.
 
     Raises:
-        InputError: if `out` holds anything and `overwrite` is not set.
+        InputError: if `out` is not empty and `overwrite` is not set.
     """
     out, started = Path(out), time.perf_counter()
     if out.exists() and any(out.iterdir()):
@@ -68,7 +68,7 @@ def demo(
         seconds[name] = time.perf_counter() - started
         on_stage(name)
 
-    stage("making 8 styles of motion")
+    stage("synthesising 8 styles")
     dataset = procedural_dataset(out / "dataset", config, overwrite)
     stage("pretraining")
     losses: list[tuple[int, float]] = []
@@ -89,7 +89,7 @@ def demo(
     stage(f"learning {UNSEEN_STYLE} from {config.clip_seconds:g} s")
     clip_file, labelled = write_clip(out / "clip", config, overwrite)
     learned = learn_style(run, clip_file, FewShotConfig(seed=config.seed), overwrite=True)
-    stage("comparing ways to learn it")
+    stage("comparing methods of learning it")
     rows = compare_methods(
         run.shared,
         run.normaliser,
@@ -114,7 +114,7 @@ def demo(
 
 
 def procedural_dataset(out: Path, config: DemoConfig, overwrite: bool = False) -> Dataset:
-    """The prepared dataset of the 8 pretraining styles, with their exact phases."""
+    """Prepares the dataset of the 8 pretraining styles, with their exact phases."""
     clips = [
         clip for style in PRETRAINING_STYLES for clip in synthetic_clips(style, config.seconds_per_style, config.seed)
     ]
@@ -122,14 +122,14 @@ def procedural_dataset(out: Path, config: DemoConfig, overwrite: bool = False) -
 
 
 def straight_walk(seconds: float, seed: int) -> LabelledClip:
-    """A straight walk of the unseen style at its own speed."""
+    """Returns a straight walk of the unseen style at its natural speed."""
     frames = round(seconds * 60) + 1
     clip, labels = synthesise(UNSEEN_STYLE, np.zeros(frames), np.full(frames, STYLES[UNSEEN_STYLE].speed), seed=seed)
     return LabelledClip(clip, labels)
 
 
 def write_clip(folder: Path, config: DemoConfig, overwrite: bool = False) -> tuple[ClipFile, LabelledClip]:
-    """The adaptation clip as a user would have it: a BVH file, with its exact `.phase` beside it."""
+    """Writes the adaptation clip in the form of user data: a BVH file and a `.phase` file with its exact phase."""
     labelled = straight_walk(config.clip_seconds, seed=config.seed + 1000)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{UNSEEN_STYLE}_straight.bvh"
@@ -139,7 +139,7 @@ def write_clip(folder: Path, config: DemoConfig, overwrite: bool = False) -> tup
 
 
 def style_test(run: Run, labelled: LabelledClip, config: DemoConfig) -> StyleTest:
-    """Exact ground truth that no method has seen: turns to both sides at several rates, and straight walks."""
+    """Returns the test on exact ground truth: unseen turns to both sides at several rates, and straight walks."""
     layout = run.layout
     frames = round(config.test_seconds * layout.fps)
     speed = np.full(frames, STYLES[UNSEEN_STYLE].speed)
@@ -152,7 +152,7 @@ def style_test(run: Run, labelled: LabelledClip, config: DemoConfig) -> StyleTes
                 seed = config.seed + 2000 + len(names)
                 clip, labels = synthesise(UNSEEN_STYLE, turn_rate, speed * factor, seed=seed)
                 parts.append(clip_features(clip, layout, labels))
-                names.append(f"{rate:g} degrees/s at {factor:g} of its speed")
+                names.append(f"{rate:g} degrees/s at {factor:g} of the natural speed")
         return join_takes(parts, names)
 
     clip = clip_features(labelled.clip, layout, labelled.labels)
@@ -162,7 +162,7 @@ def style_test(run: Run, labelled: LabelledClip, config: DemoConfig) -> StyleTes
 
 
 def walk(run: Run, folder: Path, config: DemoConfig, overwrite: bool = False) -> dict[str, Any]:
-    """Motion along a figure-eight in the learned style, style-agnostic, and in a pretraining style; BVH files."""
+    """Generates walks on a figure-eight in the learned style, without style, and in a pretraining style; writes BVH."""
     folder.mkdir(parents=True, exist_ok=True)
     walks = {}
     for name, style in (("learned", UNSEEN_STYLE), ("agnostic", None), ("neutral", "neutral")):

@@ -1,4 +1,4 @@
-"""The demo's report: what was learned from three seconds, in a table, curves, a filmstrip and motion that plays."""
+"""The demo's report: a table, loss curves, a filmstrip and playable motion."""
 
 from __future__ import annotations
 
@@ -39,44 +39,44 @@ def write_demo_report(
     *,
     overwrite: bool = False,
 ) -> Path:
-    """Writes `report.json` and `report.html`; returns the page's path.
+    """Writes `report.json` and `report.html`, and returns the path of the page.
 
     Args:
         out: folder.
-        result: what `report.json` holds, as `demo` makes it.
+        result: content of `report.json`.
         clip: the adaptation clip.
-        walks: generated motion, `learned` and others.
-        overwrite: replace earlier reports.
+        walks: generated motion by name, `learned` among them.
+        overwrite: whether to replace earlier reports.
     """
     methods, pretraining = result["methods"], result["pretraining"]
     style, learned = clip.clip.style, result["few_shot"]
     best = min(methods, key=lambda row: methods[row]["measures"]["turning"]["pose_velocity"])
     before, after = (methods[row]["measures"]["turning"]["pose_velocity"] for row in ("no adapter", DEFAULT_ROW))
     facts = {
-        "of walking, all that was shown of the style": f"{learned['frames'] / 60:.1f} s",
-        "error on turns it never saw, without and with the adapter": f"{before:.3f} → {after:.3f}",
-        "from nothing to this page": f"{result['seconds']['in all']:.0f} s",
+        "of walking as the only example of the style": f"{learned['frames'] / 60:.1f} s",
+        "error on unseen turns, without and with the adapter": f"{before:.3f} → {after:.3f}",
+        "from synthesis to this page": f"{result['seconds']['in all']:.0f} s",
     }
     sections = [
         Section(
             f"{style.capitalize()} on a figure-eight, learned from a straight walk",
-            "Left: the whole of what was shown. Then the same network in the style it learned from it, in no style, "
-            "and in one of the styles it was pretrained on, sent along the same path. Drag to look around.",
-            clips=[_annotated("shown", clip), *(_annotated_walk(name, walk) for name, walk in walks.items())],
+            "Left: the adaptation clip. Then the same network along the same path in the style learned from that clip, "
+            "without a style, and in one of the pretraining styles. Drag to orbit.",
+            clips=[_annotated("example", clip), *(_annotated_walk(name, walk) for name, walk in walks.items())],
         ),
         Section(
-            "What the character does",
+            "Generated motion",
             figures=[("The learned style on the figure-eight", filmstrip(walks["learned"].clip, moments=8))],
         ),
         Section(
-            "Ways to learn a style, on exact ground truth",
-            "Mean squared normalised error of joint positions and velocities on takes that no method has seen. "
-            "Settings and stopping points were chosen on the last fifth of the clip and by walks on circles, never on "
-            f"the turns. Least error on unseen turns here: {best}.\n\n"
-            "This style raises its arms further than any of the eight that the shared network knows. An adapter bends "
-            "the network's middle layer and can only recombine poses that the last layer already makes, so part of the "
-            "pose stays out of its reach. Training the whole network reaches the pose; read with its error how its "
-            "walks fare: how close they stay to true turns, and what becomes of the bones.",
+            "Methods of learning a style, on exact ground truth",
+            "Mean squared normalised error of joint positions and velocities on takes that no method was trained on. "
+            "Settings and numbers of epochs were chosen on the last fifth of the clip and by walks on circles, not on "
+            f"the turns. Least error on unseen turns: {best}.\n\n"
+            "This style raises the arms further than any of the eight pretraining styles. An adapter changes the "
+            "network's middle layer and can only recombine poses that the last layer represents, so it cannot reach "
+            "the full pose. Training the whole network can; judge it also by the quality of its walks: their distance "
+            "to true turns and their errors of bone lengths.",
             table=_table(methods),
             figures=[("Error by method", error_bars(_errors(methods), x_label="normalised squared error"))],
         ),

@@ -1,4 +1,4 @@
-"""One-step errors of a run on clips it was not trained on."""
+"""Evaluation of a run on clips that it was not trained on, by one-step errors."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from pfnn_jax.workflows.learn import clip_parts
 def evaluate_clips(
     run: Run, clip_files: Sequence[ClipFile], style: str | None = None, roles_file: Path | None = None
 ) -> dict[str, dict[str, Any]]:
-    """Errors in the run's normalised units, per style of the clips.
+    """Returns one-step errors in the run's normalised units for every style of the clips.
 
     Args:
         run: a loaded run.
-        clip_files: clips on the run's skeleton; those without steps are left out and named.
-        style: the run's style to test on all of them; None tests each clip in the run's style of its name.
+        clip_files: clips on the run's skeleton; those without steps are skipped and reported.
+        style: the run's style that predicts all clips; None predicts each clip in the run's style of the same name.
         roles_file: JSON naming the joints' roles.
 
     Returns:
-        style of the clips -> what `one_step_test` returns, and `left_out`: file -> reason.
+        For every style of the clips, what `one_step_test` returns, and `left_out`: skipped file -> reason.
 
     Raises:
-        InputError: for a bad clip, an unknown style, or a style of which no clip remains.
+        InputError: for a bad clip, an unknown style, or a style whose clips were all skipped.
     """
     by_style: dict[str, list[ClipFile]] = {}
     for clip_file in clip_files:
         by_style.setdefault(clip_file.style, []).append(clip_file)
     std, result = np.asarray(run.normaliser.outputs.std), {}
-    # clips are read first: where their skeleton is another, that is the cause to be told, and not the style's name
+    # Clips are read before the style is looked up: a foreign skeleton is the more informative error.
     for own, files in sorted(by_style.items()):
         parts, names, left_out = [], [], {}
         for clip_file in files:
@@ -49,16 +49,16 @@ def evaluate_clips(
             except NoGaitError as error:
                 left_out[clip_file.path.name] = str(error)
         if not parts:
-            raise InputError(files[0].path.parent, "style", own, "at least one of its clips must hold steps")
+            raise InputError(files[0].path.parent, "style", own, "must have at least one clip with steps")
         errors = one_step_test(_predictor(run, style, files[0]), join_takes(parts, names), run.layout, std)
         result[own] = {**errors, "left_out": left_out}
     return result
 
 
 def _predictor(run: Run, style: str | None, clip_file: ClipFile) -> Predictor:
-    """In the style asked for, or in the one that a clip is labelled with."""
+    """Returns the predictor of the given style, or of the style that the clip is labelled with."""
     styles = list_styles(run.path)
     if style is None and clip_file.style not in styles:
-        rule = f"must be a style of {run.path} ({', '.join(styles)}), or one of them chosen with --style"
+        rule = f"must be a style of {run.path} ({', '.join(styles)}), or pass --style"
         raise InputError(clip_file.path, "style by its name and folder", clip_file.style, rule)
     return make_predictor(run, style or clip_file.style)

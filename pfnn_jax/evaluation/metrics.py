@@ -1,7 +1,7 @@
-"""Measures of generated locomotion that need no learned network. NumPy, on plain arrays.
+"""Metrics of generated locomotion that need no trained network, in NumPy on plain arrays.
 
-Positions are in metres, Y up, at `fps` frames per second. Feet are given as [T, F, 3], one entry for each joint that is
-judged (ankles, toes); `ground` is the height at which each of them rests when the foot stands.
+Positions are in metres, Y up, at `fps` frames per second. Feet are [T, F, 3], one entry for each foot joint (ankles,
+toes); `ground` is the height of each joint while its foot is planted.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "contacts": ("contacts", "foot_contacts"),
     "local_phase": ("local_phase", "local_phase_change"),
 }
-"""Blocks of an output vector that are judged together."""
+"""Blocks of an output vector whose errors are reported together."""
 
 
 def one_step_error(
     y_true: np.ndarray, y_pred: np.ndarray, layout: FrameLayout, std: np.ndarray | float = 1.0
 ) -> dict[str, float]:
-    """Normalised one-step error: mean over frames and columns of ((y_pred - y_true) / std)².
+    """Returns the normalised one-step error, the mean over frames and columns of ((y_pred - y_true) / std)².
 
-    1 is the error of always answering the mean, where `std` is the spread of these very data.
+    Predicting the mean everywhere has error 1 if `std` is the standard deviation of the same data.
 
     Args:
         y_true: [N, Dy] true outputs.
         y_pred: [N, Dy] predicted outputs, in the same units.
         layout: names the columns.
-        std: [Dy] standard deviations, or 1 where both are normalised already.
+        std: [Dy] standard deviations, or 1 if both are already normalised.
 
     Returns:
-        `all` and each group of `GROUPS` that the layout has, no unit.
+        `all`, and the error of each group of `GROUPS` that the layout has; dimensionless.
 
     Source: test error of Mason et al. 2018, section 8, by groups of columns.
     """
@@ -55,12 +55,12 @@ def one_step_error(
 
 
 def bone_length_error(positions: np.ndarray, parents: np.ndarray, lengths: np.ndarray) -> float:
-    """Mean over frames and bones of | ‖p_joint - p_parent‖ - L |, metres.
+    """Returns the mean over frames and bones of | ‖p_joint - p_parent‖ - L |, in metres.
 
     Args:
         positions: [T, J, 3] metres.
-        parents: [J] parent of each joint, -1 for the root, which has no bone.
-        lengths: [J] metres, true length of the bone from each joint's parent (the root's is not read).
+        parents: [J] index of each joint's parent, -1 for the root, which has no bone.
+        lengths: [J] metres, true length of the bone from each joint's parent to the joint (the root's is ignored).
 
     Source: Mason et al. 2022, Eq. 5b.
     """
@@ -71,24 +71,24 @@ def bone_length_error(positions: np.ndarray, parents: np.ndarray, lengths: np.nd
 
 
 def resting_heights(feet: np.ndarray, quantile: float = 0.1) -> np.ndarray:
-    """[F] metres: how high each foot joint is when it stands: a low quantile of its height in real motion [T, F, 3]."""
+    """Returns the height [F] of planted foot joints in metres, a low quantile of heights in real motion [T, F, 3]."""
     return np.quantile(feet[..., 1], quantile, axis=0)
 
 
 def foot_skating(feet: np.ndarray, fps: float, ground: np.ndarray | float = 0.0, limit: float = 0.025) -> float:
-    """How fast feet slide while near the ground, m/s: mean over frames and feet of v_xz (2 - 2^clamp(h / H, 0, 1)).
+    """Returns the sliding speed of feet near the ground in m/s, the mean of v_xz (2 - 2^clamp(h / H, 0, 1)).
 
-    A foot on the ground counts with its whole horizontal speed, one at height H or above not at all. Divide by `fps`
-    for the distance per frame that is published. Feet that swing low count as well, so the real motion's own value is
-    the one to compare with; `contact_sliding` is exact where contacts are known.
+    The mean is over frames and foot joints. The weight is 1 on the ground and 0 from height H upwards. Divide by `fps`
+    for the published distance per frame. Feet that swing close to the ground also count, so compare with the value of
+    real motion; where contacts are known, `contact_sliding` is exact.
 
     Args:
         feet: [T, F, 3] metres.
         fps: frames per second.
-        ground: [F] metres, resting heights; h is measured from them, as the mean of the two frames.
+        ground: [F] metres, resting heights; h is the height above them, averaged over the two frames of a step.
         limit: H, metres.
 
-    Source: Zhang et al. 2018 (MANN), section 8; 0.033 m is found as H in later work.
+    Source: Zhang et al. 2018 (MANN), section 8; later work also uses H = 0.033 m.
     """
     speed = _horizontal_speed(feet, fps)
     height = feet[..., 1] - ground
@@ -104,11 +104,11 @@ def skating_ratio(
     speed_limit: float = 0.5,
     window: int = 5,
 ) -> float:
-    """Fraction of frames in which some foot joint slides.
+    """Returns the fraction of frames in which at least one foot joint slides.
 
-    It slides where it is lower than `height_limit` (metres over `ground`) in two adjacent frames and faster than
-    `speed_limit` (m/s, horizontally), both then and on average over `window` frames around it. As with `foot_skating`,
-    feet that swing low count: compare with the real motion's own ratio.
+    A joint slides if it is less than `height_limit` above `ground` in two adjacent frames and its horizontal speed
+    exceeds `speed_limit`, both in that step and on average over the `window` steps around it. As with `foot_skating`,
+    feet that swing close to the ground count: compare with the ratio of real motion.
 
     Args:
         feet: [T, F, 3] metres, T at least 2.
@@ -116,7 +116,7 @@ def skating_ratio(
         ground: [F] metres, resting heights.
         height_limit: metres.
         speed_limit: m/s.
-        window: frames of the average.
+        window: number of frames averaged.
 
     Source: Karunratanakul et al. 2023 (Guided Motion Diffusion), evaluation.
     """
@@ -130,7 +130,7 @@ def skating_ratio(
 
 
 def contact_sliding(feet: np.ndarray, contacts: np.ndarray, fps: float) -> float:
-    """Mean horizontal speed of foot joints over steps between two frames that are both labelled contact, m/s.
+    """Returns the mean horizontal speed in m/s of foot joints between adjacent frames that are both in contact.
 
     Args:
         feet: [T, F, 3] metres.
@@ -138,14 +138,14 @@ def contact_sliding(feet: np.ndarray, contacts: np.ndarray, fps: float) -> float
         fps: frames per second.
 
     Returns:
-        m/s, or NaN where nothing is in contact for two frames.
+        m/s, or NaN if no joint is in contact for two adjacent frames.
     """
     both = contacts[1:] & contacts[:-1]
     return float(_horizontal_speed(feet, fps)[both].mean()) if both.any() else float("nan")
 
 
 def jitter(positions: np.ndarray, fps: float) -> float:
-    """Mean over frames and joints of the third difference of position [T, J, 3], ‖Δ³p‖ fps³, in m/s³."""
+    """Returns the mean jerk ‖Δ³p‖ fps³ in m/s³ over frames and joints of positions [T, J, 3] in metres."""
     return float(np.linalg.norm(np.diff(positions, n=3, axis=0), axis=-1).mean() * fps**3)
 
 
@@ -156,7 +156,7 @@ class TrajectoryError:
     Attributes:
         mean: metres, over all frames.
         final: metres, in the last frame.
-        failed: fraction of frames farther away than the limit.
+        failed: fraction of frames with a distance above the limit.
     """
 
     mean: float
@@ -165,7 +165,7 @@ class TrajectoryError:
 
 
 def trajectory_error(achieved: np.ndarray, commanded: np.ndarray, limit: float = 0.5) -> TrajectoryError:
-    """Distance between where the root is and where it was commanded to be at that moment.
+    """Returns the distance between the achieved and the commanded root position of the same frame.
 
     Args:
         achieved: [T, 2] metres, x and z.
@@ -179,11 +179,11 @@ def trajectory_error(achieved: np.ndarray, commanded: np.ndarray, limit: float =
 
 
 def path_error(achieved: np.ndarray, path: np.ndarray, limit: float = 0.5) -> TrajectoryError:
-    """Distance of the root from a path, wherever on it: blind to being early or late.
+    """Returns the distance between the root and the nearest point of a path, which ignores timing.
 
     Args:
         achieved: [T, 2] metres, x and z.
-        path: [M, 2] metres, M at least 2 points joined by straight lines.
+        path: [M, 2] metres, at least 2 points joined by straight lines.
         limit: metres, beyond which a frame has failed.
     """
     start, along = path[:-1], np.diff(path, axis=0)
@@ -197,11 +197,11 @@ def path_error(achieved: np.ndarray, path: np.ndarray, limit: float = 0.5) -> Tr
 
 
 def npss(true: np.ndarray, pred: np.ndarray) -> float:
-    """Normalised power spectrum similarity: how alike the frequencies of two sets of sequences are, 0 is the same.
+    """Returns the normalised power spectrum similarity (NPSS) of two sets of sequences; 0 for equal spectra.
 
-    For every sequence n and feature d the power spectrum over time is divided by its sum; the distance of the two
-    cumulated spectra (sum of absolute differences: an earth mover's distance in bins) is averaged over all n and d,
-    weighted by the true total power. Blind to shifts in time; features without power count nothing.
+    For every sequence n and feature d, the power spectrum over time is divided by its sum. The distance between the two
+    cumulative spectra (the sum of absolute differences, an earth mover's distance in bins) is averaged over all n and d
+    with the true total power as weight. Shifts in time do not matter, and features without power have no weight.
 
     Args:
         true: [N, T, D].
@@ -212,30 +212,33 @@ def npss(true: np.ndarray, pred: np.ndarray) -> float:
     _same_shape(true, pred)
     power_true, power_pred = (np.abs(np.fft.fft(values, axis=1)) ** 2 for values in (true, pred))
     total = power_true.sum(axis=1)
-    distance = np.abs(_cumulated(power_true) - _cumulated(power_pred)).sum(axis=1)
+    distance = np.abs(_cumulative(power_true) - _cumulative(power_pred)).sum(axis=1)
     weight = total.sum()
     return float((distance * total).sum() / weight) if weight > 0 else 0.0
 
 
-def _cumulated(power: np.ndarray) -> np.ndarray:
+def _cumulative(power: np.ndarray) -> np.ndarray:
     total = power.sum(axis=1, keepdims=True)
     return np.cumsum(power / np.where(total > 0, total, 1.0), axis=1)
 
 
 def achieved_turn_rate(yaw: np.ndarray, fps: float) -> float:
-    """Mean turn rate over a clip, degrees per second, positive to the left, from root yaw [T] in radians (any wrap)."""
+    """Returns a clip's mean turn rate in degrees per second, positive to the left, from the root yaw [T] in radians.
+
+    The yaw may be wrapped.
+    """
     turned = np.unwrap(np.asarray(yaw, float))
     return float(np.rad2deg(turned[-1] - turned[0]) * fps / (len(turned) - 1))
 
 
 def nearest_pose_distance(poses: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """[N] metres: how far each pose is from the nearest real one, as root mean square over joints.
+    """Returns the distance [N] in metres of each pose to the nearest real pose, a root mean square over joints.
 
     Args:
-        poses: [N, J, 3] metres, relative to the root's place and heading.
-        real: [M, J, 3] metres, likewise.
+        poses: [N, J, 3] metres, relative to the root's position and heading.
+        real: [M, J, 3] metres, relative to the same frame.
 
-    Memory stays below some tens of megabytes for any N and M.
+    Poses are processed in chunks, so memory stays below some tens of megabytes for any N and M.
     """
     num_joints = poses.shape[1]
     queries, known = (np.asarray(p, float).reshape(len(p), -1) for p in (poses, real))
@@ -262,4 +265,4 @@ def _summary(distances: np.ndarray, limit: float) -> TrajectoryError:
 
 def _same_shape(a: np.ndarray, b: np.ndarray) -> None:
     if np.shape(a) != np.shape(b):
-        raise ValueError(f"Both arrays must have one shape, got {np.shape(a)} and {np.shape(b)}.")
+        raise ValueError(f"Both arrays must have the same shape, got {np.shape(a)} and {np.shape(b)}.")

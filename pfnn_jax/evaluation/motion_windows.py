@@ -1,4 +1,4 @@
-"""Windows of motion as a style classifier sees them: from a clip, from joint positions, from a rollout."""
+"""Windows of motion, the inputs of the style classifier, from clips or from joint positions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WINDOW_FPS = 60.0
 """Frame rate of the windows."""
 
 WINDOW_FRAMES = 60
-"""Frames of a window: one second, about one gait cycle."""
+"""Frames per window: one second, about one gait cycle."""
 
 STRIDE = 30
 """Frames between the starts of two windows."""
@@ -25,21 +25,21 @@ STRIDE = 30
 def motion_windows(
     positions: np.ndarray, roles: Roles, fps: float, *, frames: int = WINDOW_FRAMES, stride: int = STRIDE
 ) -> np.ndarray:
-    """Joint positions and velocities of every frame, seen from that frame's own root.
+    """Returns windows of joint positions and velocities, each frame relative to its own root.
 
-    The root is found from the joints (`root_motion`), for real and for generated motion alike. Heights are kept; the
-    place on the ground, the heading and the number of the frame are not.
+    The root is computed from the joints (`root_motion`), for real and generated motion alike. Heights are kept;
+    position on the ground, heading and frame number are removed.
 
     Args:
         positions: [T, J, 3] metres, world joint positions.
         roles: hips, shoulders.
-        fps: frames per second; another rate than `WINDOW_FPS` is resampled linearly.
-        frames: of a window, at `WINDOW_FPS`.
+        fps: frames per second; motion at another rate than `WINDOW_FPS` is resampled linearly.
+        frames: frames per window, at `WINDOW_FPS`.
         stride: frames between the starts of two windows.
 
     Returns:
-        [N, frames, 6 J] float32, positions in metres and velocities in metres per second; N is 0 for motion shorter
-        than a window.
+        [N, frames, 6 J] float32, positions in metres and velocities in metres per second; N is 0 if the motion is
+        shorter than one window.
     """
     positions = _at_rate(np.asarray(positions, np.float64), fps)
     if len(positions) < frames + 1:
@@ -57,7 +57,7 @@ def motion_windows(
 def clip_windows(
     clip: MotionClip, *, mirror: bool = False, frames: int = WINDOW_FRAMES, stride: int = STRIDE
 ) -> np.ndarray:
-    """`motion_windows` of a clip with roles, followed by those of its mirror image where asked for."""
+    """Returns the `motion_windows` of a clip with roles, followed by those of its mirror image if `mirror` is set."""
     roles = need_roles(clip.skeleton, clip.source)
     parts = [
         motion_windows(_world(one), roles, one.fps, frames=frames, stride=stride)

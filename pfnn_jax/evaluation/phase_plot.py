@@ -1,4 +1,4 @@
-"""A picture of a clip's local phases: bodies, source functions, phases and contacts over time.
+"""A figure of a clip's local phases: bodies, source functions, phases and contacts over time.
 
 After Figure 4 of Mason et al. 2022.
 """
@@ -6,15 +6,9 @@ After Figure 4 of Mason et al. 2022.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.ground import facing_of, to_local
@@ -32,20 +26,24 @@ from pfnn_jax.motion.labels.local_phase import (
 )
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.viewer.draw.body import body_capsules, body_points, capsule_ends
-from pfnn_jax.viewer.draw.drawing import draw_body
+from pfnn_jax.viewer.draw.drawing import blank_figure, draw_body
 from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED, SERIES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 PHASE, CONTACT, AXIS = SERIES[0], SERIES[2], SERIES[3]
 LEFT, RIGHT, TOP, BODIES, PANEL, GAP, BOTTOM = 1.0, 0.55, 0.62, 2.0, 0.85, 0.12, 0.5  # inches
 WIDTH = 11.0
-VIEW = np.deg2rad(62)  # from front to the figure's right
-ARROW = 0.2  # metres of a principal axis
-REACH = 2.4  # deviations: normalised sources seldom leave this band
+VIEW = np.deg2rad(62)  # angle of the view from the front, towards the right of the figure
+ARROW = 0.2  # half the length of a principal axis's arrow, metres
+REACH = 2.4  # limit of the vertical axis: normalised sources rarely exceed it (standard deviations)
 
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """What is drawn of a clip: frames `first` to `last`."""
+    """The signals of a clip, and the range of frames to draw, `first` to `last`."""
 
     clip: MotionClip
     ends: EndEffectors
@@ -74,28 +72,27 @@ def phase_plot(
     moments: int = 8,
     title: str = "",
 ) -> Figure:
-    """Local phases of the hands and toes of a clip.
+    """Returns a figure of the local phases of a clip's hands and toes.
 
-    Above, the body at several moments with the principal axes (violet arrows) of the bones that go by their movement.
-    Below, for each bone: its source function, normalised and smoothed (dark curve), its phase from 0 to 2π (blue, the
-    more transparent the shorter the phase vector), and for toes the contacts (green bars). A line above
-    the bodies says so.
+    The top row shows the body at several moments, with the principal axes (violet arrows) of the bones whose source
+    function is their movement. A panel for each bone shows its source function, normalised and smoothed (dark curve),
+    its phase from 0 to 2π (blue, fading with the length of the phase vector), and for toes the contacts (green bars).
+    A legend above the bodies explains the colours.
 
     Args:
         clip: the motion.
         axes: principal axes; fitted on the clip by default.
-        config: contacts' thresholds.
-        span: first and last frame shown; the whole clip by default. Phases are always those of the whole clip.
+        config: thresholds of the contacts.
+        span: first and last frame shown; the whole clip by default. Phases are always computed from the whole clip.
         moments: number of bodies.
-        title: title of the picture.
+        title: title of the figure.
 
     Raises:
-        InputError: if the skeleton's roles are not known.
+        InputError: if the skeleton's roles are unknown.
     """
     shown = _shown(clip, axes, config, span)
     height = TOP + BODIES + 4 * (PANEL + GAP) + BOTTOM
-    figure = Figure(figsize=(WIDTH, height), facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(WIDTH, height)
     inner = (WIDTH - LEFT - RIGHT) / WIDTH
     bodies = figure.add_axes((LEFT / WIDTH, 1 - (TOP + BODIES) / height, inner, BODIES / height))
     frames = np.unique(np.linspace(shown.first, shown.last, 2 * moments + 1).round().astype(int)[1::2])
@@ -127,7 +124,7 @@ def _shown(
 
 
 def _draw_bodies(axes: Axes, shown: _Shown, frames: np.ndarray) -> None:
-    """Bodies above their moments of the panels' time axis, in metres of one scale both ways."""
+    """Draws bodies above their moments on the time axis, in metres with the same scale on both axes."""
     clip, capsules = shown.clip, body_capsules(shown.clip.skeleton)
     points = body_points(clip)[frames]
     hips = points[:, need_roles(clip.skeleton).hips]
@@ -147,11 +144,14 @@ def _draw_bodies(axes: Axes, shown: _Shown, frames: np.ndarray) -> None:
 
 
 def _draw_legend(figure: Figure, no_axes: bool, corner: tuple[float, float]) -> None:
-    """What the colours mean, in one line that begins at a corner."""
-    arrow = Line2D([], [], color=AXIS, linewidth=1.4, marker=">", markersize=5, label="axis of a movement")
+    """Draws a legend of the colours in one row that starts at a corner."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    arrow = Line2D([], [], color=AXIS, linewidth=1.4, marker=">", markersize=5, label="axis of movement")
     lines = [
-        Line2D([], [], color=INK, linewidth=1.3, label="movement along it, or contacts, smoothed"),
-        Line2D([], [], color=PHASE, linewidth=2.4, label="phase, fainter where there is less of a cycle"),
+        Line2D([], [], color=INK, linewidth=1.3, label="movement along the axis, or contacts, smoothed"),
+        Line2D([], [], color=PHASE, linewidth=2.4, label="phase, fading where the motion is less cyclic"),
         Patch(facecolor=CONTACT, alpha=0.85, label="toe on the ground"),
     ]
     style = {"frameon": False, "fontsize": 8, "labelcolor": MUTED, "borderaxespad": 0, "columnspacing": 1.4}
@@ -160,7 +160,7 @@ def _draw_legend(figure: Figure, no_axes: bool, corner: tuple[float, float]) -> 
 
 
 def _facing(clip: MotionClip, points: np.ndarray) -> np.ndarray:
-    """[F] radians: heading of the hips in body points [F, P, 3]."""
+    """Returns the heading [F] of the hips in radians from body points [F, P, 3]."""
     roles = need_roles(clip.skeleton)
     across = points[:, roles.left_hip] - points[:, roles.right_hip]
     return np.arctan2(-across[:, 2], across[:, 0])
@@ -195,7 +195,10 @@ def _draw_bone(axes: Axes, shown: _Shown, bone: int, frames: np.ndarray) -> None
 
 
 def _draw_phase(axes: Axes, seconds: np.ndarray, phases: np.ndarray, longest: float) -> None:
-    """The phase as a line that breaks where a cycle ends, transparent where its vector is short."""
+    """Draws the phase as a line that breaks at the end of a cycle and fades where the phase vector is short."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import to_rgb
+
     angle = np.arctan2(phases[:, 0], phases[:, 1]) % (2 * np.pi)
     length = np.linalg.norm(phases, axis=-1) / max(longest, 1e-9)
     points = np.stack([seconds, (angle / np.pi - 1) * REACH], axis=-1)

@@ -1,15 +1,18 @@
-"""Pictures of training and errors. Every function returns a Figure and leaves matplotlib's state alone."""
+"""Plots of losses and errors. Every function returns a Figure and leaves matplotlib's global state unchanged."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from pfnn_jax.viewer.draw.drawing import blank_figure
 from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED, SERIES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -36,13 +39,13 @@ def loss_curves(
     x_label: str = "step",
     logarithmic: bool = True,
 ) -> Figure:
-    """Losses over training, one line each, its name beside its end.
+    """Returns a figure of losses over training, one line per curve.
 
     Args:
         curves: name -> values, or (steps, values).
-        title: title of the picture.
-        x_label: what the horizontal axis counts.
-        logarithmic: whether the losses are drawn on a logarithmic axis.
+        title: title of the figure.
+        x_label: label of the horizontal axis.
+        logarithmic: whether the vertical axis is logarithmic.
     """
     figure = _figure(7.2, 3.6)
     axes = figure.subplots()
@@ -60,12 +63,12 @@ def loss_curves(
 def error_bars(
     table: Mapping[str, Mapping[str, float | Sequence[float]]], title: str = "Error", x_label: str = ""
 ) -> Figure:
-    """Errors by method, as horizontal bars grouped by measure, so that long names of methods can be read.
+    """Returns a figure of errors by method, as horizontal bars that leave room for long names of methods.
 
     Args:
-        table: method -> measure -> value, or several values (seeds, clips): the bar is their mean, dots show each.
-        title: title of the picture.
-        x_label: what the bars measure, with its unit.
+        table: method -> measure -> value, or several values (seeds, clips): a bar shows their mean, dots the values.
+        title: title of the figure.
+        x_label: label of the horizontal axis, with the unit.
     """
     methods = list(table)
     measures = list(dict.fromkeys(measure for row in table.values() for measure in row))

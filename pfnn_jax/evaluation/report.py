@@ -1,4 +1,4 @@
-"""Reports: one JSON file for scripts, one HTML page for people, readable without a server or a network."""
+"""Reports: a JSON file for scripts, and a self-contained HTML page for readers."""
 
 from __future__ import annotations
 
@@ -9,27 +9,28 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import json_text, write_whole
+from pfnn_jax.io.files import json_text, refuse_existing, write_whole
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
 from pfnn_jax.viewer.draw.drawing import png_bytes
 from pfnn_jax.viewer.player.player import player_assets, player_html
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Rows of a report's table.
+    """The table of a section.
 
     Attributes:
         columns: headings; the first column names the rows.
-        rows: cells: text, numbers (drawn with three significant digits) or None (drawn as a dash).
-        best: columns whose smallest number is marked.
-        note: small print below.
+        rows: cells, each text, a number (printed with three significant digits) or None (printed as a dash).
+        best: columns whose smallest number is highlighted.
+        note: footnote.
     """
 
     columns: Sequence[str]
@@ -45,14 +46,14 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """One part of a report: text, then a table, then figures, then clips that play side by side.
+    """One section of a report: text, then a table, then figures, then clips that play side by side.
 
     Attributes:
         title: heading.
-        text: paragraphs, parted by blank lines.
+        text: paragraphs, separated by blank lines.
         table: a table, or None.
         figures: (caption, figure) pairs.
-        clips: clips.
+        clips: clips for the player.
     """
 
     title: str
@@ -72,14 +73,14 @@ def write_report(
     facts: Mapping[str, str] | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write `report.json` and `report.html`, each whole or not at all.
+    """Writes `report.json` and `report.html`, each atomically.
 
     Args:
-        out_dir: folder, made where it does not exist.
-        result: what scripts read: numbers, text, lists, mappings, dataclasses and NumPy values; NaN becomes null.
-        sections: what people read, in order.
+        out_dir: folder, created if it does not exist.
+        result: content of the JSON file: numbers, text, lists, mappings, dataclasses, NumPy values; NaN becomes null.
+        sections: content of the page, in order.
         title: heading of the page.
-        subtitle: one line below it.
+        subtitle: one line below the heading.
         facts: a few headline numbers, label -> value with its unit.
         overwrite: replace earlier reports.
 
@@ -87,13 +88,12 @@ def write_report(
         Path of the page.
 
     Raises:
-        InputError: a report is there and `overwrite` is not set.
+        InputError: if a report exists and `overwrite` is not set.
     """
     folder = Path(out_dir)
     page, data = folder / "report.html", folder / "report.json"
     for path in (page, data):
-        if path.exists() and not overwrite:
-            raise InputError(path, "output", "exists", "name another folder or pass --overwrite")
+        refuse_existing(path, overwrite)
     text = json_text(result)
     rendered = render_report(sections, title=title, subtitle=subtitle, facts=facts)
     folder.mkdir(parents=True, exist_ok=True)
@@ -105,7 +105,7 @@ def write_report(
 def render_report(
     sections: Sequence[Section], *, title: str, subtitle: str = "", facts: Mapping[str, str] | None = None
 ) -> str:
-    """The page's HTML: style, pictures, motion and script all inside it."""
+    """Returns the HTML of the page with its style sheet, pictures, motion and scripts embedded."""
     style = files("pfnn_jax.evaluation").joinpath("report.css").read_text(encoding="utf-8")
     assets = player_assets() if any(section.clips for section in sections) else ""
     head = f"<h1>{html.escape(title)}</h1>" + (f'<p class="subtitle">{html.escape(subtitle)}</p>' if subtitle else "")
@@ -171,7 +171,10 @@ def _cell(cell: str | float | int | None, best: float | None) -> str:
 
 
 def format_number(value: float | int) -> str:
-    """Three significant digits without exponents between 0.001 and 10⁶; whole numbers with thousands parted."""
+    """Formats a number: three significant digits, whole numbers in full with thousands separators.
+
+    Only magnitudes below 0.001 or from 10⁶ have an exponent.
+    """
     if float(value).is_integer() and abs(value) < 1e15:
         return f"{int(value):,}"
     size = abs(float(value))

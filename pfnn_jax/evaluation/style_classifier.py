@@ -1,8 +1,9 @@
-"""Which style a motion is in, by a small network trained on real clips: recognition accuracy and Fréchet distance.
+"""A small network that classifies the style of motion: recognition accuracy and Fréchet distance.
 
-A window is one second of joint positions and velocities seen from the root of each frame, so that where the character
-is and which way it faces says nothing; bones, file names and lengths of takes are not seen either. Convolutions over
-time, a mean over the window, and a dense layer give the features; one more dense layer the scores of the styles.
+Its input is a window of one second of joint positions and velocities relative to the root of each frame. The window
+contains neither the character's position and heading on the ground nor bones, file names and lengths of takes. Two
+convolutions over time, a mean over the window and a dense layer compute features; a second dense layer computes the
+logits of the styles.
 """
 
 from __future__ import annotations
@@ -17,30 +18,29 @@ import numpy as np
 import optax
 from flax import struct
 
-from pfnn_jax.models.network import drop
+from pfnn_jax.errors import check_at_least, check_probability
+from pfnn_jax.models.dropout import drop
 
 WIDTH = 5
-"""Frames that a convolution sees."""
-
-ADAM = optax.scale_by_adam()
+"""Frames in the kernel of a convolution."""
 
 CHUNK = 512
-"""Windows evaluated at once: bounds memory."""
+"""Windows evaluated at once, which limits memory."""
 
 
 @dataclass(frozen=True)
 class ClassifierConfig:
-    """How the classifier is built and trained.
+    """Sizes and training schedule of the classifier.
 
     Attributes:
-        filters: of both convolutions.
-        features: width of the layer whose values are compared by the Fréchet distance.
+        filters: number of filters of each convolution.
+        features: width of the feature layer, which the Fréchet distance compares.
         epochs: passes over the windows.
-        batch_size: windows of a minibatch.
-        learning_rate: Adam's, falling to zero along half a cosine.
+        batch_size: windows per minibatch.
+        learning_rate: initial learning rate of Adam, with cosine decay to zero.
         dropout: drop probability before the dense layers.
-        noise: deviation of the noise added to normalised windows, so that small jitter decides nothing.
-        seed: of initialisation, shuffling, dropout and noise.
+        noise: standard deviation of the noise added to normalised windows, which hides small jitter.
+        seed: seed of initialisation, shuffling, dropout and noise.
     """
 
     filters: int = 64
@@ -53,22 +53,19 @@ class ClassifierConfig:
     seed: int = 0
 
     def __post_init__(self):
-        for name in ("filters", "features", "epochs", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"ClassifierConfig.{name} must be at least 1, got {getattr(self, name)}.")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"ClassifierConfig.dropout must be in [0, 1), got {self.dropout}.")
+        check_at_least(self, "filters", "features", "epochs", "batch_size")
+        check_probability(self, "dropout")
 
 
 @struct.dataclass
 class StyleClassifier:
-    """A trained classifier.
+    """Parameters of the classifier.
 
     Attributes:
         filters: two arrays [WIDTH, in, out] of the convolutions.
         weights: two arrays [in, out] of the dense layers.
         biases: four arrays [out], of the convolutions and the dense layers.
-        mean, std: [F] statistics of the windows it was trained on.
+        mean, std: [F] statistics of the training windows.
     """
 
     filters: tuple[jax.Array, jax.Array]
@@ -81,7 +78,7 @@ class StyleClassifier:
 def init_classifier(
     config: ClassifierConfig, num_columns: int, num_styles: int, mean: np.ndarray, std: np.ndarray
 ) -> StyleClassifier:
-    """A fresh classifier of windows with F columns: He-normal weights, zero biases."""
+    """Returns an untrained classifier of windows with F columns: He-normal weights, zero biases."""
     keys = jax.random.split(jax.random.key(config.seed), 4)
     shapes = [
         (WIDTH, num_columns, config.filters),
@@ -106,16 +103,16 @@ def init_classifier(
 def train_classifier(
     windows: np.ndarray, labels: np.ndarray, num_styles: int | None = None, config: ClassifierConfig | None = None
 ) -> StyleClassifier:
-    """Train on real windows; the loss is cross entropy, every style weighing the same.
+    """Trains a classifier on real windows by cross entropy, with equal total weight for every style.
 
     Args:
-        windows: [N, T, F] as `motion_windows` makes them, mirrored ones included.
-        labels: [N] whole numbers from 0.
+        windows: [N, T, F] as returned by `motion_windows`, mirror images included.
+        labels: [N] style indices, from 0.
         num_styles: S; the largest label plus one by default.
         config: sizes and schedule.
 
     Raises:
-        ValueError: if windows and labels differ in number, there are none, or a label is out of range.
+        ValueError: if the numbers of windows and labels differ or are zero, or if a label is out of range.
     """
     config = config or ClassifierConfig()
     labels = np.asarray(labels, np.int32)
@@ -127,46 +124,46 @@ def train_classifier(
     weight = jnp.asarray(np.where(count > 0, len(labels) / (np.maximum(count, 1) * (count > 0).sum()), 0.0))
     batch_size = min(config.batch_size, len(labels))
     rounds = len(labels) // batch_size
-    state = (_trained(classifier), ADAM.init(_trained(classifier)))
+    num_steps = config.epochs * rounds
+    state = (_trained(classifier), _optimiser(config, num_steps).init(_trained(classifier)))
     on_device, targets = jnp.asarray(windows, jnp.float32), jnp.asarray(labels)
     rng = np.random.default_rng(config.seed)
     for epoch in range(config.epochs):
         order = rng.permutation(len(labels))[: rounds * batch_size].reshape(rounds, batch_size)
         key = jax.random.fold_in(jax.random.key(config.seed), epoch + 1)
-        rates = config.learning_rate * _falling(epoch, config.epochs, rounds)
-        state = _epoch(state, classifier, on_device, targets, weight, jnp.asarray(order), rates, key, config)
+        state = _epoch(state, classifier, on_device, targets, weight, jnp.asarray(order), key, config, num_steps)
     return replace(classifier, **state[0])
 
 
 def features(classifier: StyleClassifier, windows: np.ndarray) -> np.ndarray:
-    """[N, config.features] what the classifier makes of windows [N, T, F] before it scores styles."""
+    """Returns the features [N, config.features] of windows [N, T, F]."""
     return _in_chunks(lambda part: _hidden(classifier, part), windows)
 
 
 def scores(classifier: StyleClassifier, windows: np.ndarray) -> np.ndarray:
-    """[N, S] logits of the styles for windows [N, T, F]."""
+    """Returns the logits [N, S] of the styles for windows [N, T, F]."""
     hidden = features(classifier, windows)
     return hidden @ np.asarray(classifier.weights[1]) + np.asarray(classifier.biases[3])
 
 
 def recognition_accuracy(classifier: StyleClassifier, windows: np.ndarray, labels: np.ndarray) -> float:
-    """Share of windows [N, T, F] that are recognised as their own style `labels` [N]."""
+    """Returns the share of windows [N, T, F] whose predicted style equals `labels` [N]."""
     return float(np.mean(scores(classifier, windows).argmax(axis=1) == np.asarray(labels)))
 
 
 def confusion_matrix(classifier: StyleClassifier, windows: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """[S, S] number of windows of style i (row) that are taken for style j (column)."""
+    """Returns the confusion matrix [S, S]: number of windows of style i (row) predicted as style j (column)."""
     num_styles = classifier.biases[3].shape[0]
-    taken_for = scores(classifier, windows).argmax(axis=1)
-    pairs = np.asarray(labels) * num_styles + taken_for
+    predicted = scores(classifier, windows).argmax(axis=1)
+    pairs = np.asarray(labels) * num_styles + predicted
     return np.bincount(pairs, minlength=num_styles**2).reshape(num_styles, num_styles)
 
 
 def frechet_distance(features_a: np.ndarray, features_b: np.ndarray) -> float:
-    """Fréchet distance of the Gaussians fitted to two sets of features [N, D] and [M, D].
+    """Returns the Fréchet distance between Gaussians fitted to two sets of features [N, D] and [M, D].
 
-    Covariances are shrunk towards multiples of the identity (Ledoit and Wolf 2004), by an amount that the samples
-    themselves ask for and that vanishes as they grow in number.
+    Covariances are shrunk towards multiples of the identity (Ledoit and Wolf 2004). The amount is estimated from the
+    samples and vanishes as their number grows.
 
     Source: Heusel et al. 2017 for images; used on features of motion by Park et al. 2021.
     """
@@ -175,7 +172,7 @@ def frechet_distance(features_a: np.ndarray, features_b: np.ndarray) -> float:
 
 
 def gaussian_frechet(mean_a: np.ndarray, cov_a: np.ndarray, mean_b: np.ndarray, cov_b: np.ndarray) -> float:
-    """‖μ_a - μ_b‖² + Tr(Σ_a + Σ_b - 2 (Σ_a^½ Σ_b Σ_a^½)^½) of two Gaussians: means [D], covariances [D, D]."""
+    """Returns ‖μ_a - μ_b‖² + Tr(Σ_a + Σ_b - 2 (Σ_a^½ Σ_b Σ_a^½)^½), for means [D] and covariances [D, D]."""
     values, vectors = np.linalg.eigh(cov_a)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     between = np.linalg.eigvalsh(root @ cov_b @ root)
@@ -184,10 +181,11 @@ def gaussian_frechet(mean_a: np.ndarray, cov_a: np.ndarray, mean_b: np.ndarray, 
 
 
 def shrunk_covariance(samples: np.ndarray) -> np.ndarray:
-    """Covariance [D, D] of samples [N, D], shrunk towards its mean variance times the identity.
+    """Returns the covariance [D, D] of samples [N, D], shrunk towards its mean variance times the identity.
 
     Source: Ledoit and Wolf 2004, "A well-conditioned estimator for large-dimensional covariance matrices", lemma 3.3.
     """
+    # As sklearn.covariance.ledoit_wolf, because scikit-learn is only installed with the extra of the experiments.
     centred = samples - samples.mean(axis=0)
     count, size = centred.shape
     covariance = centred.T @ centred / count
@@ -211,14 +209,14 @@ def _trained(classifier: StyleClassifier) -> dict:
 
 
 def _convolve(x: jax.Array, filters: jax.Array, bias: jax.Array) -> jax.Array:
-    """[N, T / 2, out] convolution over time of [N, T, in] with stride 2, and ReLU."""
+    """Returns the ReLU of a convolution over time with stride 2: [N, T / 2, out] of [N, T, in]."""
     dimensions = ("NWC", "WIO", "NWC")
     y = jax.lax.conv_general_dilated(x, filters, (2,), "SAME", dimension_numbers=dimensions)
     return jax.nn.relu(y + bias[None, None])
 
 
 def _layers(classifier: StyleClassifier, x: jax.Array, rate: float = 0.0, keys=None) -> jax.Array:
-    """[N, features] of normalised windows [N, T, F]."""
+    """Returns the features [N, features] of normalised windows [N, T, F]; with `keys`, under dropout."""
     for filters, bias in zip(classifier.filters, classifier.biases[:2], strict=True):
         x = _convolve(x, filters, bias)
     pooled = x.mean(axis=1)
@@ -236,15 +234,14 @@ def _normalised(classifier: StyleClassifier, windows: jax.Array) -> jax.Array:
     return (windows - classifier.mean[None, None]) / classifier.std[None, None]
 
 
-def _falling(epoch: int, epochs: int, rounds: int) -> jax.Array:
-    """[rounds] of an epoch, of a factor that falls from one to zero along half a cosine over all epochs."""
-    done = (epoch * rounds + np.arange(rounds)) / (epochs * rounds)
-    return jnp.asarray(0.5 * (1.0 + np.cos(np.pi * done)), jnp.float32)
+def _optimiser(config: ClassifierConfig, num_steps: int) -> optax.GradientTransformation:
+    return optax.adam(optax.cosine_decay_schedule(config.learning_rate, num_steps))
 
 
-@partial(jax.jit, static_argnames="config", donate_argnums=0)
-def _epoch(state, classifier, windows, labels, weight, order, rates, key, config: ClassifierConfig):
-    """One pass over windows in `order` [rounds, B] at learning rates [rounds]: (trained arrays, Adam's state)."""
+@partial(jax.jit, static_argnames=("config", "num_steps"), donate_argnums=0)
+def _epoch(state, classifier, windows, labels, weight, order, key, config: ClassifierConfig, num_steps: int):
+    """Returns (trained arrays, optimiser state) after one pass over windows in `order` [rounds, B]."""
+    tx = _optimiser(config, num_steps)
 
     def loss(trained, rows, key):
         model = replace(classifier, **trained)
@@ -257,12 +254,12 @@ def _epoch(state, classifier, windows, labels, weight, order, rates, key, config
         return jnp.mean(weight[labels[rows]] * own)
 
     def body(state, step):
-        rows, rate, key = step
-        trained, moments = state
-        update, moments = ADAM.update(jax.grad(loss)(trained, rows, key), moments)
-        return (jax.tree.map(lambda value, change: value - rate * change, trained, update), moments), None
+        rows, key = step
+        trained, opt_state = state
+        updates, opt_state = tx.update(jax.grad(loss)(trained, rows, key), opt_state)
+        return (optax.apply_updates(trained, updates), opt_state), None
 
-    return jax.lax.scan(body, state, (order, rates, jax.random.split(key, len(order))))[0]
+    return jax.lax.scan(body, state, (order, jax.random.split(key, len(order))))[0]
 
 
 def _in_chunks(work, windows: np.ndarray) -> np.ndarray:

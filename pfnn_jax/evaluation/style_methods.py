@@ -1,4 +1,4 @@
-"""The ways of learning a style that are compared, each with its grid, on one adaptation clip (Mason 2018 §8.1)."""
+"""Comparison of methods of learning a style from one adaptation clip, each with its grid (Mason 2018 §8.1)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import jax
 import numpy as np
 
 from pfnn_jax.control.stability import make_stability_check, predictor_of
-from pfnn_jax.evaluation.style_test import StyleTest, pose_and_velocity_error, predict_rows
+from pfnn_jax.evaluation.style_test import StyleTest, pose_and_velocity_error
+from pfnn_jax.inference.rows import evaluate_rows
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.style import init_style
@@ -23,8 +24,8 @@ from pfnn_jax.training.few_shot_learning import Candidate, choose, refit, train_
 
 DEFAULT = FewShotConfig()
 
-DEFAULT_ROW = "CP, gentlest within 50 %, refit"
-"""The row of `few-shot` without options: from the candidates of CP, chosen with its tolerance, on the whole clip."""
+DEFAULT_ROW = "CP, most conservative within 50 %, refit"
+"""The row of `few-shot` without options: the most conservative CP candidate within the tolerance, refit on the clip."""
 
 GRIDS: dict[str, FewShotConfig] = {
     "CP": DEFAULT,
@@ -39,7 +40,7 @@ GRIDS: dict[str, FewShotConfig] = {
         "scratch", learning_rates=(1e-3,), main_dropouts=(0.3,), eval_epochs=(10, 25, 50, 100)
     ),
 }
-"""What is trained on the clip; each row of a comparison is the best of one grid's candidates on the held-out frames."""
+"""Grids trained on the clip; the row of a grid is its candidate with the least error on the held-out frames."""
 
 FIXED: dict[str, tuple[str, dict[str, float]]] = {
     "CP, 1e-4, dropout 0.3, 100 epochs": ("CP", {"learning_rate": 1e-4, "main_dropout": 0.3, "epochs": 100}),
@@ -48,10 +49,10 @@ FIXED: dict[str, tuple[str, dict[str, float]]] = {
     "fine-tune, 25 epochs": ("fine-tune, stopped early", {"epochs": 25}),
     "fine-tune, 100 epochs": ("fine-tune, stopped early", {"epochs": 100}),
 }
-"""Rows at a setting named beforehand, from the candidates of a grid."""
+"""Rows at a setting fixed in advance, taken from the candidates of a grid."""
 
 SAMPLE = 2000
-"""Turning rows on which every candidate is looked at."""
+"""Turning rows on which every candidate is evaluated."""
 
 
 def compare_methods(
@@ -65,23 +66,23 @@ def compare_methods(
     seed: int = 0,
     on_row: Callable[[str], None] = lambda row: None,
 ) -> dict[str, dict[str, Any]]:
-    """Every method on one clip: what was chosen, and every measure of it.
+    """Trains every method on one clip and returns its chosen setting and its measures.
 
-    Nothing is chosen on the test: settings and numbers of epochs are ranked on the last part of the clip and must
-    stay sound on circles.
+    Nothing is chosen on the test takes: settings and numbers of epochs are ranked by the error on the last part of the
+    clip, and their rollouts on circles must be stable.
 
     Args:
-        shared, normaliser: of pretraining.
-        parts: the clip and, where it is symmetric, its mirror image.
-        test: the takes no method has seen.
+        shared, normaliser: results of pretraining.
+        parts: rows of the clip and, for a symmetric style, of its mirror image.
+        test: takes that no method was trained on.
         grids: methods to run.
         epochs: longest training; later `eval_epochs` are dropped.
-        seed: of every grid.
-        on_row: told the name of each grid that is done.
+        seed: seed of every grid.
+        on_row: called with the name of each grid once it is finished.
 
     Returns:
-        row -> `measures`, and for what was trained also `choice`, `stable`, and for the grid's own row
-        `grid_seconds` and all `candidates` with their error on turns (to judge the choice by, afterwards).
+        row -> `measures`; a trained row also has `choice` and `stable`, and the row of a grid `grid_seconds` and all
+        `candidates` with their error on turns, which shows afterwards how good the choice was.
     """
     clip = test.clip
     is_stable = make_stability_check(shared, normaliser, test.layout, clip.x, clip.y, clip.phase)
@@ -93,9 +94,9 @@ def compare_methods(
         seconds = time.perf_counter() - started
         chosen = _rows_of(name, candidates, is_stable)
         if name == "CP":
-            gentle = choose(candidates, grid.tolerance, is_stable)
-            trained = refit(shared, to_batch(parts, normaliser), gentle.choice, grid)
-            chosen[DEFAULT_ROW] = Candidate(gentle.choice, trained)
+            choice = choose(candidates, grid.tolerance, is_stable).choice
+            trained = refit(shared, to_batch(parts, normaliser), choice, grid)
+            chosen[DEFAULT_ROW] = Candidate(choice, trained)
         for row, candidate in chosen.items():
             rows[row] = {
                 "choice": candidate.choice._asdict(),
@@ -113,13 +114,13 @@ def compare_methods(
 def train_on_clip(
     shared: Network, normaliser: Normaliser, parts: Sequence[Features], grid: FewShotConfig
 ) -> list[Candidate]:
-    """All settings and numbers of epochs of a grid, trained on the first part of the clip and ranked on the last."""
+    """Trains all settings of a grid on the first part of the clip and ranks them, at every epoch, on the last part."""
     learn, held = hold_out(parts, grid.held_out)
     return train_grid(shared, to_batch(learn, normaliser), to_batch(held, normaliser), grid)
 
 
 def without_adapter(shared: Network, normaliser: Normaliser):
-    """The style-agnostic predictor, with a zero adapter so that it has the form of the others."""
+    """Returns the style-agnostic predictor, with a zero adapter for the same tree structure as other predictors."""
     sizes = config_of(shared)
     zero = init_style(AdapterConfig("bias"), sizes.hidden, sizes.num_control_points, key=jax.random.key(0))
     return predictor_of(zero, shared, normaliser)
@@ -128,25 +129,25 @@ def without_adapter(shared: Network, normaliser: Normaliser):
 def candidate_errors(
     candidates: Sequence[Candidate], shared: Network, normaliser: Normaliser, test: StyleTest
 ) -> list[dict[str, float]]:
-    """Every candidate's choice, with its error on evenly spaced rows of the turning takes."""
+    """Returns the setting of every candidate and its error on evenly spaced rows of the turning takes."""
     truth = test.turning.rows
     rows = np.linspace(0, len(truth.x) - 1, SAMPLE).astype(int)
     result = []
     for candidate in candidates:
         predictor = predictor_of(candidate.trained, shared, normaliser)
-        predicted = np.asarray(predict_rows(predictor, truth.x[rows], truth.phase[rows]))
+        predicted = evaluate_rows(predictor, truth.x[rows], truth.phase[rows])
         error = pose_and_velocity_error(truth.y[rows], predicted, test.layout, test.std).mean()
         result.append({**candidate.choice._asdict(), "turning_error": float(error)})
     return result
 
 
 def _shortened(grid: FewShotConfig, epochs: int, seed: int) -> FewShotConfig:
-    eval_epochs = tuple(stop for stop in grid.eval_epochs if stop <= epochs) or (epochs,)
+    eval_epochs = tuple(epoch for epoch in grid.eval_epochs if epoch <= epochs) or (epochs,)
     return replace(grid, eval_epochs=eval_epochs, seed=seed)
 
 
 def _rows_of(name: str, candidates: list[Candidate], is_stable) -> dict[str, Candidate]:
-    """The rows that one grid gives: the one chosen, and those whose setting was named beforehand."""
+    """Returns the rows of one grid: the chosen candidate, and those at a setting fixed in advance."""
     rows = {name: choose(candidates, 0.0, is_stable)}
     for row, (grid, setting) in FIXED.items():
         found = [c for c in candidates if all(np.isclose(c.choice._asdict()[k], v) for k, v in setting.items())]

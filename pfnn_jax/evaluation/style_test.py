@@ -1,4 +1,4 @@
-"""How well a style was learned: one-step errors on takes it never saw, and the motion made with it."""
+"""Tests of a learned style: one-step errors on unseen takes, locked rollouts, and walks on circles."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ from pfnn_jax.evaluation.metrics import (
     skating_ratio,
 )
 from pfnn_jax.inference.predictor import Predictor, evaluate
+from pfnn_jax.inference.rows import evaluate_rows
 from pfnn_jax.motion.features.decode import median_speed, root_steps
 from pfnn_jax.motion.features.encode import Features, join_rows, select_rows
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 
 LOCKED_SECONDS = 3.0
-"""Length of the rollouts with root, trajectory and phase locked to the truth."""
+"""Length of the rollouts with root, trajectory and phase locked to the ground truth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Takes:
-    """Rows of several takes, one after another, in layout units.
+    """Concatenated rows of several takes, in layout units.
 
     Attributes:
         rows: x, y, phase and frames of all takes.
         take: [N] index of each row's take.
-        names: of the takes.
+        names: names of the takes.
     """
 
     rows: Features
@@ -49,42 +50,37 @@ class Takes:
 
 
 def join_takes(parts: Sequence[Features], names: Sequence[str]) -> Takes:
-    """Takes from the features of each."""
+    """Returns the takes with the given features and names as one record."""
     return Takes(join_rows(parts), np.repeat(np.arange(len(parts)), [len(p.x) for p in parts]), tuple(names))
 
 
-@jax.jit
-def predict_rows(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Array:
-    """Outputs [N, Dy] of rows x [N, Dx] at phases [N], in layout units."""
-    return jax.vmap(partial(evaluate, predictor))(x, phase)
-
-
 def is_turning(y: np.ndarray, layout: FrameLayout, degrees_per_second: float = 20.0) -> np.ndarray:
-    """[N] whether the root turns faster than a rate in the true outputs y [N, Dy]."""
+    """Returns [N] bool: whether the root turns faster than a rate in the true outputs y [N, Dy]."""
     return np.abs(np.rad2deg(root_steps(layout, y)[1])) > degrees_per_second
 
 
 def pose_and_velocity_error(y: np.ndarray, predicted: np.ndarray, layout: FrameLayout, std: np.ndarray) -> np.ndarray:
-    """[N] mean squared normalised error of each row's joint positions and velocities."""
+    """Returns the mean squared normalised error [N] of each row's joint positions and velocities."""
     columns = np.r_[layout.output_slice("joint_position"), layout.output_slice("joint_velocity")]
     return np.mean(((predicted - y)[:, columns] / std[columns]) ** 2, axis=1)
 
 
 def one_step_test(predictor: Predictor, takes: Takes, layout: FrameLayout, std: np.ndarray) -> dict[str, Any]:
-    """One-step errors on takes: by group of columns, on the turning frames alone, and per take.
+    """Returns one-step errors on takes: by group of columns, on the turning frames only, and per take.
 
     Args:
         predictor: the network and style.
         takes: true rows.
-        layout: of the rows.
-        std: [Dy] by which errors are divided: one for all methods that are compared.
+        layout: frame layout of the rows.
+        std: [Dy] by which errors are divided; the same for all compared methods.
 
     Returns:
         `all` and the groups of `one_step_error`; `pose_velocity` (positions and velocities together) over all frames,
-        `pose_velocity_turning` over those above 20°/s (None where there are none), and `per_take`: name -> error.
+        `pose_velocity_turning` over those that turn faster than 20°/s (None if there are none); and
+        `per_take`: name -> error.
     """
     y = takes.rows.y
-    predicted = np.asarray(predict_rows(predictor, takes.rows.x, takes.rows.phase))
+    predicted = evaluate_rows(predictor, takes.rows.x, takes.rows.phase)
     errors = pose_and_velocity_error(y, predicted, layout, std)
     turning = is_turning(y, layout)
     per_take = np.bincount(takes.take, errors) / np.bincount(takes.take)
@@ -99,15 +95,15 @@ def one_step_test(predictor: Predictor, takes: Takes, layout: FrameLayout, std: 
 def locked_test(
     predictor: Predictor, takes: Takes, layout: FrameLayout, std: np.ndarray, num_frames: int, most: int = 12
 ) -> float:
-    """Pose-and-velocity error of rollouts with root, trajectory and phase locked to the truth.
+    """Returns the pose-and-velocity error of rollouts with root, trajectory and phase locked to the ground truth.
 
     Args:
         predictor, takes, layout, std: as for `one_step_test`.
-        num_frames: length of each rollout; takes with fewer consecutive rows are left out.
-        most: takes used at most.
+        num_frames: length of each rollout; takes with fewer consecutive rows are skipped.
+        most: largest number of takes.
 
     Returns:
-        Mean over takes and frames, infinite if a rollout is not finite; NaN if no take is long enough.
+        Mean over takes and frames; infinity if a rollout is not finite, NaN if no take is long enough.
     """
     starts = [np.flatnonzero(takes.take == index) for index in range(len(takes.names))]
     windows = [rows[:num_frames] for rows in starts if len(rows) >= num_frames][:most]
@@ -125,33 +121,33 @@ def locked_test(
 def circle_test(
     predictor: Predictor, clip: Features, turning: Features, layout: FrameLayout, skeleton: Skeleton, seconds: float
 ) -> dict[str, float]:
-    """A walk on a circle to either side at 45°/s, begun in the clip's first pose.
+    """Measures walks on a left and a right circle at 45°/s, started in the clip's first pose.
 
     Args:
         predictor: the network and style.
-        clip: rows of the adaptation clip: first pose and speed.
-        turning: real rows of the style while it turns, as many as there are.
-        layout, skeleton: of the rows.
+        clip: rows of the adaptation clip, for the first pose and the speed.
+        turning: all real rows of the style while it turns.
+        layout, skeleton: frame layout and skeleton of the rows.
         seconds: length of each walk.
 
     Returns:
-        `turn_rate` (achieved over commanded, mean of both sides), `nearest_turning_pose` (metres), `skating` (m/s),
-        `skating_ratio`, `bone_error` (metres) and `jitter` (m/s³); all infinite if the walk is not finite.
+        Means over both sides: `turn_rate` (achieved over commanded), `nearest_turning_pose` (metres), `skating` (m/s),
+        `skating_ratio`, `bone_error` (metres) and `jitter` (m/s³); all infinite if a walk is not finite.
     """
     speed = max(median_speed(layout, clip.y), 0.3)
     frames = walk_circles(predictor, layout, clip.x[0], clip.phase[0], speed, seconds)
     if not np.isfinite(np.asarray(frames.outputs)).all():
         names = ("turn_rate", "nearest_turning_pose", "skating", "skating_ratio", "bone_error", "jitter")
         return dict.fromkeys(names, float("inf"))
-    pose, settle = layout.output_slice("joint_position"), round(layout.fps)
+    pose, warm_up = layout.output_slice("joint_position"), round(layout.fps)
     real = _poses(turning.y[:, pose], layout)
     lengths = np.linalg.norm(skeleton.offsets, axis=-1)
     roles = need_roles(skeleton)
     feet = [*roles.left_foot, *roles.right_foot]
     sides = []
     for side in range(2):
-        outputs, joints = np.asarray(frames.outputs[side])[settle:], np.asarray(frames.joint_positions[side])[settle:]
-        rate = achieved_turn_rate(np.asarray(frames.root_yaw[side])[settle:], layout.fps)
+        outputs, joints = np.asarray(frames.outputs[side])[warm_up:], np.asarray(frames.joint_positions[side])[warm_up:]
+        rate = achieved_turn_rate(np.asarray(frames.root_yaw[side])[warm_up:], layout.fps)
         ground = resting_heights(real[:, feet])
         sides.append(
             {
@@ -167,18 +163,18 @@ def circle_test(
 
 
 def _poses(rows: np.ndarray, layout: FrameLayout) -> np.ndarray:
-    """[N, J, 3] metres relative to the root."""
+    """Returns joint positions [N, J, 3] in metres relative to the root."""
     return rows.reshape(len(rows), layout.num_joints, 3) * layout.length_unit
 
 
 @dataclass(frozen=True, eq=False)
 class StyleTest:
-    """What every method that learns one style is measured on.
+    """The data on which every method of learning one style is measured.
 
     Attributes:
-        layout, skeleton: of all rows.
+        layout, skeleton: frame layout and skeleton of all rows.
         clip: rows of the adaptation clip.
-        straight, turning: takes of the style that no method has seen.
+        straight, turning: takes of the style that no method was trained on.
         std: [Dy] by which errors are divided.
         circle_seconds: length of the walks on circles.
     """
@@ -192,7 +188,7 @@ class StyleTest:
     circle_seconds: float = 20.0
 
     def measure(self, predictor: Predictor) -> dict[str, Any]:
-        """`straight` and `turning` one-step errors, `locked` rollout error, and the measures of `circle_test`."""
+        """Returns `straight` and `turning` one-step errors, the `locked` error, and the results of `circle_test`."""
         rows = self.turning.rows
         turning = select_rows(rows, is_turning(rows.y, self.layout))
         num_frames = round(LOCKED_SECONDS * self.layout.fps)

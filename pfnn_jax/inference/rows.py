@@ -198,7 +198,21 @@ def predict_rows(
     with jax.default_matmul_precision("highest"):
         if isinstance(style, RowStyles):
             return _predict_each(run, style, rows, layer_norm)
-        return _in_chunks(partial(_evaluate_rows, make_predictor(run, style), layer_norm=layer_norm), rows)
+        return evaluate_rows(make_predictor(run, style), *rows, layer_norm=layer_norm)
+
+
+def evaluate_rows(
+    predictor: Predictor, x: np.ndarray, phase: np.ndarray, *, layer_norm: LayerNorm = "population"
+) -> np.ndarray:
+    """Returns the outputs [N, Dy] of a predictor for independent frames, in layout units.
+
+    Args:
+        predictor: the network and style.
+        x: [N, Dx] inputs in layout units.
+        phase: [N] radians, or [N, G] in layout units for a gating network.
+        layer_norm: statistics of the layer norm of FiLM styles.
+    """
+    return _in_chunks(partial(_evaluate_rows, predictor, layer_norm=layer_norm), (x, phase))
 
 
 def predict_file(
@@ -273,17 +287,19 @@ def _predict_each(run: Run, styles: RowStyles, rows: tuple[np.ndarray, np.ndarra
         shares: dict[str, float] = {}
         for index, weight in zip(*np.split(kind, 2), strict=True):
             shares[names[int(index)]] = shares.get(names[int(index)], 0.0) + float(weight)
-        call = partial(_evaluate_rows, make_predictor(run, shares), layer_norm=layer_norm)
-        y[chosen] = _in_chunks(call, tuple(array[chosen] for array in rows))
+        predictor = make_predictor(run, shares)
+        y[chosen] = evaluate_rows(predictor, *(array[chosen] for array in rows), layer_norm=layer_norm)
     return y
 
 
 def _in_chunks(call: Callable[..., jax.Array], arrays: tuple[np.ndarray, ...]) -> np.ndarray:
-    parts = [
-        np.asarray(call(*(jnp.asarray(array[start : start + CHUNK]) for array in arrays)))
-        for start in range(0, len(arrays[0]), CHUNK)
-    ]
-    return np.concatenate(parts)
+    """Calls a function on at most `CHUNK` rows at a time; the last chunk is padded so that one size is compiled."""
+    count = len(arrays[0])
+    parts = []
+    for start in range(0, count, CHUNK):
+        rows = np.minimum(np.arange(start, start + min(CHUNK, count)), count - 1)
+        parts.append(np.asarray(call(*(jnp.asarray(array[rows]) for array in arrays))))
+    return np.concatenate(parts)[:count]
 
 
 @partial(jax.jit, static_argnames="layer_norm")

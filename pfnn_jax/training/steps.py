@@ -103,14 +103,15 @@ def pretrain_loss(
     dropout: Dropout,
     key: jax.Array,
     generator: FiLMGenerator | None = None,
+    predict: Callable[..., jax.Array] = predict_batch,
 ) -> tuple[jax.Array, jax.Array]:
     """Returns (loss, squared error) of one minibatch of one style.
 
     `params.modulation` is that style's parameters, or those of the generator where there is one. `dropout.main` acts
-    in the generator too.
+    in the generator too. `predict` computes the outputs of a batch without a generator.
     """
     if generator is None:
-        prediction = predict_batch(params.shared, params.modulation, batch, dropout, key)
+        prediction = predict(params.shared, params.modulation, batch, dropout, key)
     else:
         prediction = predict_generated(params.shared, generator, params.modulation, batch, dropout, key)
     return objective.loss(prediction, batch.y, (params.shared, params.modulation), bones)
@@ -144,15 +145,16 @@ def make_pretrain_step(
     objective: Objective,
     dropout: Dropout,
     generator: FiLMGenerator | None = None,
+    predict: Callable[..., jax.Array] = predict_batch,
 ) -> Step:
     """Returns a pure step (state, batch of style `step mod S`, frozen) -> (state, squared error).
 
     In a bank, only that style and its optimiser state change, along with the shared parameters; a generator changes as
-    a whole in every step.
+    a whole in every step. `predict` computes the outputs of a batch without a generator; benchmarks replace it.
     """
 
     def update(params: PretrainParams, opt_state: PretrainParams, batch: Batch, key: jax.Array, bones: Bones | None):
-        loss = partial(pretrain_loss, generator=generator)
+        loss = partial(pretrain_loss, generator=generator, predict=predict)
         gradient, error = jax.grad(loss, has_aux=True)(params, batch, objective, bones, dropout, key)
         shared, shared_state = descend(tx, gradient.shared, opt_state.shared, params.shared)
         modulation, modulation_state = descend(tx, gradient.modulation, opt_state.modulation, params.modulation)

@@ -1,4 +1,4 @@
-"""The benchmark: that both sides of every comparison compute the same, and that it runs at tiny sizes."""
+"""The benchmark: both sides of every comparison compute the same function, and it runs at tiny sizes."""
 
 from __future__ import annotations
 
@@ -9,26 +9,21 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from rich.console import Console
 
-from pfnn_jax.benchmarks.runtime import NumpyTable, prepare_clips, random_predictor, write_synthetic
+from pfnn_jax.benchmarks.preparation import prepare_clips, write_synthetic
+from pfnn_jax.benchmarks.runtime import NumpyTable, random_predictor
 from pfnn_jax.benchmarks.suite import BenchmarkConfig, print_benchmark, run_benchmark
-from pfnn_jax.benchmarks.timing import figure, interleave, machine, versions
-from pfnn_jax.benchmarks.training import (
-    flops,
-    fresh_state,
-    make_per_sample_step,
-    per_sample_outputs,
-    products,
-    random_frames,
-    stepper,
-)
+from pfnn_jax.benchmarks.timing import figure, interleave
+from pfnn_jax.benchmarks.training import flops, fresh_state, per_sample_outputs, products, random_frames, stepper
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.network import Dropout, init_network
 from pfnn_jax.models.style import init_style
-from pfnn_jax.training.steps import predict_batch
+from pfnn_jax.training.losses import Objective
+from pfnn_jax.training.steps import make_pretrain_step, predict_batch
 from tests.models.helpers import randomise
 
 FLOAT32 = 1e-5  # a few ulp over sums of 64 products, which the two sides add in different orders
@@ -59,7 +54,7 @@ def result():
     return run_benchmark(TINY)
 
 
-def test_per_sample_weights_compute_what_the_flattened_product_computes():
+def test_per_sample_weights_compute_the_same_as_the_flattened_product():
     network = randomise(init_network(SIZES, key=jax.random.key(0)), 1)
     adapter = randomise(init_style(AdapterConfig("cp", 3), 16, 4, key=jax.random.key(1)), 2)
     batch = random_frames((6,), SIZES)
@@ -68,27 +63,26 @@ def test_per_sample_weights_compute_what_the_flattened_product_computes():
     np.testing.assert_allclose(slow, fast, rtol=FLOAT32, atol=FLOAT32 * float(jnp.abs(fast).max()))
 
 
-def test_both_training_steps_update_one_style_and_count_steps():
-    work = stepper(
-        make_per_sample_step(STILL),
-        fresh_state(SIZES, AdapterConfig("cp", 2)),
-        random_frames((8, 16), SIZES),
-        4,
-        num_steps=3,
-    )
-    errors = work()
-    assert errors.shape == (3,) and np.isfinite(errors).all()
-    assert np.isfinite(work()).all()  # the state was donated and is held by the work
+def test_training_steps_with_per_sample_weights_have_the_same_errors():
+    def errors(predict) -> np.ndarray:
+        step = make_pretrain_step(optax.adam(1e-4), Objective(0.01), STILL, predict=predict)
+        state, data = fresh_state(SIZES, AdapterConfig("cp", 2)), random_frames((8, 16), SIZES)
+        work = stepper(step, state, data, 4, num_steps=3)
+        return np.concatenate([work(), work()])  # the work keeps the state, which each call donates
+
+    slow, fast = errors(per_sample_outputs), errors(predict_batch)
+    assert slow.shape == (6,)
+    np.testing.assert_allclose(slow, fast, rtol=1e-4)  # six steps of Adam magnify rounding errors
 
 
-def test_the_products_of_a_step_are_those_of_three_layers_and_an_adapter():
+def test_products_of_a_step_are_three_layers_and_an_adapter_forward_and_backward():
     shapes = products(NetworkConfig(234, 400), rank=30, batch_size=256)
     assert len(shapes) == 5 + 1 + 2 * 4  # forward; backward of the first layer, and twice of every other
     forward = 2 * 256 * (4 * (234 * 512 + 512 * 512 + 512 * 400) + 2 * 30 * 512)
     assert flops(shapes) == 3 * forward - 2 * 256 * 4 * 234 * 512
 
 
-def test_numpys_table_computes_what_the_lookup_computes():
+def test_numpy_table_computes_the_same_as_the_lookup():
     lookup = make_lookup(random_predictor(SIZES))
     table, x = NumpyTable(lookup), np.random.default_rng(0).normal(size=5).astype(np.float32)
     for phase in (0.0, 1.0, 3.1, 6.28, 2 * math.pi - 0.01):
@@ -97,36 +91,33 @@ def test_numpys_table_computes_what_the_lookup_computes():
         )
 
 
-def test_prepared_rows_are_counted_with_their_mirror_images(tmp_path):
+def test_prepared_rows_include_mirror_images(tmp_path):
     files = write_synthetic(tmp_path, 5.0)[:1]
     rows = prepare_clips(files)
     assert rows % 2 == 0 and 2 * 200 < rows <= 2 * 300
 
 
-def test_works_are_timed_in_turn():
+def test_timed_works_are_interleaved():
     order = []
     seconds = interleave({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, 3)
     assert order == ["a", "b"] * 4  # once to compile, three times measured
     assert {name: value.shape for name, value in seconds.items()} == {"a": (3,), "b": (3,)}
 
 
-def test_a_figure_is_a_median_with_quartiles_and_an_aim():
+def test_figure_is_a_median_with_quartiles_and_an_aim():
     above = figure("section", "name", np.array([1.0, 2.0, 3.0, 4.0, 100.0]), "x", at_least=3.0)
     assert (above.value, above.low, above.high, above.repetitions) == (3.0, 2.0, 4.0, 5)
     assert above.meets_aim and not figure("", "", np.array([3.1]), "s", at_most=3.0).meets_aim
     assert figure("", "", np.array([3.1]), "s").meets_aim is None
 
 
-def test_the_result_is_json_with_machine_versions_and_figures(result):
-    again = json.loads(json.dumps(result))
-    assert again["machine"] == machine() and again["machine"]["processor"]
-    assert again["versions"] == versions()
-    assert len({row["section"] for row in again["figures"]}) == 12
-    for row in again["figures"]:
+def test_result_survives_json_and_has_positive_figures(result):
+    assert json.loads(json.dumps(result)) == result
+    for row in result["figures"]:
         assert row["value"] > 0 and row["low"] <= row["value"] <= row["high"] and row["repetitions"] >= 1
 
 
-def test_the_result_is_printed_as_a_table(result):
+def test_printed_table_names_every_figure(result):
     console = Console(record=True, width=120)
     print_benchmark(result, console)
     text = console.export_text()
@@ -134,6 +125,6 @@ def test_the_result_is_printed_as_a_table(result):
 
 
 @pytest.mark.parametrize("name", ["hidden", "repetitions", "frames", "few_shot_epochs"])
-def test_sizes_of_nothing_are_refused(name):
-    with pytest.raises(ValueError, match=f"BenchmarkConfig.{name} must be at least 1, got 0"):
+def test_sizes_below_one_are_refused_by_field(name):
+    with pytest.raises(ValueError, match=f"BenchmarkConfig.{name}"):
         dataclasses.replace(TINY, **{name: 0})

@@ -56,9 +56,9 @@ def test_commands_are_reached(judged, style):
     """Within 20 % of the speed and 10 degrees of the heading, on turns and circles and while strafing."""
     found = judged["styles"][style]
     assert found["finite"] == 1.0 and found["stops"] == 1.0, found
-    for measure in ("speed and way", "speed on circles", "rate on circles", "facing", "aside and back"):
+    for measure in ("speed and heading", "speed on circles", "rate on circles", "facing", "strafe and backward"):
         assert found[measure] >= MOST, (measure, found)
-    assert found["feet at a halt, m"] < DOWN and found["seconds to a halt"] < HALT, found
+    assert found["feet at stop, m"] < DOWN and found["seconds to stop"] < HALT, found
 
 
 def test_left_and_right_turns_are_mirror_images_on_average(controller):

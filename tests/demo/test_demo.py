@@ -1,4 +1,4 @@
-"""The demo at toy size: everything it promises is there, and its ground truth is exact."""
+"""The demo at toy size: its run, clip, report and motion are complete, and its ground truth is exact."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from pfnn_jax.demo.pipeline import DemoConfig, demo, straight_walk
-from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, FIXED, GRIDS
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.labels.phase import read_phase
 from pfnn_jax.run import list_styles, load_run, style_note
+from tests.raising import assert_refused
 
 TINY = DemoConfig(seconds_per_style=4, test_seconds=3.5, hidden=8, steps=20, epochs=1, walk_seconds=2)
 
@@ -23,16 +23,16 @@ def made(tmp_path_factory):
     return out, demo(out, TINY)
 
 
-def test_the_demo_leaves_a_run_with_the_ninth_style(made):
+def test_run_contains_the_ninth_style(made):
     out, _ = made
     run = load_run(out / "run")
     assert len(list_styles(run.path)) == 9
     info = style_note(run.path, "zombie")["info"]
-    assert 175 <= info["frames"] <= 180  # three seconds less the clip's ends
+    assert 175 <= info["frames"] <= 180  # three seconds without the ends of the clip
     assert info["choice"]["epochs"] in info["config"]["eval_epochs"]
 
 
-def test_the_clip_is_what_a_user_would_have(made):
+def test_clip_is_a_bvh_file_with_a_phase_file(made):
     out, _ = made
     clip = read_bvh(out / "clip" / "zombie_straight.bvh")
     labels = read_phase(out / "clip" / "zombie_straight.phase", clip.num_frames)
@@ -40,7 +40,7 @@ def test_the_clip_is_what_a_user_would_have(made):
     assert labels.labelled.all()
 
 
-def test_the_report_has_every_method_and_plays_without_a_server(made):
+def test_report_has_every_method_and_needs_no_network(made):
     out, result = made
     report = json.loads((out / "report.json").read_text())
     wanted = {"no adapter", DEFAULT_ROW, *GRIDS} | {
@@ -54,12 +54,11 @@ def test_the_report_has_every_method_and_plays_without_a_server(made):
         assert read_bvh(out / "motion" / f"{name}_figure_eight.bvh").num_frames == 120
 
 
-def test_an_earlier_demo_is_not_overwritten_unasked(made):
-    with pytest.raises(InputError, match="output: exists"):
-        demo(made[0], TINY)
+def test_existing_output_is_refused_without_overwrite(made):
+    assert_refused(lambda: demo(made[0], TINY), file=made[0], place="output", value="exists")
 
 
-def test_the_adaptation_walk_is_straight_and_exact():
+def test_adaptation_walk_is_labelled_in_every_frame():
     labelled = straight_walk(3.0, seed=0)
     assert labelled.clip.num_frames == 181
     assert labelled.labels.labelled.all()

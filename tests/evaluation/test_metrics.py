@@ -1,4 +1,4 @@
-"""Laws of the measures: zero on perfect motion, known values on known motion, and what they must not notice."""
+"""Laws of the metrics: zero on perfect motion, known values on known motion, and invariances."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def moving_foot(speed: float, height: float, frames: int = 60) -> np.ndarray:
 
 
 @pytest.mark.parametrize("layout", [mason2018(5), pfnn2017(5)], ids=lambda layout: layout.name)
-def test_one_step_error_by_groups_averages_to_the_whole(layout, rng):
+def test_weighted_mean_of_group_errors_is_the_total_error(layout, rng):
     true, pred = rng.standard_normal((2, 40, layout.output_size))
     std = rng.uniform(0.5, 2.0, layout.output_size)
     errors = metrics.one_step_error(true, pred, layout, std)
@@ -59,7 +59,7 @@ def test_one_step_error_puts_each_block_in_its_group():
     assert errors["pose"] == errors["velocity"] == errors["root"] == errors["trajectory"] == 0.0
 
 
-def test_one_step_error_refuses_other_columns():
+def test_one_step_error_refuses_another_number_of_columns():
     with pytest.raises(ValueError, match="columns of layout mason2018"):
         metrics.one_step_error(np.zeros((2, 3)), np.zeros((2, 3)), mason2018(3))
 
@@ -76,13 +76,13 @@ def test_bone_length_error_is_the_mean_stretch():
 @pytest.mark.parametrize(
     ("height", "expected"), [(0.0, 1.0), (-0.01, 1.0), (0.0125, 2 - 2**0.5), (0.025, 0.0), (0.3, 0.0)]
 )
-def test_skating_of_a_foot_at_one_metre_per_second(height, expected):
+def test_skating_weight_falls_with_height(height, expected):
     assert metrics.foot_skating(moving_foot(1.0, height), FPS) == pytest.approx(expected, abs=1e-9)
     raised = moving_foot(1.0, height + 0.085)
     assert metrics.foot_skating(raised, FPS, ground=np.array([0.085])) == pytest.approx(expected, abs=1e-9)
 
 
-def test_skating_is_frame_rate_independent_and_zero_when_still():
+def test_skating_is_independent_of_the_frame_rate_and_zero_for_a_still_foot():
     foot = moving_foot(1.0, 0.0, 61)
     assert metrics.foot_skating(foot[::2], FPS / 2) == pytest.approx(metrics.foot_skating(foot, FPS), abs=EXACT)
     assert metrics.foot_skating(moving_foot(0.0, 0.0), FPS) == 0.0
@@ -93,7 +93,7 @@ def test_skating_ratio_counts_fast_low_frames(speed, height, expected):
     assert metrics.skating_ratio(moving_foot(speed, height), FPS) == expected
 
 
-def test_skating_ratio_forgives_a_single_twitch_and_counts_any_foot():
+def test_skating_ratio_ignores_a_single_fast_frame_and_counts_any_foot():
     still, slide = moving_foot(0.0, 0.0), moving_foot(0.0, 0.0)
     slide[30:, 0, 0] += 0.6 / FPS  # one frame at 0.6 m/s: too short for the average over five
     assert metrics.skating_ratio(slide, FPS) == 0.0
@@ -101,7 +101,7 @@ def test_skating_ratio_forgives_a_single_twitch_and_counts_any_foot():
     assert metrics.skating_ratio(both, FPS) == 1.0
 
 
-def test_contact_sliding_counts_only_labelled_frames():
+def test_contact_sliding_counts_only_frames_in_contact():
     feet = np.concatenate([moving_foot(0.0, 0.0), moving_foot(1.0, 0.5)], axis=1)
     contacts = np.zeros(feet.shape[:2], bool)
     assert np.isnan(metrics.contact_sliding(feet, contacts, FPS))
@@ -126,7 +126,7 @@ def test_trajectory_error_of_a_shifted_path():
     assert (error.mean, error.final, error.failed) == pytest.approx((0.5, 0.5, 1.0), abs=EXACT)
 
 
-def test_path_error_is_blind_to_timing_but_not_to_leaving():
+def test_path_error_ignores_timing_but_not_distance():
     path = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 5.0]])
     late = np.stack([np.linspace(0, 3, 50), np.zeros(50)], axis=-1)
     assert metrics.path_error(late, path).mean == pytest.approx(0.0, abs=EXACT)
@@ -135,7 +135,7 @@ def test_path_error_is_blind_to_timing_but_not_to_leaving():
 
 
 def slow_npss(true: np.ndarray, pred: np.ndarray) -> float:
-    """The definition, written with loops and a discrete Fourier transform by hand."""
+    """Returns NPSS by its definition, with loops and an explicit discrete Fourier transform."""
     sequences, frames, features = true.shape
 
     def spectrum(signal):
@@ -157,10 +157,12 @@ def slow_npss(true: np.ndarray, pred: np.ndarray) -> float:
 
 def test_npss_equals_the_slow_definition(rng):
     true, pred = rng.standard_normal((2, 3, 32, 4)) * [1.0, 2.0, 0.1, 5.0]
-    assert metrics.npss(true, pred) == pytest.approx(slow_npss(true, pred), rel=1e-9)  # two ways to transform
+    assert metrics.npss(true, pred) == pytest.approx(
+        slow_npss(true, pred), rel=1e-9
+    )  # FFT against an explicit transform
 
 
-def test_npss_is_zero_for_shifted_and_scaled_motion_and_ignores_silence(rng):
+def test_npss_is_zero_for_shifted_and_scaled_motion_and_ignores_constant_zero_features(rng):
     true = rng.standard_normal((2, 40, 3))
     true[..., 2] = 0.0
     assert metrics.npss(true, true) == 0.0
@@ -168,20 +170,20 @@ def test_npss_is_zero_for_shifted_and_scaled_motion_and_ignores_silence(rng):
     assert metrics.npss(np.zeros((1, 8, 2)), true[:1, :8, :2]) == 0.0
 
 
-def test_npss_grows_with_the_difference_of_frequency():
+def test_npss_is_proportional_to_the_difference_of_frequency():
     time = np.arange(64) / 64
     waves = {k: np.sin(2 * np.pi * k * time)[None, :, None] for k in (4, 5, 8)}
     assert metrics.npss(waves[4], waves[8]) == pytest.approx(4 * metrics.npss(waves[4], waves[5]), rel=1e-9)
 
 
 @pytest.mark.parametrize("rate", [-90.0, 0.0, 45.0, 200.0])
-def test_turn_rate_of_a_circle(rate):
+def test_turn_rate_of_a_circle_is_exact(rate):
     yaw = np.deg2rad(rate) * np.arange(300) / FPS
     wrapped = np.arctan2(np.sin(yaw), np.cos(yaw))
     assert metrics.achieved_turn_rate(wrapped, FPS) == pytest.approx(rate, abs=1e-9)
 
 
-def test_nearest_pose_is_found_and_measured_per_joint(rng, monkeypatch):
+def test_nearest_pose_distance_is_a_root_mean_square_over_joints(rng, monkeypatch):
     real = rng.standard_normal((70, 6, 3))
     assert np.all(metrics.nearest_pose_distance(real[::-1], real) == 0.0)
     near = real[[5, 60, 2]] + np.array([0.03, 0.0, 0.04])
@@ -192,7 +194,7 @@ def test_nearest_pose_is_found_and_measured_per_joint(rng, monkeypatch):
     assert metrics.nearest_pose_distance(poses, real) == pytest.approx(expected, abs=EXACT)
 
 
-def test_nearest_pose_is_the_same_in_chunks(rng, monkeypatch):
+def test_nearest_pose_distance_does_not_depend_on_the_chunk_size(rng, monkeypatch):
     poses, real = rng.standard_normal((31, 4, 3)), rng.standard_normal((17, 4, 3))
     whole = metrics.nearest_pose_distance(poses, real)
     small = metrics._chunks
@@ -200,14 +202,13 @@ def test_nearest_pose_is_the_same_in_chunks(rng, monkeypatch):
     np.testing.assert_array_equal(metrics.nearest_pose_distance(poses, real), whole)
 
 
-def test_resting_heights_are_those_of_the_stance():
+def test_resting_heights_are_the_heights_in_stance():
     feet = np.concatenate([moving_foot(0.0, 0.02), moving_foot(0.0, 0.09)], axis=1)
     feet[40:, :, 1] += 0.2
     np.testing.assert_allclose(metrics.resting_heights(feet), [0.02, 0.09], atol=EXACT)
 
 
-def test_the_procedural_walkers_are_perfect():
-    """Exact ground truth: planted feet slide nowhere, bones keep their lengths, the turn rate is the commanded one."""
+def test_procedural_walks_have_no_sliding_constant_bones_and_the_commanded_turn_rate():
     clip, labels = synthesise("strutting", np.full(600, np.deg2rad(40.0)), np.full(600, 1.1))
     positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     roles = need_roles(clip.skeleton)

@@ -1,4 +1,4 @@
-"""The picture of local phases shows what was computed, for any clip, and the command that draws it."""
+"""The figure of local phases shows the computed values for any clip; the command that draws it refuses bad options."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.text import Annotation
 
 from pfnn_jax.cli import main
-from pfnn_jax.evaluation.phase_plot import AXIS, phase_plot
+from pfnn_jax.evaluation.phase_plot import phase_plot
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
 from pfnn_jax.motion.datasets.labelled import load_clip
@@ -30,7 +30,7 @@ def walk() -> MotionClip:
 
 
 def panels(figure) -> list:
-    """The four bones' panels, without the scales of their phases."""
+    """Returns the panels of the four bones, without the twin axes of their phases."""
     return [axes for axes in figure.axes if axes.get_ylabel()]
 
 
@@ -38,7 +38,7 @@ def phase_lines(panel) -> LineCollection:
     return next(c for c in panel.collections if isinstance(c, LineCollection) and len(np.asarray(c.get_colors())) > 1)
 
 
-def test_the_picture_has_a_panel_for_each_bone_and_arrows_for_the_hands(walk):
+def test_figure_has_a_panel_for_each_bone_and_axes_for_the_hands(walk):
     figure = phase_plot(walk, moments=5, title="a walk")
     assert [panel.get_ylabel() for panel in panels(figure)] == ["left hand", "right hand", "left toe", "right toe"]
     bodies = figure.axes[0]
@@ -46,10 +46,9 @@ def test_the_picture_has_a_panel_for_each_bone_and_arrows_for_the_hands(walk):
     assert len([text for text in bodies.texts if isinstance(text, Annotation)]) == 2 * 5
     assert figure.texts[0].get_text() == "a walk"
     assert png_bytes(figure, dpi=40).startswith(PNG)
-    assert AXIS.startswith("#")
 
 
-def test_a_legend_says_what_the_colours_mean(walk):
+def test_legend_explains_the_colours_and_overlaps_nothing(walk):
     figure = phase_plot(walk, title="a walk", moments=2)
     (legend,) = figure.legends
     words = [text.get_text() for text in legend.get_texts()]
@@ -61,7 +60,7 @@ def test_a_legend_says_what_the_colours_mean(walk):
     assert max(body.y1 for body in bodies) < box.y0 and box.y1 < title.y0
 
 
-def test_phases_are_drawn_where_they_are_and_fade_with_their_length(walk):
+def test_phase_lines_show_the_angle_and_fade_with_the_vector_length(walk):
     span = (30, 200)
     figure, phases = phase_plot(walk, span=span), clip_local_phases(walk)
     for bone, panel in enumerate(panels(figure)):
@@ -75,11 +74,11 @@ def test_phases_are_drawn_where_they_are_and_fade_with_their_length(walk):
         np.testing.assert_allclose(length * np.cos(angle), vectors[frames, 1], atol=1e-9)
         longest = np.linalg.norm(phases[:, bone], axis=-1).max()
         np.testing.assert_allclose(np.asarray(lines.get_colors())[:, 3], length / longest, atol=1e-6)
-        # only where a cycle ends is the line broken
+        # The line breaks only at the end of a cycle.
         assert len(starts) >= span[1] - span[0] - 8
 
 
-def test_contacts_are_bars_of_their_own_foot(walk):
+def test_bars_show_the_contacts_of_their_own_foot(walk):
     figure, contacts = phase_plot(walk), toe_contacts(walk)
     for panel, contact in zip(panels(figure)[2:], (contacts[:, 1], contacts[:, 0]), strict=True):
         bars = next(c for c in panel.collections if type(c).__name__ == "PolyCollection")
@@ -87,7 +86,7 @@ def test_contacts_are_bars_of_their_own_foot(walk):
         assert sum(spans) == pytest.approx(contact.sum() / walk.fps)
 
 
-def test_pictures_leave_matplotlib_alone(walk):
+def test_figure_leaves_matplotlib_state_unchanged(walk):
     before = dict(matplotlib.rcParams)
     phase_plot(walk, moments=2)
     assert dict(matplotlib.rcParams) == before
@@ -95,7 +94,7 @@ def test_pictures_leave_matplotlib_alone(walk):
 
 
 @pytest.mark.parametrize("frames", [1, 2, 9])
-def test_very_short_clips_have_a_picture(walk, frames):
+def test_very_short_clips_can_be_drawn(walk, frames):
     assert png_bytes(phase_plot(cut(walk, 0, frames)), dpi=30).startswith(PNG)
 
 
@@ -108,7 +107,7 @@ def command(*words) -> None:
     main([str(word) for word in words])
 
 
-def test_the_command_writes_a_picture(walk, tmp_path, capsys):
+def test_command_writes_a_png(walk, tmp_path, capsys):
     write_bvh(tmp_path / "walk.bvh", walk)
     options = ("--start", 1, "--seconds", 2, "--majority-seconds", 0.08, "--json", tmp_path / "shown.json")
     command("plot-phase", tmp_path / "walk.bvh", "--out", tmp_path / "walk.png", *options)
@@ -122,10 +121,10 @@ def test_the_command_writes_a_picture(walk, tmp_path, capsys):
     [
         (("--start", 9), "6 seconds from 9; must lie within the clip's 4.0 seconds"),
         (("--seconds", 0), "0 seconds from 0"),
-        (("--max-speed", 0), "max_height and max_speed must be positive"),
+        (("--max-speed", 0), "max_speed must be positive"),
     ],
 )
-def test_the_command_refuses_what_it_cannot_show(walk, tmp_path, capsys, options, what):
+def test_command_refuses_a_span_outside_the_clip_or_bad_thresholds(walk, tmp_path, capsys, options, what):
     write_bvh(tmp_path / "walk.bvh", walk)
     with pytest.raises(SystemExit) as stopped:
         command("plot-phase", tmp_path / "walk.bvh", "--out", tmp_path / "walk.png", *options)
@@ -135,7 +134,7 @@ def test_the_command_refuses_what_it_cannot_show(walk, tmp_path, capsys, options
     assert not (tmp_path / "walk.png").exists()
 
 
-def test_a_picture_of_another_kind_is_refused(walk, tmp_path, capsys):
+def test_command_refuses_another_file_suffix(walk, tmp_path, capsys):
     write_bvh(tmp_path / "walk.bvh", walk)
     with pytest.raises(SystemExit):
         command("plot-phase", tmp_path / "walk.bvh", "--out", tmp_path / "walk.jpg")
@@ -143,7 +142,7 @@ def test_a_picture_of_another_kind_is_refused(walk, tmp_path, capsys):
     assert not (tmp_path / "walk.jpg").exists()
 
 
-def test_an_existing_picture_is_kept(walk, tmp_path, capsys):
+def test_command_keeps_an_existing_file(walk, tmp_path, capsys):
     write_bvh(tmp_path / "walk.bvh", walk)
     (tmp_path / "walk.png").write_text("mine")
     with pytest.raises(SystemExit):

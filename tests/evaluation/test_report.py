@@ -1,9 +1,10 @@
-"""Reports are whole, self-contained and safe, and pictures leave matplotlib alone."""
+"""Reports are complete, self-contained and escaped; figures leave matplotlib's global state unchanged."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+from functools import partial
 from pathlib import Path
 
 import matplotlib
@@ -11,12 +12,12 @@ import numpy as np
 import pytest
 from matplotlib import _pylab_helpers
 
-from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation import plots, report
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer.draw.body import body_points
 from pfnn_jax.viewer.draw.drawing import save_figure
 from pfnn_jax.viewer.draw.filmstrip import filmstrip, to_view
+from tests.raising import assert_refused
 from tests.viewer.pages import check_page, make_annotated
 
 
@@ -29,7 +30,7 @@ def every_figure():
     yield filmstrip(annotated.clip, moments=3, span=(10, 40))
 
 
-def test_pictures_are_png_and_leave_matplotlib_alone(tmp_path: Path):
+def test_figures_are_saved_as_png_and_leave_matplotlib_state_unchanged(tmp_path: Path):
     before, managers = dict(matplotlib.rcParams), len(_pylab_helpers.Gcf.figs)
     for number, figure in enumerate(every_figure()):
         path = tmp_path / f"{number}.png"
@@ -40,8 +41,7 @@ def test_pictures_are_png_and_leave_matplotlib_alone(tmp_path: Path):
     assert sorted(p.suffix for p in tmp_path.iterdir()) == [".png"] * 5
 
 
-def test_filmstrip_turns_every_figure_to_its_own_heading():
-    """A body turning on the spot looks the same at every moment: only its place on the page differs."""
+def test_filmstrip_view_is_invariant_to_the_heading_of_the_body():
     clip, _ = synthesise("neutral", np.zeros(60), np.ones(60))
     points = body_points(clip)[7]
     turned = points[:, [2, 1, 0]] * [1, 1, -1]  # a quarter to the left
@@ -87,23 +87,23 @@ def test_report_is_one_page_and_one_json(tmp_path: Path):
     assert "<td>31,352</td>" in text and text.count("<td>–</td>") == 2
 
 
-def test_report_without_motion_carries_no_script():
+def test_report_without_motion_contains_no_script():
     page = report.render_report([report.Section("Only words", "Hello.")], title="T")
     check_page(page)
     assert "<script" not in page
 
 
-def test_reports_are_not_overwritten_unasked(tmp_path: Path):
+def test_existing_report_is_refused_and_replaced_with_overwrite(tmp_path: Path):
     sections = [report.Section("A")]
     report.write_report(tmp_path, {"a": 1}, sections, title="first")
-    with pytest.raises(InputError, match="report.html: output: exists; .*--overwrite"):
-        report.write_report(tmp_path, {"a": 2}, sections, title="second")
+    write_second = partial(report.write_report, tmp_path, {"a": 2}, sections, title="second")
+    assert_refused(write_second, file="report.html", place="output", value="exists", rule_mentions="overwrite")
     assert json.loads((tmp_path / "report.json").read_text()) == {"a": 1}
-    report.write_report(tmp_path, {"a": 2}, sections, title="second", overwrite=True)
+    write_second(overwrite=True)
     assert "second" in (tmp_path / "report.html").read_text()
 
 
-def test_nothing_is_written_when_the_result_cannot_be(tmp_path: Path):
+def test_nothing_is_written_for_a_result_that_json_cannot_hold(tmp_path: Path):
     with pytest.raises(TypeError, match="cannot hold a set"):
         report.write_report(tmp_path / "out", {"a": {1, 2}}, [], title="T")
     assert not (tmp_path / "out").exists()
@@ -114,10 +114,10 @@ def test_nothing_is_written_when_the_result_cannot_be(tmp_path: Path):
     [(0.10612, "0.106"), (31352, "31,352"), (12.34, "12.3"), (2.0, "2"), (0.0000123, "1.23e-05"), (-0.5, "-0.500"),
      (1234.5, "1,234"), (2.5e9 + 0.5, "2.50e+09"), (0, "0")],
 )  # fmt: skip
-def test_numbers_show_three_digits(value, text):
+def test_numbers_have_three_significant_digits(value, text):
     assert report.format_number(value) == text
 
 
-def test_tables_refuse_uneven_rows():
+def test_table_refuses_rows_of_another_length():
     with pytest.raises(ValueError, match="needs 2 cells"):
         report.Table(["a", "b"], [[1]])

@@ -1,4 +1,4 @@
-"""Tests of learned styles: what is compared, and that a perfect network has no error."""
+"""Tests of learned styles: takes, turning frames, and the pose-and-velocity error."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def rows(degrees_per_second: float, frames: int = 240):
     return clip_features(clip, LAYOUT, labels)
 
 
-def test_takes_keep_their_rows_and_names():
+def test_joined_takes_keep_their_rows_and_names():
     parts = [rows(0.0), rows(30.0, 120)]
     takes = join_takes(parts, ["straight", "turn"])
     np.testing.assert_array_equal(takes.rows.x, np.concatenate([part.x for part in parts]))
@@ -25,13 +25,13 @@ def test_takes_keep_their_rows_and_names():
     assert takes.names == ("straight", "turn")
 
 
-def test_turning_frames_are_those_above_the_rate_on_either_side():
+def test_frames_that_turn_faster_than_the_rate_to_either_side_are_turning():
     assert not is_turning(rows(0.0).y, LAYOUT, 20.0).any()
     assert is_turning(rows(40.0).y, LAYOUT, 20.0).mean() > 0.9
     assert is_turning(rows(-40.0).y, LAYOUT, 20.0).mean() > 0.9
 
 
-def test_the_error_counts_positions_and_velocities_in_deviations_and_nothing_else():
+def test_error_covers_only_positions_and_velocities_in_units_of_std():
     y = rows(0.0).y
     std = np.full(LAYOUT.output_size, 0.5)
     assert pose_and_velocity_error(y, y, LAYOUT, std).max() == 0.0
@@ -39,5 +39,5 @@ def test_the_error_counts_positions_and_velocities_in_deviations_and_nothing_els
     moved[:, LAYOUT.output_slice("joint_position")] += 0.5
     moved[:, LAYOUT.output_slice("joint_velocity")] += 0.5
     moved[:, LAYOUT.output_slice("phase_change")] += 100.0
-    # Float32 rows of magnitude about one carry a rounding of 1e-7 of it.
+    # float32 rows of magnitude one have a relative rounding error of 1e-7
     np.testing.assert_allclose(pose_and_velocity_error(y, moved, LAYOUT, std), 1.0, rtol=1e-5)

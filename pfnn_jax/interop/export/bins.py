@@ -1,8 +1,7 @@
 """Raw float32 files in the layouts of the authors' demos (Holden 2017, Mason 2018, Mason 2022).
 
-`pfnn2017` and `mason2018` networks become fifty tables over the phase; `mason2018` styles with CP factors stand beside
-them as files of their own, other styles are added into the tables, where they belong. `mason2022` networks keep their
-experts, and a style is four vectors.
+`pfnn2017` and `mason2018` networks are written as fifty tables over the phase. CP styles of `mason2018` get separate
+files; other styles are added into the tables. `mason2022` networks keep their experts, and a style is four vectors.
 """
 
 from __future__ import annotations
@@ -28,19 +27,19 @@ from pfnn_jax.motion.units import authors2018, convert_columns
 from pfnn_jax.run import Run
 
 LOOP_TABLES = range(0, NUM_TABLES, 5)
-"""Tables from which the reference loop recovers the control points; four would do, ten are better conditioned."""
+"""Tables from which the reference loop recovers the control points; four are enough, ten are better conditioned."""
 
 _STATISTICS = {"x": "X", "y": "Y", "phase": "GT_X"}
 
 
 @dataclass(frozen=True, eq=False)
 class Bins:
-    """What was written.
+    """What was written, for the description.
 
     Attributes:
-        layout, normaliser: of the files.
-        network: for the description: which files hold what.
-        styles: for the description.
+        layout, normaliser: frame layout and statistics in the units of the files.
+        network: kind and sizes of the network, and its files.
+        styles: name, kind and files of every style.
     """
 
     layout: FrameLayout
@@ -50,35 +49,40 @@ class Bins:
 
 
 def write_bins(folder: Path, run: Run, choice: StyleChoice = None) -> Bins:
-    """Writes a run's network in the layout of the demo that belongs to its frame layout.
+    """Writes a run's network in the file layout of the authors' demo of its frame layout.
 
     Args:
         folder: to write into.
-        run: of layout `pfnn2017`, `mason2018`, or `mason2022` with Films.
-        choice: a style or a mixture. None writes all styles of a kind that has files of its own (CP factors beside
-            `mason2018`, Films beside `mason2022`), and else the style-agnostic network.
+        run: a run of layout `pfnn2017`, `mason2018`, or `mason2022` with FiLM styles.
+        choice: a style or a mixture. None writes all styles that have separate files (CP styles of `mason2018`, FiLM
+            styles of `mason2022`), and otherwise the style-agnostic network.
 
     Raises:
-        InputError: for a layout without a demo, or styles that the demo cannot hold.
+        InputError: for a layout without a demo, or styles that the demo does not support.
     """
     name, kind = run.layout.name, run.config.adapter.kind
     if name == "mason2022" and kind == "film":
         return _write_experts(folder, run, choose_styles(run, choice))
     if name not in ("pfnn2017", "mason2018"):
-        rule = "only pfnn2017, mason2018 and mason2022 have a demo by the authors: use --format onnx"
+        rule = "must be pfnn2017, mason2018 or mason2022, which have a demo by the authors: use --format onnx"
         if name == "mason2022":
-            rule = "the demo of mason2022 knows Films alone: use --format onnx"
+            rule = "must have FiLM styles for the demo of mason2022: use --format onnx"
         raise InputError(run.path, "layout", f"{name} with {kind} styles", rule)
     if kind == "film":
-        raise InputError(run.path, "styles", kind, f"the demo of {name} knows no layer norm: use --format onnx")
+        raise InputError(
+            run.path,
+            "styles",
+            kind,
+            f"must not be film, because the demo of {name} has no layer norm: use --format onnx",
+        )
     return _write_tables(folder, run, choice)
 
 
 def _write_tables(folder: Path, run: Run, choice: StyleChoice) -> Bins:
     split = run.layout.name == "mason2018"
     styles = choose_styles(run, choice, "cp") if split or choice is not None else ()
-    beside = [style for style in styles if split and style.kind == "cp"]
-    folded = [style for style in styles if style not in beside]
+    separate = [style for style in styles if split and style.kind == "cp"]
+    folded = [style for style in styles if style not in separate]
     layout, rows = run.layout, np.arange(run.layout.output_size)
     normaliser = run.normaliser
     if split:
@@ -91,9 +95,9 @@ def _write_tables(folder: Path, run: Run, choice: StyleChoice) -> Bins:
             order = rows if n == 2 else slice(None)
             _write(folder, f"W{n}_{index:03d}", weights[order])
             _write(folder, f"b{n}_{index:03d}", biases[order])
-    told = [{"name": s.name, "kind": s.kind, "files": _write_cp(folder, s)} for s in beside]
-    told += [{"name": s.name, "kind": s.kind, "files": {}} for s in folded]
-    return Bins(layout, normaliser, _table_network(run), told)
+    entries = [{"name": s.name, "kind": s.kind, "files": _write_cp(folder, s)} for s in separate]
+    entries += [{"name": s.name, "kind": s.kind, "files": {}} for s in folded]
+    return Bins(layout, normaliser, _table_network(run), entries)
 
 
 def _table_network(run: Run) -> dict[str, Any]:
@@ -106,7 +110,7 @@ def _table_network(run: Run) -> dict[str, Any]:
         "tables": NUM_TABLES,
         "statistics": _statistics_files(run.normaliser),
         "layers": [{"weights": files("W", n), "biases": files("b", n)} for n in range(3)],
-        # From the tables named above to control points.
+        # Maps the tables above to control points.
         "mixing": np.linalg.pinv(spline_design(LOOP_TABLES)).tolist(),
         "gating": [],
     }
@@ -117,7 +121,7 @@ def network_at(network: Network, style: Style | None, c: np.ndarray) -> list[tup
 
     Args:
         network: shared parameters.
-        style: added into the layers that it belongs to, or None. It must be affine, which FiLM is not.
+        style: added into the layers on which it acts, or None. It must be affine, so not FiLM.
         c: blending coefficients.
     """
     layers = [float64(layer).affine(c) for layer in network.layers]
@@ -133,7 +137,7 @@ def float64(tree: Tree) -> Tree:
 
 
 def _write_cp(folder: Path, style: ExportStyle) -> dict[str, Any]:
-    """The factors A diag(D) B of a style; D stands in one file for each table."""
+    """Writes the factors A diag(D) B of a CP style, with one file of D for each table, and returns their names."""
     layer = style.parameters
     assert isinstance(layer, CPLayer)
     _write(folder, f"{style.stem}_W0", layer.b.T)
@@ -159,20 +163,25 @@ def _write_experts(folder: Path, run: Run, styles: tuple[ExportStyle, ...]) -> B
     for n, layer in enumerate(gating.layers):
         _write(folder, f"wc{n}_w", layer.weights.T)
         _write(folder, f"wc{n}_b", layer.biases)
-    told = {
+    description = {
         "kind": "lpn",
         "hidden": run.config.network.hidden,
         "experts": experts,
         "gating_hidden": run.config.network.gating_hidden,
         "statistics": _statistics_files(run.normaliser),
         "layers": [
-            {letter: [f"cp{n}_{letter[0]}{e}" for e in range(experts)] for letter in ("a", "b")} for n in range(3)
+            {
+                kind: [f"cp{n}_{letter}{e}" for e in range(experts)]
+                for kind, letter in (("weights", "a"), ("biases", "b"))
+            }
+            for n in range(3)
         ],
         "mixing": np.eye(experts).tolist(),
         "gating": [[f"wc{n}_w", f"wc{n}_b"] for n in range(3)],
     }
-    told["layers"] = [{"weights": layer["a"], "biases": layer["b"]} for layer in told["layers"]]
-    return Bins(run.layout, run.normaliser, told, [_write_film(folder, n, style) for n, style in enumerate(styles)])
+    return Bins(
+        run.layout, run.normaliser, description, [_write_film(folder, n, style) for n, style in enumerate(styles)]
+    )
 
 
 def _write_film(folder: Path, index: int, style: ExportStyle) -> dict[str, Any]:
@@ -201,11 +210,14 @@ def _sides(normaliser: Normaliser) -> dict[str, Statistics]:
 
 
 def _convert(normaliser: Normaliser, source: FrameLayout, target: FrameLayout) -> tuple[Normaliser, np.ndarray]:
-    """Statistics in another layout's order and units, and the order of the outputs. Normalised values do not change."""
+    """Returns statistics in another layout's column order and units, and the order of the outputs.
+
+    Normalised values do not change.
+    """
 
     def side(statistics: Statistics, name: str) -> tuple[Statistics, np.ndarray]:
         columns, factors = convert_columns(source, target, name)
-        # A yaw of the other sense would make a deviation negative; both layouts turn about +Y.
+        # Both layouts turn about +Y, so no factor is negative and standard deviations stay positive.
         mean, std = (values[columns].astype(np.float64) * factors for values in (statistics.mean, statistics.std))
         return Statistics(mean.astype(np.float32), std.astype(np.float32)), columns
 

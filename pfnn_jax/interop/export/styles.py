@@ -1,4 +1,4 @@
-"""Which styles go into an export, under which names, and their numbers as files."""
+"""The styles of an export: their names, their parameters, and their files."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from pfnn_jax.run import Run, list_styles, style_note
 
 @dataclass(frozen=True, eq=False)
 class ExportStyle:
-    """One exported style, or a mixture under the name by which it was asked for.
+    """One exported style or mixture.
 
     Attributes:
-        name: as in `style_label`.
+        name: label of the style or mixture, as returned by `style_label`.
         stem: the name as part of a file name.
-        parameters: of the style.
+        parameters: parameters of the style, as NumPy arrays.
     """
 
     name: str
@@ -37,39 +37,39 @@ class ExportStyle:
 
 
 def choose_styles(run: Run, choice: StyleChoice, kind: str | None = None) -> tuple[ExportStyle, ...]:
-    """The style asked for; where none was, all of the run's styles, those of pretraining first.
+    """Returns the chosen style, or by default all styles of the run, those of pretraining first.
 
     Args:
         run: a loaded run.
         choice: a name, a mixture, or None for all.
-        kind: leaves out styles of other kinds where all are taken.
+        kind: without a choice, only styles of this kind are returned.
 
     Raises:
         InputError: for an unknown style, a mixture of different kinds, or a FiLM run without styles.
     """
     if choice is not None:
         return (_style(run, choice),)
-    there = list_styles(run.path)
-    names = [name for name in run.config.styles if name in there]
-    names += [name for name in there if name not in names]
+    saved = list_styles(run.path)
+    names = [name for name in run.config.styles if name in saved]
+    names += [name for name in saved if name not in names]
     wanted = [name for name in names if kind in (None, style_note(run.path, name)["adapter"]["kind"])]
     need_style(run, wanted)
     return tuple(_style(run, name) for name in wanted)
 
 
 def write_style(folder: Path, style: ExportStyle) -> dict[str, Any]:
-    """Writes a style's numbers, float32, into `styles/NAME.bin` of a folder.
+    """Writes a style's parameters as float32 into `styles/NAME.bin` of a folder.
 
     Returns:
-        What the description tells of it: name, kind, file, and the arrays that stand in the file in order. A
-        Film is one array: scale 1, shift 1, scale 2, shift 2.
+        The entry of the description: name, kind, file, and the arrays in the order of the file. FiLM parameters are
+        one array: scale 1, shift 1, scale 2, shift 2.
     """
     file = Path("styles") / f"{style.stem}.bin"
     (folder / file).parent.mkdir(exist_ok=True)
     arrays = {name: np.asarray(array) for name, array in style.parameters.named_arrays().items()}
     (folder / file).write_bytes(b"".join(np.ascontiguousarray(array, "<f4").tobytes() for array in arrays.values()))
-    told = [{"name": name, "shape": list(array.shape)} for name, array in arrays.items()]
-    return {"name": style.name, "kind": style.kind, "file": file.as_posix(), "arrays": told}
+    shapes = [{"name": name, "shape": list(array.shape)} for name, array in arrays.items()]
+    return {"name": style.name, "kind": style.kind, "file": file.as_posix(), "arrays": shapes}
 
 
 def _style(run: Run, choice: str | Mapping[str, float]) -> ExportStyle:
