@@ -1,14 +1,15 @@
-"""Styles that no model has seen, added to the pretrained models of Mason 2022 from one walk, each in every way.
+"""Which method of adding an unseen style to the pretrained models of Mason 2022, from one walk, works best?
 
 Parent    Mason 2022 §5.3.2 and Figure 11: the FiLM generator is fine-tuned on data of the new style, the rest frozen.
-Question  what does each way of adding a style need (parameters, seconds, frames), and what does it reach on takes that
-          were not used: another walk, side steps, walking back, running? Does fine-tuning separate the new styles?
+Question  what does each method of adding a style need (parameters, seconds, frames), and what is its error on takes
+          that it was not trained on: another walk, side steps, walking backward, running? Does fine-tuning separate the
+          new styles?
 Data      Bandai-Namco-1: active, angry, happy, old, tired, on the skeleton of Bandai-Namco-2, with which
           `experiments.one_step_error` pretrained the models. Learned from the first walk and its mirror image.
-Expect    see docs/results.md.
+Expect    see docs/results_appendix.md.
 Run       python -m experiments.new_styles --pretrained runs/test_error --data OLD --new NEW --out runs/new_styles
-          OLD is the folder that test_error was given, NEW that of the new styles. Each style is written when it is
-          done; run again with the same --out, and it goes on.
+          OLD is the data folder of one_step_error, NEW that of the new styles. Each style is written when it is
+          finished; run again with the same --out to resume.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import tyro
 
 from experiments.common.markdown import markdown_table
 from experiments.common.new_style_methods import (
-    WAYS,
+    METHODS,
     Budget,
     Learned,
     by_content,
@@ -54,10 +55,10 @@ from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.viewer.draw.drawing import save_figure
 
 LEARN = "walk"
-"""Content of the takes of which the first is learned from."""
+"""Content of the takes, the first of which is the adaptation clip."""
 
 MAP_OF = "lpn_film"
-"""The model whose FiLM vectors are mapped; one of the ways must tune its generator."""
+"""The model whose FiLM vectors are mapped; one of the methods must tune its generator."""
 
 
 @dataclass(frozen=True)
@@ -66,19 +67,19 @@ class Config:
 
     Attributes:
         pretrained: folder of results of `experiments.one_step_error`.
-        data: the data that those were trained on.
+        data: their training data.
         new: folder of BVH files of the new styles.
         out: folder of results.
         styles: the new styles.
-        ways: rows of the table, of `WAYS`; the first ones need the networks that are named there.
-        seed: of the pretrained models, and of the learning.
-        held_out, takes, seconds_per_style: as `test_error` was given them.
-        budget: how long is trained.
+        methods: rows of the table, from `METHODS`, which names the network that each one needs.
+        seed: seed of the pretrained models and of learning.
+        held_out, takes, seconds_per_style: settings of `one_step_error`.
+        budget: length of training.
         circle_seconds: length of the walks.
-        starts: first poses of the walks, each to both sides.
-        classifier_epochs: passes of the style classifier.
+        starts: number of first poses of the walks, each walked to both sides.
+        classifier_epochs: passes of the style classifier over its windows.
         windows: clips of each style in the map of FiLM vectors (50 in the paper).
-        perplexity: of t-SNE.
+        perplexity: perplexity of t-SNE.
     """
 
     pretrained: Path
@@ -86,7 +87,7 @@ class Config:
     new: Path
     out: Path
     styles: tuple[str, ...] = ("active", "angry", "happy", "old", "tired")
-    ways: tuple[str, ...] = tuple(WAYS)
+    methods: tuple[str, ...] = tuple(METHODS)
     seed: int = 0
     held_out: float = 0.125
     takes: int = 0
@@ -104,9 +105,9 @@ class NewStyle:
     """One new style.
 
     Attributes:
-        name: as the classifier knows it, apart from a known style of the same name.
-        clip: the take that is learned from.
-        others: takes that are not.
+        name: label for the classifier, which distinguishes it from a known style of the same name.
+        clip: the adaptation clip.
+        others: takes that are not used in training.
     """
 
     name: str
@@ -115,22 +116,22 @@ class NewStyle:
 
 
 def new_styles(config: Config) -> dict[str, NewStyle]:
-    """The new styles' takes; the first walk is learned from."""
+    """Returns the takes of the new styles; the first walk is the adaptation clip."""
     takes = load_takes(str(config.new), held=0, styles=config.styles).train
     found = {}
     for style in config.styles:
         own = named([take for take in takes if take.style == style], f"new {style}")
         walks = [take for take in own if take.content == LEARN]
         if not walks:
-            raise InputError(config.new, "style", style, f"must have a take named {LEARN}")
+            raise InputError(config.new, "style", style, f"must have a take with content {LEARN}")
         found[style] = NewStyle(f"new {style}", walks[0], tuple(take for take in own if take is not walks[0]))
     return found
 
 
 def make_judge(known: Takes, styles: Mapping[str, NewStyle], config: Config) -> tuple[Reference, dict[str, Any]]:
-    """A classifier of known and new styles together, and how well it does on real takes that it was not trained on.
+    """Returns a classifier of known and new styles, and its accuracy on held-out real takes.
 
-    The last walk of every new style is kept from it for that.
+    The last walk of every new style is held out.
     """
     names = (*known.styles, *(style.name for style in styles.values()))
     last = [[take for take in style.others if take.content == LEARN][-1:] for style in styles.values()]
@@ -150,7 +151,7 @@ def make_judge(known: Takes, styles: Mapping[str, NewStyle], config: Config) -> 
 def measure(
     model: Model, learned: Learned, style: NewStyle, reference: Reference, config: Config
 ) -> tuple[dict[str, Any], np.ndarray | None]:
-    """One row for one style, and the features of its generated windows."""
+    """Returns one row of one style, and the features of its generated windows."""
     errors = {}
     for kind, takes in {**by_content(style.others), "all": list(style.others)}.items():
         found = one_step(model, takes, {style.name: learned.style})
@@ -178,12 +179,13 @@ def measure(
 
 
 def main(config: Config) -> dict[str, Any]:
-    """Learns and measures the styles that are not there yet; writes the table, the bars and the map."""
+    """Learns and measures the missing styles; writes the table, the bars and the map."""
     config.out.mkdir(parents=True, exist_ok=True)
     known = load_takes(config.data, config.held_out, config.takes, config.seconds_per_style)
     styles = new_styles(config)
     models = {
-        name: _need(config, name, known) for name in dict.fromkeys((MAP_OF, *(WAYS[way][0] for way in config.ways)))
+        name: _need(config, name, known)
+        for name in dict.fromkeys((MAP_OF, *(METHODS[method][0] for method in config.methods)))
     }
     reference, judged = make_judge(known, styles, config)
     print(f"real walks of new styles: {100 * judged['new']['recognition']:.0f} % recognised", flush=True)
@@ -193,31 +195,31 @@ def main(config: Config) -> dict[str, Any]:
         if not file.exists():
             write_whole(file, json_text(run_style(new, models, reference, config, number)))
         rows[style] = json.loads(file.read_text())
-        errors = {way: row["errors"]["all"]["mse"] for way, row in rows[style].items()}
-        print(f"{style}: " + ", ".join(f"{way} {error:.3f}" for way, error in errors.items()), flush=True)
+        errors = {method: row["errors"]["all"]["mse"] for method, row in rows[style].items()}
+        print(f"{style}: " + ", ".join(f"{method} {error:.3f}" for method, error in errors.items()), flush=True)
     result = {"config": {k: str(v) for k, v in asdict(config).items()}, "real": judged, "styles": rows}
     result["summary"] = summary(rows)
     result["map"] = draw_map(models[MAP_OF], known, styles, config)
     write_whole(config.out / "results.json", json_text(result))
     write_whole(config.out / "table.md", table(result["summary"]))
-    write_whole(config.out / "ratios.md", markdown_table(["way", *MEASURES], ratios(rows)))
-    bars = {way: {m: row["mse"][m] for m in MEASURES if m in row["mse"]} for way, row in result["summary"].items()}
-    save_figure(error_bars(bars, "New styles, takes not used", "normalised squared error"), config.out / "errors.png")
+    write_whole(config.out / "ratios.md", markdown_table(["method", *MEASURES], ratios(rows)))
+    bars = {name: {m: row["mse"][m] for m in MEASURES if m in row["mse"]} for name, row in result["summary"].items()}
+    save_figure(error_bars(bars, "New styles, held-out takes", "normalised squared error"), config.out / "errors.png")
     return result
 
 
 def run_style(
     style: NewStyle, models: Mapping[str, Model], reference: Reference, config: Config, number: int
 ) -> dict[str, Any]:
-    """Every way for one style."""
+    """Applies every method to one style."""
     rows = {}
-    for way in config.ways:
-        name, learn = WAYS[way]
+    for method in config.methods:
+        name, learn = METHODS[method]
         learned = learn(models[name], style.clip, config.budget, config.seed)
         row, generated = measure(models[name], learned, style, reference, config)
         row["network"] = name
         row["frechet"] = pooled_frechet({style.name: {"features": generated}}, reference)
-        rows[way] = row
+        rows[method] = row
         if learned.generator is not None:
             films = window_films(models[name], learned.generator, [style.clip, *style.others])
             np.save(config.out / f"films_{style.clip.style.removeprefix('new ')}.npy", _vectors(films))
@@ -225,7 +227,7 @@ def run_style(
 
 
 def draw_map(model: Model, known: Takes, styles: Mapping[str, NewStyle], config: Config) -> dict[str, dict[str, float]]:
-    """t-SNE of the FiLM vectors of windows before and after fine-tuning, and how well new styles stand apart."""
+    """Draws t-SNE of the windows' FiLM vectors before and after fine-tuning; returns the silhouettes of the styles."""
     rng = np.random.default_rng(config.seed)
 
     def some(films: FiLMStyle | np.ndarray) -> np.ndarray:
@@ -246,7 +248,7 @@ def _need(config: Config, name: str, known: Takes) -> Model:
     folder = network_folder(config.pretrained, name, config.seed)
     model = load_model(folder, known)
     if model is None:
-        raise InputError(folder, "network", "absent", "experiments.one_step_error must have trained it, with this seed")
+        raise InputError(folder, "network", "absent", "train it with experiments.one_step_error and this seed")
     return model
 
 
@@ -255,7 +257,7 @@ def _of(takes: Sequence[Take], style: str) -> list[Take]:
 
 
 def _vectors(films: FiLMStyle) -> np.ndarray:
-    """[W, 4H] of Films with leaves [W, 2, H]."""
+    """Returns vectors [W, 4H] of FiLM styles with leaves [W, 2, H]."""
     return np.asarray(jax.vmap(FiLMStyle.to_vector)(films))
 
 

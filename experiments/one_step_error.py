@@ -1,14 +1,14 @@
-"""The seven models of Mason 2022 trained on the same frames for the same number of steps, and what each is worth.
+"""Which of the seven models of Mason 2022 is best, trained on the same frames for the same number of steps?
 
-Parent    Mason 2022 §5.2.2, Figure 10: held-out error of seven models on seen styles, of which FiLM's were the lowest.
-Question  on takes that no model has seen, does the order hold, for one step and for walks that the models make
-          themselves: do they stay sound, keep bones, stand still on their feet, and look like the style?
+Parent    Mason 2022 §5.2.2, Figure 10: held-out error of seven models on seen styles, lowest for FiLM.
+Question  is the order the same on unseen takes, for one step and for rollouts: are the walks stable, do bones keep
+          their lengths, do feet stay planted, and is the style recognised?
 Data      Bandai-Namco-2 by default: 7 styles, whole takes of each style and content held out. All models see the same
           rows: the frames that have a global phase, with their mirror images.
-Expect    see docs/results.md.
+Expect    see docs/results_appendix.md.
 Run       python -m experiments.one_step_error --data FOLDER --out runs/test_error
-          FOLDER holds BVH files (Bandai-Namco, 100STYLE, folders of styles); `synthetic` needs no files. Each model is
-          written when it is done; run again with the same --out, and it goes on. `--tiny` takes a minute.
+          FOLDER contains BVH files (Bandai-Namco, 100STYLE, folders of styles); `synthetic` needs no files. Each model
+          is written when it is finished; run again with the same --out to resume. `--tiny` takes a minute.
 """
 
 from __future__ import annotations
@@ -55,24 +55,24 @@ class Config:
     Attributes:
         data: folder of BVH files, or `synthetic`.
         out: folder of results and trained networks.
-        json: file of the results instead of `results.json` in `out`.
-        models: names of Table 2's models, all by default.
+        json: file of the results; `results.json` in `out` by default.
+        models: names of models of Table 2, all by default.
         seeds: number of repetitions: initialisation, shuffling and dropout; the split is the same for all.
-        steps: of training.
-        batch_size: frames of a minibatch.
-        learning_rate: Adam's; the paper has 1e-4 with minibatches of 32 and 90 epochs of 4 million frames. At 1e-3 a
-            FiLM generator dies: it then gives every style the same Film.
+        steps: training steps.
+        batch_size: frames per minibatch.
+        learning_rate: learning rate of Adam; the paper has 1e-4 with minibatches of 32 and 90 epochs of 4 million
+            frames. At 1e-3 a FiLM generator collapses: it then returns the same FiLM parameters for every style.
         hidden: H.
-        clips_per_batch: clips that a FiLM generator reads for a minibatch.
+        clips_per_batch: clips that a FiLM generator reads per minibatch.
         generator_filters, generator_hidden: sizes of the FiLM generator; the paper has 256 and 2048.
         dropout: drop probability.
-        held_out: share of the takes of every style and content that no model sees.
-        takes: at most so many takes of each style and content, 0 for all.
+        held_out: share of the takes of every style and content that is held out for testing.
+        takes: largest number of takes of each style and content, 0 for all.
         circle_seconds: length of the walks.
-        starts: first poses of the walks in each style, each to both sides.
+        starts: number of first poses of the walks in each style, each walked to both sides.
         classifier_epochs: passes of the style classifier over its windows.
-        seconds_per_style: of procedural motion, with `synthetic`.
-        tiny: sizes for a trial of a minute.
+        seconds_per_style: seconds of procedural motion per style, for `synthetic`.
+        tiny: use tiny sizes, for a trial of a minute.
     """
 
     data: str
@@ -99,10 +99,10 @@ class Config:
     def __post_init__(self):
         unknown = sorted(set(self.models) - set(TABLE2))
         if unknown:
-            raise InputError("test_error", "models", unknown[0], f"must be of {', '.join(TABLE2)}")
+            raise InputError("one_step_error", "models", unknown[0], f"must be one of {', '.join(TABLE2)}")
 
     def sized(self) -> Config:
-        """The settings that are used: those given, or those of `tiny`."""
+        """Returns the settings with the sizes of `tiny` if it is set."""
         if not self.tiny:
             return self
         return replace(
@@ -111,7 +111,7 @@ class Config:
         )  # fmt: skip
 
     def pretraining(self, seed: int) -> PretrainConfig:
-        """How one model is trained."""
+        """Returns the training settings of one model."""
         return PretrainConfig(
             hidden=self.hidden,
             clips_per_batch=self.clips_per_batch,
@@ -126,12 +126,12 @@ class Config:
 
 
 def network_folder(out: Path, name: str, seed: int) -> Path:
-    """Where a trained model lies."""
+    """Returns the folder of a trained model."""
     return out / "networks" / f"{name}_{seed}"
 
 
 def get_classifier(out: Path, takes: Takes, epochs: int) -> StyleClassifier:
-    """The classifier of the training takes' styles, trained once for a folder of results."""
+    """Loads the classifier of the styles from the folder of results, or trains and saves it."""
     folder, config = out / "classifier", ClassifierConfig(epochs=epochs)
     columns = 6 * takes.skeleton.num_joints
     if locate(folder) is not None:
@@ -144,7 +144,7 @@ def get_classifier(out: Path, takes: Takes, epochs: int) -> StyleClassifier:
 
 
 def measure_model(model: Model, takes: Takes, reference: Reference, config: Config) -> dict[str, Any]:
-    """One entry of the results."""
+    """Returns one entry of the results."""
     walks = {
         style: rollout_test(
             model,
@@ -170,7 +170,7 @@ def measure_model(model: Model, takes: Takes, reference: Reference, config: Conf
 
 
 def main(config: Config) -> dict[str, Any]:
-    """Trains and measures the models that are not there yet; writes results, tables and plots after each."""
+    """Trains and measures the missing models; writes results, tables and plots after each."""
     used = config.sized()
     config.out.mkdir(parents=True, exist_ok=True)
     file = config.json or config.out / "results.json"
@@ -178,7 +178,7 @@ def main(config: Config) -> dict[str, Any]:
     started = time.perf_counter()
     takes = load_takes(used.data, used.held_out, used.takes, used.seconds_per_style)
     print(
-        f"{len(takes.train)} takes to learn, {len(takes.test)} to test: {time.perf_counter() - started:.0f} s",
+        f"{len(takes.train)} training takes, {len(takes.test)} test takes: {time.perf_counter() - started:.0f} s",
         flush=True,
     )
     classifier = get_classifier(config.out, takes, used.classifier_epochs)
@@ -210,7 +210,7 @@ def main(config: Config) -> dict[str, Any]:
 
 
 def describe(takes: Takes) -> dict[str, Any]:
-    """Numbers of takes and rows."""
+    """Returns the numbers of takes and rows."""
     frames = {
         split: {
             style: sum(len(part.x) for t in some if t.style == style for part in t.parts("mason2022"))
@@ -229,15 +229,15 @@ def describe(takes: Takes) -> dict[str, Any]:
 
 
 def _begin(file: Path, used: Config) -> dict[str, Any]:
-    """The results so far; those of other settings are not mixed with these."""
+    """Returns the results so far; refuses results of other settings."""
     settings = to_plain({k: v for k, v in asdict(used).items() if k not in ("out", "json", "models", "seeds", "tiny")})
     if not file.exists():
         return {"settings": settings, "machine": machine(), "versions": versions(), "models": {}}
     result = json.loads(file.read_text())
     for key, value in settings.items():
         if result["settings"].get(key) != value:
-            rule = f"results of {result['settings'].get(key)} stand in {file}; give another --out"
-            raise InputError("test_error", key, value, rule)
+            rule = f"must be {result['settings'].get(key)}, as in {file}; pass another --out for other settings"
+            raise InputError("one_step_error", key, value, rule)
     return result
 
 
@@ -255,7 +255,7 @@ def _line(entry: dict[str, Any]) -> str:
     recognised = rollouts["recognition"]
     return (
         f"{entry['model']} seed {entry['seed']}: mse {test['mse']:.4f}, bones {1000 * test['bones']:.2f} mm, "
-        f"sound {rollouts['sound']:.2f}, recognised {'–' if recognised is None else f'{recognised:.2f}'}, "
+        f"stable {rollouts['sound']:.2f}, recognised {'–' if recognised is None else f'{recognised:.2f}'}, "
         f"{entry['seconds']:.0f} s"
     )
 

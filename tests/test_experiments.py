@@ -1,16 +1,17 @@
-"""Experiments that no longer run are found here: each is run at tiny sizes."""
+"""Every experiment runs at tiny sizes."""
 
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
 from experiments import few_shot_dropout, table1_adapters
 from pfnn_jax.benchmarks.runtime import random_predictor
-from pfnn_jax.errors import InputError
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from tests.raising import assert_refused
 
 PAPERS_DIGITS = 0.03  # the paper gives two or three digits, and rounds up once
 MEGABYTE = 2**20 / 10**6  # the paper's megabytes are 2^20 bytes, but those of CP 10^6
@@ -65,6 +66,6 @@ def test_few_shot_dropout(tmp_path):
     assert len((tmp_path / "few_shot_dropout.md").read_text().splitlines()) == 2 + 1 + 4
 
 
-def test_a_dataset_without_a_clip_is_refused(tmp_path):
-    with pytest.raises(InputError, match="needs --clip and --turning"):
-        few_shot_dropout.Config(tmp_path, dataset=tmp_path)
+def test_dataset_without_a_clip_is_refused(tmp_path):
+    make = partial(few_shot_dropout.Config, tmp_path, dataset=tmp_path)
+    assert_refused(make, place="dataset", value=tmp_path, rule_mentions="--clip")

@@ -1,4 +1,4 @@
-"""The real-data experiment for two steps: every row, every measure, resumable, and its tables."""
+"""The leave-one-style-out experiment on real data for two training steps: rows, measures, resuming, tables."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def config(mocap, tmp_path_factory) -> Config:
     )
 
 
-def test_no_method_sees_the_turning_takes_or_the_tested_walks(config):
+def test_adaptation_clip_and_test_takes_are_disjoint(config):
     takes, layout, skeleton = load_takes(config)
     fold = make_fold(takes, "elderly", 1, layout, skeleton, np.ones(layout.output_size), config)
     names = (*fold.test.straight.names, *fold.test.turning.names)
@@ -56,7 +56,7 @@ def test_two_steps_give_every_row_and_measure(config):
     assert (config.out / "errors.png").stat().st_size > 10_000
 
 
-def test_a_fold_that_is_there_is_not_run_again(config):
+def test_finished_folds_are_not_run_again(config):
     (fold,) = config.out.glob("fold_*.json")
     before = fold.stat().st_mtime_ns
     main(config)
@@ -80,13 +80,13 @@ def synthetic_fold(style: str, errors: dict[str, float], reference: float) -> di
     return {"style": style, "seed": 0, "rows": rows}
 
 
-def test_paired_comparison_is_a_ratio_of_errors_on_the_same_takes():
+def test_paired_comparison_is_the_ratio_of_errors_on_the_same_takes():
     folds = [synthetic_fold(style, {"bias": 0.5, "full": 4.0}, 1.0) for style in STYLES]
     assert compare_takes(folds, "bias") == {"worse": 0.0, "ratio": 0.5, "low": 0.5, "high": 0.5}
     assert compare_takes(folds, "full")["worse"] == 1.0
 
 
-def test_a_pooled_setting_is_chosen_on_the_other_styles():
+def test_pooled_setting_is_chosen_on_the_other_styles():
     found = pooled_choice([synthetic_fold(style, {}, 1.0) for style in STYLES])["CP"]
     assert found["turning"] == 1.0 == found["oracle"]
     assert found["held_out"] == 2.0

@@ -1,22 +1,23 @@
-"""The experiments on the seven models of Mason 2022 at tiny sizes: same frames, every measure, resumed, new styles."""
+"""The experiments on the seven models of Mason 2022 at tiny sizes: equal frames, measures, resuming, new styles."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from experiments import new_styles, one_step_error, table2_models
-from experiments.common.new_style_methods import WAYS, Budget, by_content
+from experiments.common.new_style_methods import METHODS, Budget, by_content
 from experiments.common.one_step_error_table import COLUMNS
 from experiments.common.seven_measures import GROUPS
 from experiments.common.seven_models import load_model
 from experiments.common.seven_takes import GAP, LAYOUT_NAMES, Take, common_columns, load_takes, split_takes
-from pfnn_jax.errors import InputError
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.presets import TABLE2
+from tests.raising import assert_refused
 
 LEARNED = ("lpn_film", "pfnn_resad")
 TRIED = ("fine-tuned generator", "FiLM vector", "nearest known style", "nothing: mean style", "nothing, PFNN resad")
@@ -79,7 +80,7 @@ def test_a_single_take_is_cut_in_time_with_a_gap(takes):
     assert early.clip.num_frames + GAP + late.clip.num_frames == takes.train[0].clip.num_frames
 
 
-def test_every_measure_of_every_model(config, result):
+def test_every_model_has_every_measure(config, result):
     assert set(result["models"]) == {f"{name}_0" for name in LEARNED}
     for entry in result["models"].values():
         assert {"mse", "bones", "bone_loss", *GROUPS} <= set(entry["test"])
@@ -91,16 +92,16 @@ def test_every_measure_of_every_model(config, result):
     assert all((config.out / name).stat().st_size > 5000 for name in ("mse.png", "bones.png", "walks.png"))
 
 
-def test_what_is_there_is_not_trained_again(config, result):
+def test_finished_models_are_not_trained_again(config, result):
     assert one_step_error.main(config)["models"] == result["models"]
 
 
-def test_results_of_other_settings_are_not_mixed(config, result):
-    with pytest.raises(InputError, match=r"steps: \d+; results of 4"):
-        one_step_error.main(replace(config, tiny=False, hidden=16))
+def test_results_of_other_settings_are_refused(config, result):
+    other = replace(config, tiny=False, hidden=16)
+    assert_refused(lambda: one_step_error.main(other), place="steps", value=other.steps, rule_mentions="must be 4")
 
 
-def test_saved_models_come_back(config, result, folder):
+def test_saved_models_are_loaded(config, result, folder):
     model = load_model(one_step_error.network_folder(config.out, "lpn_film", 0), load_takes(str(folder), most=2))
     assert model is not None and model.styles == ("elderly", "normal")
     assert model.config.adapter == TABLE2["lpn_film"].adapter and model.generator is not None
@@ -108,12 +109,12 @@ def test_saved_models_come_back(config, result, folder):
     assert model.bank.scale.shape == (2, 2, 16) and isinstance(style, FiLMStyle) and style.shift.shape == (2, 16)
 
 
-def test_an_unknown_model_is_refused(tmp_path):
-    with pytest.raises(InputError, match="models: lpn; must be of pfnn_one_hot"):
-        one_step_error.Config(data="synthetic", out=tmp_path, models=("lpn",))
+def test_unknown_model_is_refused(tmp_path):
+    make = partial(one_step_error.Config, data="synthetic", out=tmp_path, models=("lpn",))
+    assert_refused(make, place="models", value="lpn", rule_mentions="pfnn_one_hot")
 
 
-def test_every_way_of_adding_a_style(config, result, mocap, tmp_path):
+def test_methods_of_adding_a_style_give_every_measure(config, result, mocap, tmp_path):
     new = tmp_path / "new"
     new.mkdir()
     for name in ("walk_angry_001", "walk_angry_002", "walk-back_angry_001"):
@@ -125,7 +126,7 @@ def test_every_way_of_adding_a_style(config, result, mocap, tmp_path):
             new=new,
             out=tmp_path / "out",
             styles=("angry",),
-            ways=TRIED,
+            methods=TRIED,
             takes=2,
             budget=Budget(eval_epochs=(1,), learning_rates=(1e-3,), tuning_steps=(1,)),
             circle_seconds=2.5,
@@ -134,20 +135,20 @@ def test_every_way_of_adding_a_style(config, result, mocap, tmp_path):
             windows=4,
         )
     )
-    assert set(found["summary"]) == set(TRIED) <= set(WAYS)
-    for way, row in found["summary"].items():
-        assert {"walk", "back", "all"} <= set(row["mse"]) and np.isfinite(row["mse"]["all"]), way
-    stored = {way: row["stored"] for way, row in found["summary"].items()}
+    assert set(found["summary"]) == set(TRIED) <= set(METHODS)
+    for method, row in found["summary"].items():
+        assert {"walk", "back", "all"} <= set(row["mse"]) and np.isfinite(row["mse"]["all"]), method
+    stored = {method: row["stored"] for method, row in found["summary"].items()}
     assert stored["FiLM vector"] == stored["fine-tuned generator"] == 4 * 16
     assert stored["nothing: mean style"] == 0
     assert set(found["map"]["after"]) == {"known", "new"}
     assert (tmp_path / "out" / "film_vectors.png").stat().st_size > 5000
-    errors = {way: row["errors"]["all"]["mse"] for way, row in found["styles"]["angry"].items()}
+    errors = {method: row["errors"]["all"]["mse"] for method, row in found["styles"]["angry"].items()}
     over = {str(line[0]): line[-1] for line in new_styles.ratios(found["styles"])}
     assert over["FiLM vector"] == pytest.approx(errors["FiLM vector"] / errors["nothing: mean style"])
 
 
-def test_takes_are_grouped_by_what_they_show(takes):
+def test_takes_are_grouped_by_motion(takes):
     some = [replace(takes.train[0], content=content) for content in ("walk-left", "walk-right", "dash", "walk-back")]
     groups: dict[str, list[Take]] = dict(by_content(some))
     assert {kind: len(own) for kind, own in groups.items()} == {"side": 2, "run": 1, "back": 1}

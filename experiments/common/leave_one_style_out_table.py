@@ -1,4 +1,4 @@
-"""Tables and plots of `leave_one_style_out`: means over styles and seeds, and paired comparisons take by take."""
+"""Tables and plots of `leave_one_style_out`: means over styles and seeds, and comparisons paired by take."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pfnn_jax.evaluation.plots import error_bars
 from pfnn_jax.viewer.draw.drawing import save_figure
 
 REFERENCE = "CP"
-"""The row that the others are compared with, take by take."""
+"""The row to which the others are compared, paired by take."""
 
 COLUMNS: dict[str, tuple[str, ...]] = {
     "straight": ("straight", "pose_velocity"),
@@ -55,14 +55,14 @@ def write_summary(out: Path, folds: Sequence[Fold], config: Mapping[str, str]) -
     (out / "table.md").write_text(_markdown(rows, paired))
     errors = {name: {kind: _values(folds, name, COLUMNS[kind]) for kind in ("straight", "turning")} for name in names}
     table = {name: {kind: values.tolist() for kind, values in row.items()} for name, row in errors.items()}
-    table.pop("from scratch", None)  # ten times the others: its bar would hide them
-    label = "normalised squared error on real takes; each dot a style and seed"
+    table.pop("from scratch", None)  # its error is ten times larger and would compress the other bars
+    label = "normalised squared error on real takes; a dot for each style and seed"
     save_figure(error_bars(table, x_label=label), out / "errors.png")
     save_figure(held_out_against_turning(folds), out / "held_out_against_turning.png")
 
 
 def _values(folds: Sequence[Fold], name: str, path: tuple[str, ...]) -> np.ndarray:
-    """One measure of one row, over the folds that have it."""
+    """Returns one measure of one row over the folds that have it."""
     values = []
     for fold in folds:
         if name in fold["rows"]:
@@ -74,7 +74,7 @@ def _values(folds: Sequence[Fold], name: str, path: tuple[str, ...]) -> np.ndarr
 
 
 def _summary(folds: Sequence[Fold], name: str) -> dict[str, Any]:
-    """Mean over folds of every column, spread over seeds, and how many walks stayed sound."""
+    """Returns the mean over folds of every column, the standard deviation over seeds, and the share of stable walks."""
     found = {column: _values(folds, name, path) * SCALES.get(column, 1.0) for column, path in COLUMNS.items()}
     seeds = sorted({fold["seed"] for fold in folds})
     by_seed = [np.nanmean(_values([f for f in folds if f["seed"] == s], name, COLUMNS["turning"])) for s in seeds]
@@ -88,7 +88,7 @@ def _summary(folds: Sequence[Fold], name: str) -> dict[str, Any]:
 
 
 def _per_style(folds: Sequence[Fold], name: str) -> dict[str, float]:
-    """Mean turning error of each style over its seeds."""
+    """Returns the mean turning error of each style over its seeds."""
     styles = sorted({fold["style"] for fold in folds if name in fold["rows"]})
     return {
         style: float(np.mean(_values([f for f in folds if f["style"] == style], name, COLUMNS["turning"])))
@@ -97,11 +97,11 @@ def _per_style(folds: Sequence[Fold], name: str) -> dict[str, float]:
 
 
 def compare_takes(folds: Sequence[Fold], name: str) -> dict[str, float]:
-    """A row against `REFERENCE` on the same turning takes.
+    """Compares a row to `REFERENCE` on the same turning takes.
 
     Returns:
         `worse`: share of (take, seed) pairs on which the row's error is larger; `ratio`: geometric mean of the ratios
-        of errors, and its 95 % interval over styles and seeds (bootstrap over folds, as takes of one fold are alike).
+        of errors, with a 95 % interval over styles and seeds (bootstrap over folds, because takes of a fold correlate).
     """
     logs = []
     for fold in folds:
@@ -120,7 +120,7 @@ def compare_takes(folds: Sequence[Fold], name: str) -> dict[str, float]:
 
 
 def choices(folds: Sequence[Fold]) -> dict[str, dict[str, int]]:
-    """How often each setting was chosen by the held-out frames, per method."""
+    """Returns how often each setting was chosen on the held-out frames, by method."""
     counts: dict[str, dict[str, int]] = {}
     for fold in folds:
         for name, row in fold["rows"].items():
@@ -131,12 +131,12 @@ def choices(folds: Sequence[Fold]) -> dict[str, dict[str, int]]:
 
 
 def pooled_choice(folds: Sequence[Fold]) -> dict[str, dict[str, Any]]:
-    """What one setting for all styles would give: chosen on the turns of the *other* styles, tested on the style's own.
+    """Evaluates one setting per method: chosen on the turns of the *other* styles, tested on the style's own turns.
 
     Returns:
-        method -> `turning`: mean error at the setting that is best on the other styles; `setting`: the one that is
-        best over all styles; `held_out`: mean error, on the same rows, of the setting that the held-out frames chose;
-        `oracle`: of the best setting of each fold.
+        method -> `turning`: mean error of the setting that is best on the other styles; `setting`: the best setting
+        over all styles; `held_out`: mean error, on the same rows, of the setting chosen on the held-out frames; `oracle`:
+        mean error of the best setting of each fold.
     """
     result = {}
     for name in dict.fromkeys(name for fold in folds for name, row in fold["rows"].items() if "candidates" in row):
@@ -180,9 +180,10 @@ def _markdown(rows: Mapping[str, Mapping[str, Any]], paired: Mapping[str, Mappin
 
 
 def held_out_against_turning(folds: Sequence[Fold]) -> Figure:
-    """Every candidate: the error that ranked it against its error on turns, relative to the fold's network untrained.
+    """Plots the held-out error of every candidate against its error on turns, relative to the network without adapter.
 
-    Where a cloud rises to the left, the better a setting looks on the clip, the worse it turns.
+    A cloud that rises to the left means that the settings with the least held-out errors have the largest errors on
+    turns.
     """
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     axes = figure.subplots()

@@ -1,4 +1,4 @@
-"""Results as a Markdown table."""
+"""Markdown tables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str | float | None]]) -> str:
-    """Rows under a head; numbers with three digits, None as a dash."""
+    """Returns rows under a header as a Markdown table; numbers have three digits, None is a dash."""
     lines = [head, ["---"] * len(head), *([_cell(value) for value in row] for row in rows)]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 

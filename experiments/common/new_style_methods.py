@@ -1,7 +1,7 @@
-"""Ways of adding a style to the trained models of Mason 2022, each learned from one clip (§5.3.2 and what it compares).
+"""Methods of adding a style to the trained models of Mason 2022 from one clip (§5.3.2 and alternatives).
 
-A way is a function of a trained model and the clip; it returns what the model then runs in. Settings are chosen on the
-last part of the clip and trained once more on all of it; nothing is chosen on the takes that are tested.
+A method is a function of a trained model and the clip that returns the learned style. Settings are chosen on the last
+part of the clip, then refit on all of it; nothing is chosen on the test takes.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.common.seven_measures import predict
 from experiments.common.seven_models import Model
 from experiments.common.seven_takes import Take, common_columns
 from pfnn_jax.control.stability import make_stability_check
+from pfnn_jax.inference.rows import evaluate_rows
 from pfnn_jax.models.config import GeneratorConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import num_parameters
@@ -33,16 +33,16 @@ from pfnn_jax.training.tuning import tune_generator
 
 @dataclass(frozen=True)
 class Budget:
-    """How long is trained.
+    """Lengths and rates of training.
 
     Attributes:
-        eval_epochs: epochs after which the styles' parameters are looked at.
-        learning_rates: to try, for styles' parameters.
-        tuning_steps: steps of generator tuning after which it is looked at, increasing.
-        tuning_rate: Adam's, for the generator.
-        held_out: share of the clip, at its end, by which epochs and rates are chosen.
-        tolerance: by what share the error there may exceed the best: of those within it the gentlest is taken, as
-            few-shot learning does by default; 0 takes the best.
+        eval_epochs: epochs at which candidates of the style's parameters are evaluated.
+        learning_rates: candidate learning rates of the style's parameters.
+        tuning_steps: steps of generator tuning at which it is evaluated, increasing.
+        tuning_rate: learning rate of Adam for the generator.
+        held_out: share of the clip, at its end, on which epochs and rates are chosen.
+        tolerance: relative excess over the least error that is accepted: the most conservative candidate within it is
+            chosen, as in few-shot learning by default; 0 chooses the best candidate.
     """
 
     eval_epochs: tuple[int, ...] = (5, 10, 25, 50, 100)
@@ -55,14 +55,14 @@ class Budget:
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """One style, learned in one way.
+    """One style, learned by one method.
 
     Attributes:
-        style: what the model runs in.
-        trained: number of parameters that were trained.
-        stored: number of parameters of the style at run time; 0 where it is one that is there already.
-        seconds: of everything, choices included.
-        choice: what was chosen.
+        style: the style in which the model runs.
+        trained: number of trained parameters.
+        stored: number of parameters of the style at run time; 0 for a style that already exists.
+        seconds: total time, including the choice of settings.
+        choice: the chosen setting.
         generator: tuned parameters of the FiLM generator, or None.
     """
 
@@ -74,27 +74,29 @@ class Learned:
     generator: Any = None
 
 
-Way = Callable[[Model, Take, Budget, int], Learned]
-"""(model, the clip to learn from, budget, seed) -> what was learned."""
+Learner = Callable[[Model, Take, Budget, int], Learned]
+"""(model, adaptation clip, budget, seed) -> learned style."""
 
 
 def clip_data(model: Model, parts: Sequence[Features]) -> Rows:
-    """Rows of one style as training data of a model."""
+    """Returns rows of one style as training data of a model."""
     return Rows.from_features({"new": parts}, model.layout, model.normaliser, model.skeleton.parents)
 
 
 def mean_style(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
-    """Nothing is learned: the mean of the known styles, or none at all where styles cannot be averaged (CP)."""
+    """Returns the mean of the known styles without learning, or no style if they have no mean (CP)."""
     return Learned(average(model), 0, 0, 0.0)
 
 
 def nearest_style(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
-    """The known style that predicts the clip best."""
+    """Returns the known style that predicts the clip best."""
     started = time.perf_counter()
     rows, columns = join_rows(clip.parts(model.layout.name)), common_columns(model.layout)
     std = np.asarray(model.normaliser.outputs.std)
     errors = {
-        style: float(np.mean((((predict(model.predictor(style), rows.x, rows.phase) - rows.y) / std)[:, columns]) ** 2))
+        style: float(
+            np.mean((((evaluate_rows(model.predictor(style), rows.x, rows.phase) - rows.y) / std)[:, columns]) ** 2)
+        )
         for style in model.styles
     }
     best = min(errors, key=lambda style: errors[style])
@@ -102,29 +104,29 @@ def nearest_style(model: Model, clip: Take, budget: Budget, seed: int) -> Learne
 
 
 def generated(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
-    """The generator as it was pretrained reads the clip: the mean Film over its windows."""
+    """Returns the mean FiLM parameters over the clip's windows, by the generator without tuning."""
     started = time.perf_counter()
     film = _mean(window_films(model, model.generator, [clip]))
     return Learned(film, 0, num_parameters(film), time.perf_counter() - started)
 
 
 def tuned(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
-    """The generator tuned to the clip (§5.3.2), for the least number of steps that is good enough on its last part."""
+    """Tunes the generator to the clip (§5.3.2), for the fewest steps whose held-out error is within the tolerance."""
     started = time.perf_counter()
     sizes = generator_sizes(model)
     learn, held = hold_out(clip.parts(model.layout.name), budget.held_out, clip.name)
     rows, columns = join_rows(held), common_columns(model.layout)
     std = np.asarray(model.normaliser.outputs.std)[columns]
     parameters, done, errors = model.generator, 0, {}
-    for stop in budget.tuning_steps:
+    for steps in budget.tuning_steps:
         found = tune_generator(
-            model.network, sizes, parameters, clip_data(model, learn), _tuning(budget, stop - done, seed + done)
+            model.network, sizes, parameters, clip_data(model, learn), _tuning(budget, steps - done, seed + done)
         )
-        parameters, done = found.generator, stop
-        off = predict(model.predictor(found.style), rows.x, rows.phase)[:, columns] - rows.y[:, columns]
-        errors[stop] = float(np.mean((off / std) ** 2))
+        parameters, done = found.generator, steps
+        residual = evaluate_rows(model.predictor(found.style), rows.x, rows.phase)[:, columns] - rows.y[:, columns]
+        errors[steps] = float(np.mean((residual / std) ** 2))
     limit = min(errors.values()) * (1 + budget.tolerance)
-    steps = min(stop for stop, error in errors.items() if error <= limit)
+    steps = min(steps for steps, error in errors.items() if error <= limit)
     data = clip_data(model, clip.parts(model.layout.name))
     found = tune_generator(model.network, sizes, model.generator, data, _tuning(budget, steps, seed))
     film, generator = jax.tree.map(np.asarray, (found.style, found.generator))
@@ -132,10 +134,10 @@ def tuned(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
     return Learned(film, num_parameters(generator), num_parameters(film), seconds, f"{steps} steps", generator)
 
 
-def optimised(method: Method) -> Way:
-    """The parameters of one style, optimised beside the frozen network by `method` of few-shot learning."""
+def optimised(method: Method) -> Learner:
+    """Returns a learner that trains the parameters of one style with a frozen network, by a few-shot `method`."""
 
-    def way(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
+    def learn_style(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
         started = time.perf_counter()
         config = FewShotConfig(
             method,
@@ -161,10 +163,10 @@ def optimised(method: Method) -> Way:
         size, seconds = num_parameters(style), time.perf_counter() - started
         return Learned(style, size, size, seconds, f"lr {choice.learning_rate:g}, {choice.epochs} epochs")
 
-    return way
+    return learn_style
 
 
-WAYS: dict[str, tuple[str, Way]] = {
+METHODS: dict[str, tuple[str, Learner]] = {
     "fine-tuned generator": ("lpn_film", tuned),
     "FiLM vector": ("lpn_film", optimised("film")),
     "dense adapter": ("lpn_resad", optimised("dense")),
@@ -177,16 +179,16 @@ WAYS: dict[str, tuple[str, Way]] = {
     "nothing, LPN one-hot": ("lpn_one_hot", mean_style),
     "nothing, PFNN resad": ("pfnn_resad", mean_style),
 }
-"""Row of the table -> the pretrained model it stands on, and the way. The last rows are what the others start from."""
+"""Row of the table -> pretrained model, and learner. The last rows are the starting points of the others."""
 
 
 def average(model: Model) -> Style | None:
-    """The mean of a model's styles; None for CP adapters, whose factors have no mean."""
+    """Returns the mean of a model's styles; None for CP adapters, whose factors have no mean."""
     return None if model.config.adapter.kind == "cp" else _mean(model.bank)
 
 
 def generator_sizes(model: Model) -> GeneratorConfig:
-    """Sizes of a FiLM model's generator."""
+    """Returns the sizes of a FiLM model's generator."""
     sizes = model.config.generator(model.layout)
     if sizes is None or model.generator is None:
         raise ValueError(f"`model` must have a FiLM generator, got {model.name}.")
@@ -194,18 +196,18 @@ def generator_sizes(model: Model) -> GeneratorConfig:
 
 
 def window_films(model: Model, parameters: Any, takes: Sequence[Take]):
-    """Films, leaves [W, 2, H], of all windows of some takes, by a generator with these parameters."""
+    """Returns FiLM styles, leaves [W, 2, H], of all windows of the takes, by a generator with the given parameters."""
     parts = [part for take in takes for part in take.parts(model.layout.name)]
     return window_styles(film_generator(generator_sizes(model)), parameters, clip_data(model, parts), 0)
 
 
 def frames_of(clip: Take) -> int:
-    """Frames of the clip that were learned from, without their mirror images."""
+    """Returns the number of training frames of the clip, without mirror images."""
     return len(next(iter(clip.rows.values())).x)
 
 
 def named(takes: Sequence[Take], name: str) -> list[Take]:
-    """The takes under another style's name."""
+    """Returns the takes with another style name."""
     return [replace(take, style=name) for take in takes]
 
 
@@ -218,7 +220,7 @@ def _mean(films: Any) -> Any:
 
 
 def by_content(takes: Sequence[Take]) -> Mapping[str, list[Take]]:
-    """The takes by what they show: walk, side (walk-left and walk-right), back, run (and dash)."""
+    """Groups takes by motion: walk, side (walk-left and walk-right), back, run (and dash)."""
     groups: dict[str, list[Take]] = {}
     for take in takes:
         groups.setdefault(_kind(take.content), []).append(take)

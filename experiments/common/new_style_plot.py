@@ -1,4 +1,4 @@
-"""The map of FiLM vectors: t-SNE before and after fine-tuning, and how far apart the new styles stand."""
+"""Map of FiLM vectors: t-SNE before and after fine-tuning, and silhouettes of the new styles."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from sklearn.manifold import TSNE
 from sklearn.metrics import silhouette_samples
 
 MARKERS = "osD^vPX*"
-"""Of the new styles, drawn in dark colours; known styles are pale dots."""
+"""Markers of the new styles, drawn in dark colours; known styles are pale dots."""
 
 
 def film_map(
     panels: Mapping[str, Mapping[str, np.ndarray]], perplexity: float, seed: int
 ) -> tuple[Figure, dict[str, dict[str, float]]]:
-    """Pictures side by side, and how well each kind of style stands apart (Mason 2022, Figure 11).
+    """Draws the panels side by side and returns the silhouettes of known and new styles (Mason 2022, Figure 11).
 
     Args:
         panels: title -> style -> FiLM vectors [W, 4H]; new styles are named `new ...`.
-        perplexity: of t-SNE, lowered where there are few vectors.
-        seed: of t-SNE.
+        perplexity: perplexity of t-SNE, lowered if there are few vectors.
+        seed: seed of t-SNE.
 
     Returns:
-        The figure, and title -> `known`, `new`: mean silhouette of their vectors among all, from -1 to 1.
+        The figure, and title -> `known`, `new`: mean silhouette of their vectors among all vectors, from -1 to 1.
     """
     figure = Figure(figsize=(5.2 * len(panels), 4.8), layout="constrained")
     apart = {}

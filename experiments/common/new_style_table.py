@@ -1,4 +1,4 @@
-"""Tables of new styles: means over the styles, and each way over the same network without learning."""
+"""Tables of new styles: means over the styles, and ratios to the same network without learning."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from experiments.common.markdown import markdown_table
 
 MEASURES = ("walk", "side", "back", "run", "all")
-"""Takes by what they show."""
+"""Groups of takes by motion."""
 
 
 def summary(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Means over the styles, of every way."""
+    """Returns means over the styles for every method."""
     found = {}
-    for way in next(iter(rows.values())):
-        own = [style[way] for style in rows.values()]
+    for method in next(iter(rows.values())):
+        own = [style[method] for style in rows.values()]
         kinds = [kind for kind in MEASURES if any(kind in row["errors"] for row in own)]
         mse = {kind: _mean([row["errors"][kind]["mse"] for row in own if kind in row["errors"]]) for kind in kinds}
-        found[way] = {
+        found[method] = {
             "network": own[0]["network"],
             "trained": own[0]["trained"],
             "stored": own[0]["stored"],
@@ -38,29 +38,30 @@ def summary(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def ratios(rows: Mapping[str, Mapping[str, Any]]) -> list[list[str | float | None]]:
-    """Every way's error over that of the same network without learning: geometric means over the styles.
+    """Returns the ratio of every method's error to that of the same network without learning.
 
-    Styles whose motion is far from all known ones have errors many times those of the others: a ratio weighs all alike.
+    It is a geometric mean over the styles, because styles far from all known styles have much larger errors and would
+    dominate an arithmetic mean.
     """
     first = next(iter(rows.values()))
-    nothing = {row["network"]: way for way, row in first.items() if way.startswith("nothing")}
+    nothing = {row["network"]: method for method, row in first.items() if method.startswith("nothing")}
     lines: list[list[str | float | None]] = []
-    for way, row in first.items():
-        if way.startswith("nothing") or row["network"] not in nothing:
+    for method, row in first.items():
+        if method.startswith("nothing") or row["network"] not in nothing:
             continue
-        pairs = [(style[way]["errors"], style[nothing[row["network"]]]["errors"]) for style in rows.values()]
+        pairs = [(style[method]["errors"], style[nothing[row["network"]]]["errors"]) for style in rows.values()]
         logs = [[np.log(own[m]["mse"] / other[m]["mse"]) for own, other in pairs if m in own] for m in MEASURES]
-        lines.append([way, *(float(np.exp(np.mean(some))) if some else None for some in logs)])
+        lines.append([method, *(float(np.exp(np.mean(some))) if some else None for some in logs)])
     return lines
 
 
 def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
-    """Every way, means over the new styles."""
-    head = ["way", "network", "trained", "per style", "seconds", "frames", *MEASURES, "± styles", "bones, mm"]
-    head += ["sound, %", "recognised, %", "Fréchet", "skating, cm/s"]
+    """Returns a table of all methods, with means over the new styles."""
+    head = ["method", "network", "trained", "per style", "seconds", "frames", *MEASURES, "± styles", "bones, mm"]
+    head += ["stable, %", "recognised, %", "Fréchet", "skating, cm/s"]
     lines = []
-    for way, row in rows.items():
-        cells = [way, row["network"], f"{row['trained']:,}", f"{row['stored']:,}", row["seconds"], row["frames"]]
+    for method, row in rows.items():
+        cells = [method, row["network"], f"{row['trained']:,}", f"{row['stored']:,}", row["seconds"], row["frames"]]
         cells += [row["mse"].get(kind) for kind in MEASURES] + [row["spread"], _scaled(row["bones"], 1000)]
         cells += [_scaled(row["sound"], 100), _scaled(row["recognition"], 100), row["frechet"]]
         lines.append([*cells, _scaled(row["skating"], 100)])

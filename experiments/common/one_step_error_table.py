@@ -1,4 +1,4 @@
-"""Tables and plots of `test_error`: means over seeds with their spread, and each style."""
+"""Tables and plots of `one_step_error`: means and standard deviations over seeds, and results by style."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ COLUMNS: dict[str, tuple[tuple[str, ...], float]] = {
     "contacts": (("test", "contacts"), 1.0),
     "bones, mm": (("test", "bones"), 1000.0),
     "BLL (Eq. 5b), mm": (("test", "bone_loss"), 1000.0),
-    "MSE, trained takes": (("train", "mse"), 1.0),
-    "sound walks, %": (("rollouts", "sound"), 100.0),
+    "MSE, training takes": (("train", "mse"), 1.0),
+    "stable walks, %": (("rollouts", "sound"), 100.0),
     "finite, %": (("rollouts", "finite"), 100.0),
     "pose peak": (("rollouts", "pose_peak"), 1.0),
     "off path, m": (("rollouts", "path_error"), 1.0),
@@ -32,7 +32,7 @@ COLUMNS: dict[str, tuple[tuple[str, ...], float]] = {
     "Fréchet": (("rollouts", "frechet"), 1.0),
     "training, s": (("train_seconds",), 1.0),
 }
-"""Columns of the table: where the number stands in a result, and by what it is multiplied."""
+"""Columns of the table: the path to the number in a result, and a factor."""
 
 Result = Mapping[str, Any]
 
@@ -49,14 +49,14 @@ def write_tables(out: Path, result: Result) -> None:
         save_figure(error_bars(bars, "Held-out takes, one step", column), out / file)
     seen = {
         name: {"recognised": (values(result, name, "recognised, %") / 100).tolist()}
-        | {"sound walks": (values(result, name, "sound walks, %") / 100).tolist()}
+        | {"stable walks": (values(result, name, "stable walks, %") / 100).tolist()}
         for name in models
     }
     save_figure(error_bars(seen, "Walks on circles", "share"), out / "walks.png")
 
 
 def values(result: Result, model: str, column: str) -> np.ndarray:
-    """[seeds] one column of one model; NaN where it could not be judged."""
+    """Returns one column [seeds] of one model; NaN where it is not available."""
     path, scale = COLUMNS[column]
     found = []
     for entry in result["models"].values():
@@ -69,7 +69,7 @@ def values(result: Result, model: str, column: str) -> np.ndarray:
 
 
 def table(result: Result, models: list[str]) -> str:
-    """All models, mean ± standard deviation over seeds; the last row is real motion of the test takes."""
+    """Returns a table of mean ± standard deviation over seeds for all models; the last row is real motion."""
     rows = [[name, *(_spread(values(result, name, column)) for column in COLUMNS)] for name in models]
     real = result["real"]
     known = {
@@ -82,7 +82,7 @@ def table(result: Result, models: list[str]) -> str:
 
 
 def per_style(result: Result, models: list[str]) -> str:
-    """Error, and share recognised, of every style by every model, means over seeds."""
+    """Returns a table of the error and recognition of every style by every model, means over seeds."""
     styles = result["data"]["styles"]
     rows = []
     for name in models:

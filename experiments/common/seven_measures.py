@@ -1,4 +1,4 @@
-"""What a model of Mason 2022 is measured by: one step on held-out takes, and walks on circles in every style."""
+"""Measures of the models of Mason 2022: one-step errors on held-out takes, and walks on circles in every style."""
 
 from __future__ import annotations
 
@@ -25,16 +25,13 @@ from pfnn_jax.evaluation.style_classifier import (
     recognition_accuracy,
     scores,
 )
-from pfnn_jax.evaluation.style_test import predict_rows
 from pfnn_jax.inference.predictor import Predictor
+from pfnn_jax.inference.rows import evaluate_rows
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.decode import root_steps
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
-
-CHUNK = 4096
-"""Rows predicted at once."""
 
 GROUPS = {
     "trajectory": ("trajectory_",),
@@ -42,15 +39,15 @@ GROUPS = {
     "velocity": ("joint_velocity",),
     "contacts": ("foot_contacts",),
 }
-"""Groups of the common columns, by how their blocks' names begin."""
+"""Groups of the common columns, by prefixes of their blocks' names."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Real motion that generated motion is compared with.
+    """Real motion to which generated motion is compared.
 
     Attributes:
-        classifier: of the styles.
+        classifier: classifier of the styles.
         styles: S names, in the order of the classifier's labels.
         features: style -> features [N, D] of real walking windows.
         ground: [F] metres, resting heights of the feet's joints.
@@ -63,12 +60,12 @@ class Reference:
 
 
 def is_walk(take: Take) -> bool:
-    """Whether a take walks, whatever way, and does not run."""
+    """Returns whether a take is a walk in any direction, and not a run."""
     return not take.content.startswith(("run", "dash"))
 
 
 def make_reference(classifier: StyleClassifier, styles: Sequence[str], takes: Sequence[Take]) -> Reference:
-    """The reference from real takes; those that run are left out, as the walks on circles do not."""
+    """Returns the reference from real takes without runs, because the generated motion on circles is walking."""
     walking = [take for take in takes if is_walk(take)]
     found = {}
     for style in dict.fromkeys(take.style for take in walking):
@@ -78,7 +75,7 @@ def make_reference(classifier: StyleClassifier, styles: Sequence[str], takes: Se
 
 
 def real_motion(takes: Sequence[Take], reference: Reference) -> dict[str, Any]:
-    """The same measures of real takes: what a perfect model could reach."""
+    """Returns the same measures of real takes, the values of a perfect model."""
     windows, labels = windows_of(takes, reference.styles)
     walking = [take for take in takes if is_walk(take)]
     own = features(reference.classifier, windows_of(walking, reference.styles)[0])
@@ -94,17 +91,17 @@ def real_motion(takes: Sequence[Take], reference: Reference) -> dict[str, Any]:
 
 
 def one_step(model: Model, takes: Sequence[Take], styles: Mapping[str, Style | None] | None = None) -> dict[str, Any]:
-    """One-step errors on takes, in each take's own style.
+    """Returns one-step errors on takes, each predicted in its own style.
 
     Args:
-        model: trained.
-        takes: real ones.
-        styles: take's style -> what the model shall run in; its own style of that name by default.
+        model: a trained model.
+        takes: real takes.
+        styles: style of a take -> parameters of the style; the model's style of that name by default.
 
     Returns:
-        `mse` over the columns that all models have and of each of `GROUPS`, in normalised units squared; `bones`,
-        metres, mean over bones; `bone_loss`, metres, Eq. 5b; `per_style`: style -> mse; `all_outputs`: mse over all
-        columns of the model's own layout.
+        `mse` over the columns common to all models and for each of `GROUPS`, in squared normalised units; `bones`, the
+        mean error of bone lengths in metres; `bone_loss` in metres, Eq. 5b; `per_style`: style -> mse; `all_outputs`:
+        mse over all columns of the model's layout.
     """
     layout, normaliser = model.layout, model.normaliser
     columns = common_columns(layout)
@@ -114,7 +111,7 @@ def one_step(model: Model, takes: Sequence[Take], styles: Mapping[str, Style | N
     sums, counts, bones, per_style = np.zeros(layout.output_size), 0, [], {}
     for style in own_styles:
         rows = rows_of([take for take in takes if take.style == style], layout.name)
-        predicted = predict(model.predictor(styles[style] if styles else style), rows.x, rows.phase)
+        predicted = evaluate_rows(model.predictor(styles[style] if styles else style), rows.x, rows.phase)
         squared = ((predicted - rows.y) / np.asarray(normaliser.outputs.std)) ** 2
         per_style[style] = float(squared[:, columns].mean())
         sums, counts = sums + squared.sum(axis=0, dtype=np.float64), counts + len(squared)
@@ -133,22 +130,13 @@ def one_step(model: Model, takes: Sequence[Take], styles: Mapping[str, Style | N
     }
 
 
-def predict(predictor: Predictor, x: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """[N, Dy] outputs of rows, in layout units; the last chunk is filled up so that one size is compiled."""
-    parts = []
-    for start in range(0, len(x), CHUNK):
-        rows = np.minimum(np.arange(start, start + CHUNK), len(x) - 1)
-        parts.append(np.asarray(predict_rows(predictor, jnp.asarray(x[rows]), jnp.asarray(phase[rows]))))
-    return np.concatenate(parts)[: len(x)]
-
-
 def walks(
     model: Model, predictor: Predictor, takes: Sequence[Take], seconds: float, starts: int, speed: float | None = None
 ):
-    """Walks on circles to both sides, begun in the first rows of the style's walking takes.
+    """Generates walks on circles to both sides, started in the first rows of the style's walking takes.
 
     Returns:
-        Frames with a leading axis of 2 per start, and the speed asked for, m/s.
+        Frames with a leading axis of 2 per start, and the commanded speed in m/s.
     """
     layout = model.layout
     walking = [take for take in takes if is_walk(take)][:starts]
@@ -170,22 +158,22 @@ def rollout_test(
     starts: int,
     predictor: Predictor | None = None,
 ) -> dict[str, Any]:
-    """Walks on circles in one style: do they stay sound, follow the path, stand still on their feet, look like it?
+    """Measures stability, path, foot sliding and recognised style of walks on circles in one style.
 
     Args:
-        model: trained.
-        style: name of the style among the reference's.
-        takes: real ones of the style: first poses, speed, and how far a pose may be from the mean.
+        model: a trained model.
+        style: name of the style in the reference.
+        takes: real takes of the style, for first poses, speed, and the largest distance of a pose from the mean.
         reference: real motion.
-        seconds: of each walk; the first second is not judged.
+        seconds: length of each walk; the first second is not evaluated.
         starts: number of first poses, each walked to both sides.
-        predictor: of the model in another style; in its own style of that name by default.
+        predictor: the model in another style; in its own style of that name by default.
 
     Returns:
-        `walks`, `finite`, `sound` (shares), `pose_peak` (over the real one's), `path_error` (m), `speed` (achieved
-        over commanded), `turn_rate` (likewise), `skating` (m/s), `bones` (m), `recognition` (share of windows),
-        `taken_for` (windows by style) and `features` (of the windows, an array). What cannot be judged, as no walk
-        stayed finite, is None.
+        `walks`, `finite` and `sound` (shares of finite and of stable walks), `pose_peak` (relative to real motion),
+        `path_error` (m), `speed` and `turn_rate` (achieved over commanded), `skating` (m/s), `bones` (m), `recognition`
+        (share of windows), `taken_for` (windows by predicted style) and `features` (array, of the windows). Values that
+        need a finite walk are None if there is none.
     """
     layout, normaliser = model.layout, model.normaliser
     predictor = predictor or model.predictor(style)
@@ -196,7 +184,7 @@ def rollout_test(
     real = rows_of([take for take in takes if is_walk(take)], layout.name).y
     own = np.mean(normaliser.outputs.apply(real)[:, pose] ** 2, axis=1).max()
     finite = np.asarray(found.finite)
-    settled = np.asarray(frames.joint_positions)[finite, round(layout.fps) :]
+    joints = np.asarray(frames.joint_positions)[finite, round(layout.fps) :]
     return {
         "walks": len(finite),
         "finite": float(finite.mean()),
@@ -205,18 +193,18 @@ def rollout_test(
         "path_error": _mean(np.asarray(found.trajectory_error)[finite]),
         "speed": _mean(np.asarray(found.speed)[finite] / speed),
         "turn_rate": _mean(np.abs(np.asarray(found.turn_rate)[finite]) / TURN_RATE),
-        **_body(settled, model.skeleton, layout, reference),
-        **_recognised(settled, style, model.skeleton, layout, reference),
+        **_body(joints, model.skeleton, layout, reference),
+        **_recognised(joints, style, model.skeleton, layout, reference),
     }
 
 
 def pooled_frechet(results: Mapping[str, Mapping[str, Any]], reference: Reference) -> float | None:
-    """Fréchet distance between all styles' generated windows together and the real ones of the same styles."""
+    """Returns the Fréchet distance between the generated windows of all styles and the real windows of these styles."""
     generated = [found["features"] for found in results.values()]
     real = [reference.features[style] for style in results]
     if any(part is None or not len(part) for part in generated):
         return None
-    # every style weighs the same on both sides, whatever its number of real windows
+    # Every style has the same weight on both sides, regardless of its number of real windows.
     count = min(len(part) for part in real)
     rng = np.random.default_rng(0)
     return frechet_distance(
@@ -224,25 +212,25 @@ def pooled_frechet(results: Mapping[str, Mapping[str, Any]], reference: Referenc
     )
 
 
-def _body(settled: np.ndarray, skeleton: Skeleton, layout: FrameLayout, reference: Reference) -> dict[str, Any]:
+def _body(joints: np.ndarray, skeleton: Skeleton, layout: FrameLayout, reference: Reference) -> dict[str, Any]:
     roles = need_roles(skeleton)
     feet = [*roles.left_foot, *roles.right_foot]
     lengths = np.linalg.norm(skeleton.offsets, axis=-1)
     return {
-        "skating": _mean([foot_skating(one[:, feet], layout.fps, reference.ground) for one in settled]),
-        "bones": _mean([bone_length_error(one, skeleton.parents, lengths) for one in settled]),
+        "skating": _mean([foot_skating(one[:, feet], layout.fps, reference.ground) for one in joints]),
+        "bones": _mean([bone_length_error(one, skeleton.parents, lengths) for one in joints]),
     }
 
 
-def _recognised(settled: np.ndarray, style: str, skeleton: Skeleton, layout, reference: Reference) -> dict[str, Any]:
-    parts = [motion_windows(one, need_roles(skeleton), layout.fps) for one in settled]
+def _recognised(joints: np.ndarray, style: str, skeleton: Skeleton, layout, reference: Reference) -> dict[str, Any]:
+    parts = [motion_windows(one, need_roles(skeleton), layout.fps) for one in joints]
     windows = np.concatenate(parts) if parts else np.zeros((0, 0, 0), np.float32)
     if not len(windows):
         return {"recognition": None, "taken_for": None, "features": None}
-    taken_for = scores(reference.classifier, windows).argmax(axis=1)
+    predicted = scores(reference.classifier, windows).argmax(axis=1)
     return {
-        "recognition": float(np.mean(taken_for == reference.styles.index(style))),
-        "taken_for": np.bincount(taken_for, minlength=len(reference.styles)).tolist(),
+        "recognition": float(np.mean(predicted == reference.styles.index(style))),
+        "taken_for": np.bincount(predicted, minlength=len(reference.styles)).tolist(),
         "features": features(reference.classifier, windows),
     }
 
@@ -263,6 +251,6 @@ def _mean(values) -> float | None:
 
 
 def held_out_takes(takes: Takes, style: str) -> list[Take]:
-    """The test takes of one style, walking ones first; training ones where none walks."""
+    """Returns the walking test takes of one style, or its walking training takes if there are none."""
     own = [take for take in takes.test if take.style == style and is_walk(take)]
     return own or [take for take in takes.train if take.style == style and is_walk(take)]

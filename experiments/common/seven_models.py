@@ -1,4 +1,4 @@
-"""The seven models of Mason 2022 Table 2 trained on takes in memory, kept on disk and made ready to run."""
+"""The seven models of Mason 2022, Table 2: training on takes in memory, saving and loading."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ class Model:
 
     Attributes:
         name: key of `TABLE2`.
-        config: of training.
-        layout, skeleton: of its rows.
+        config: training settings.
+        layout, skeleton: frame layout and skeleton of its rows.
         styles: S names.
-        normaliser: of its rows.
+        normaliser: statistics of its rows.
         network: shared parameters.
-        bank: the styles, leaves [S, ...]; of a FiLM model the mean Films.
+        bank: the styles, leaves [S, ...]; for a FiLM model the mean FiLM parameters of each style.
         generator: parameters of the FiLM generator, or None.
-        seconds: of training, compilation included.
-        loss: mean of the last dispatch.
+        seconds: training time, with compilation.
+        loss: mean loss of the last dispatch.
     """
 
     name: str
@@ -61,30 +61,30 @@ class Model:
     loss: float
 
     def style(self, name: str) -> Style:
-        """The parameters of one style."""
+        """Returns the parameters of one style."""
         index = self.styles.index(name)
         return jax.tree.map(lambda leaf: leaf[index], self.bank)
 
     def predictor(self, style: Style | str | None) -> Predictor:
-        """Ready to run in a style: one of its own by name, any other's parameters, or without any."""
+        """Returns a predictor in a style of the model by name, in a style given by its parameters, or without style."""
         return assemble_predictor(self.network, self.style(style) if isinstance(style, str) else style, self.normaliser)
 
 
 def layout_name(model: str) -> str:
-    """The layout of a model of `TABLE2`."""
+    """Returns the name of the layout of a model of `TABLE2`."""
     return LAYOUT_OF[TABLE2[model].backbone]
 
 
 def make_data(
     takes: Sequence[Take], styles: Sequence[str], layout: FrameLayout, normaliser: Normaliser, skeleton: Skeleton
 ) -> Rows:
-    """The takes' rows as training data, mirror images included."""
+    """Returns the rows of the takes as training data, mirror images included."""
     own = {style: [part for t in takes if t.style == style for part in t.parts(layout.name)] for style in styles}
     return Rows.from_features(own, layout, normaliser, skeleton.parents)
 
 
 def train_model(name: str, takes: Takes, config: PretrainConfig) -> Model:
-    """Train one model on the training takes; `config.adapter` is replaced by the model's own."""
+    """Trains one model on the training takes; `config.adapter` is replaced by the model's adapter."""
     layout = takes.layout(layout_name(name))
     own = replace(config, adapter=TABLE2[name].adapter)
     rows = rows_of(takes.train, layout.name)
@@ -119,7 +119,7 @@ def save_model(folder: Path, model: Model) -> None:
 
 
 def load_model(folder: Path, takes: Takes) -> Model | None:
-    """A model that `save_model` wrote for the skeleton of these takes, or None where there is none."""
+    """Loads a model that `save_model` wrote for the skeleton of these takes; returns None if there is none."""
     if locate(folder / "parameters") is None:
         return None
     note = read_note(folder / "parameters", NOTE, "must be a model saved by experiments.one_step_error")

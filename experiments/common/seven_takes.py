@@ -1,4 +1,4 @@
-"""Takes for the models of Mason 2022: the same frames under the layouts of all of them, split into train and test."""
+"""Takes for the models of Mason 2022: the same frames in the layouts of all models, split into train and test."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ LAYOUT_NAMES = ("mason2022", "mason2022_mann", "mason2022_pfnn")
 """Layouts of LPN, MANN and PFNN; their inputs are the same."""
 
 COMMON = ("trajectory_", "joint_", "foot_contacts")
-"""How the names of those output blocks begin that all three layouts have: in one order, in the same units."""
+"""Prefixes of the output blocks that all three layouts have, in the same order and units."""
 
 GAP = 60
-"""Frames between the training part and the test part of a take that is cut in two: the trajectory's second."""
+"""Frames between the training and test part of a take that is cut in two: one second, as long as the trajectory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Take:
-    """One take, and its mirror image where its style is symmetric.
+    """One take and, for a symmetric style, its mirror image.
 
     Attributes:
-        style, content, name: of the take.
+        style, content, name: labels of the take.
         clip: the motion, at 60 fps.
-        symmetric: whether the mirror image belongs to the style.
-        rows: layout name -> rows; the same frames under each.
-        mirrored: the mirror image's, or None.
+        symmetric: whether the mirror image has the same style.
+        rows: layout name -> rows; the same frames in each layout.
+        mirrored: the rows of the mirror image, or None.
     """
 
     style: str
@@ -55,7 +55,7 @@ class Take:
     mirrored: dict[str, Features] | None
 
     def parts(self, layout: str) -> list[Features]:
-        """The rows under one layout, the mirror image's last."""
+        """Returns the rows in one layout, followed by those of the mirror image."""
         return [self.rows[layout], *([] if self.mirrored is None else [self.mirrored[layout]])]
 
 
@@ -64,9 +64,9 @@ class Takes:
     """All takes of one data set on one skeleton.
 
     Attributes:
-        skeleton: of all.
-        train, test: the split; test takes were never trained on.
-        left_out: file -> why.
+        skeleton: skeleton of all takes.
+        train, test: the split.
+        left_out: skipped file -> reason.
     """
 
     skeleton: Skeleton
@@ -80,7 +80,7 @@ class Takes:
         return tuple(sorted({take.style for take in self.train}))
 
     def layout(self, name: str) -> FrameLayout:
-        """A layout for the skeleton."""
+        """Returns a layout for the skeleton."""
         return layout_for(name, self.skeleton)
 
 
@@ -92,21 +92,21 @@ def load_takes(
     held: int | None = None,
     styles: Sequence[str] | None = None,
 ) -> Takes:
-    """Takes of a folder of BVH files, or of the procedural styles.
+    """Loads takes of a folder of BVH files, or of the procedural styles, and splits them.
 
-    Of every style and content, some whole takes spread over the list are test takes; a content of one take is cut in
-    time instead, its end for testing.
+    For every style and content, evenly spaced whole takes are test takes. A single take is cut in time instead, and its
+    end is the test take.
 
     Args:
         data: folder, or `synthetic`.
-        share: of the takes, or of a single take's frames, for testing.
-        most: at most so many takes of each style and content, 0 for all.
-        seconds: of each procedural style.
-        held: number of test takes of each style and content instead of `share`.
-        styles: those that are read; all by default.
+        share: share of the takes, or of the frames of a single take, for testing.
+        most: largest number of takes of each style and content, 0 for all.
+        seconds: seconds of each procedural style.
+        held: number of test takes of each style and content, instead of `share`.
+        styles: styles to read; all by default.
 
     Raises:
-        InputError: if nothing can be used.
+        InputError: if no take can be used.
     """
     groups, left_out = _synthetic(seconds) if data == "synthetic" else _files(Path(data), most, styles)
     train, test, skeleton = [], [], None
@@ -117,17 +117,17 @@ def load_takes(
         train += first
         test += last
     if skeleton is None:
-        raise InputError(data, "takes", "none", "some take must hold steps")
+        raise InputError(data, "takes", "none", "must have at least one take with steps")
     return Takes(skeleton, tuple(train), tuple(test), left_out)
 
 
 def make_takes(style: str, content: str, clips: Sequence[LabelledClip], left_out: dict[str, str]) -> list[Take]:
-    """Takes of one style and content, whose hands' directions of movement are fitted together.
+    """Returns takes of one style and content; the principal axes of their hands are fitted jointly.
 
     Args:
-        style, content: of the clips.
-        clips: with hands extended and phases labelled.
-        left_out: told the clips that cannot be used, and why.
+        style, content: labels of the clips.
+        clips: clips with extended hands and phase labels.
+        left_out: filled with the clips that cannot be used and the reasons.
     """
     axes = fit_axes([one.clip for one in clips])
     layouts = [layout_for(name, clips[0].clip.skeleton) for name in LAYOUT_NAMES]
@@ -148,24 +148,24 @@ def make_takes(style: str, content: str, clips: Sequence[LabelledClip], left_out
 
 
 def common_rows(clip: MotionClip, layouts: Sequence[FrameLayout], labels, phases: np.ndarray) -> dict[str, Features]:
-    """Rows under every layout, of those frames that all layouts can use; the inputs are held once."""
+    """Returns rows in every layout for the frames that all layouts can use; the inputs are shared."""
     found = {layout.name: clip_features(clip, layout, labels, local_phases=phases) for layout in layouts}
     frames = found[layouts[0].name].frames
     for part in found.values():
         frames = np.intersect1d(frames, part.frames)
     if not len(frames):
-        raise NoGaitError(clip.source, "phase", "no frame is labelled", "a clip must hold steps")
+        raise NoGaitError(clip.source, "phase", "no frame is labelled", "must be a clip with steps")
     kept = {name: select_rows(part, np.isin(part.frames, frames)) for name, part in found.items()}
     x = kept[layouts[0].name].x
     return {name: replace(part, x=x) for name, part in kept.items()}
 
 
 def split_takes(takes: Sequence[Take], share: float, held: int | None = None) -> tuple[list[Take], list[Take]]:
-    """Training and test takes of one style and content; see `load_takes`."""
+    """Returns training and test takes of one style and content; see `load_takes`."""
     if len(takes) == 1 and not held:
         return _cut_take(takes[0], share)
     count = held if held is not None else max(1, round(share * len(takes))) if takes else 0
-    # spread over the list, as neighbouring takes are alike
+    # Evenly spaced, because neighbouring takes are similar.
     chosen = {round((i + 0.5) * len(takes) / count - 0.5) for i in range(count)} if count else set()
     return (
         [take for i, take in enumerate(takes) if i not in chosen],
@@ -174,24 +174,24 @@ def split_takes(takes: Sequence[Take], share: float, held: int | None = None) ->
 
 
 def common_columns(layout: FrameLayout) -> np.ndarray:
-    """Indices of the output columns that all layouts have, in their common order."""
+    """Returns indices of the output columns that all layouts have, in their common order."""
     return np.flatnonzero([name.startswith(COMMON) for name in layout.output_names])
 
 
 def rows_of(takes: Sequence[Take], layout: str, mirrored: bool = True) -> Features:
-    """All rows of some takes under a layout, one after another."""
+    """Returns the concatenated rows of takes in a layout."""
     return join_rows([part for take in takes for part in (take.parts(layout) if mirrored else [take.rows[layout]])])
 
 
 def windows_of(takes: Sequence[Take], styles: Sequence[str], mirrored: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Windows [N, T, F] of the takes' motion for the style classifier, and their styles' numbers [N]."""
+    """Returns windows [N, T, F] of the takes for the style classifier, and the indices [N] of their styles."""
     parts = [clip_windows(take.clip, mirror=mirrored and take.symmetric) for take in takes]
     labels = [np.full(len(part), styles.index(take.style)) for take, part in zip(takes, parts, strict=True)]
     return np.concatenate(parts), np.concatenate(labels)
 
 
 def runs_of(part: Features) -> Iterator[tuple[int, int]]:
-    """(first row, number of rows) of every stretch of consecutive frames."""
+    """Yields (first row, number of rows) of every sequence of consecutive frames."""
     breaks = np.flatnonzero(np.diff(part.frames) != 1) + 1
     edges = [0, *breaks.tolist(), len(part.frames)]
     for start, stop in zip(edges[:-1], edges[1:], strict=True):
@@ -231,7 +231,7 @@ def _synthetic(seconds: float) -> tuple[dict[tuple[str, str], list[LabelledClip]
 
 
 def _cut_take(take: Take, share: float) -> tuple[list[Take], list[Take]]:
-    """The first part of a take for training and the last for testing, with `GAP` frames between them."""
+    """Cuts a take into a training part and a test part, with `GAP` frames between them."""
     last = take.clip.num_frames
     border = last - math.ceil(share * last)
     if border <= 2 * GAP or not (take.rows[LAYOUT_NAMES[0]].frames >= border).any():
