@@ -7,7 +7,7 @@ Question  what does each method of adding a style need (parameters, seconds, fra
 Data      Bandai-Namco-1: active, angry, happy, old, tired, on the skeleton of Bandai-Namco-2, with which
           `experiments.one_step_error` pretrained the models. Learned from the first walk and its mirror image.
 Expect    see docs/results_appendix.md.
-Run       python -m experiments.new_styles --pretrained runs/test_error --data OLD --new NEW --out runs/new_styles
+Run       python -m experiments.new_styles --pretrained runs/one_step_error --data OLD --new NEW --out runs/new_styles
           OLD is the data folder of one_step_error, NEW that of the new styles. Each style is written when it is
           finished; run again with the same --out to resume.
 """

@@ -6,7 +6,7 @@ Question  is the order the same on unseen takes, for one step and for rollouts: 
 Data      Bandai-Namco-2 by default: 7 styles, whole takes of each style and content held out. All models see the same
           rows: the frames that have a global phase, with their mirror images.
 Expect    see docs/results_appendix.md.
-Run       python -m experiments.one_step_error --data FOLDER --out runs/test_error
+Run       python -m experiments.one_step_error --data FOLDER --out runs/one_step_error
           FOLDER contains BVH files (Bandai-Namco, 100STYLE, folders of styles); `synthetic` needs no files. Each model
           is written when it is finished; run again with the same --out to resume. `--tiny` takes a minute.
 """

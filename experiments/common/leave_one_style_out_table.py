@@ -135,8 +135,8 @@ def pooled_choice(folds: Sequence[Fold]) -> dict[str, dict[str, Any]]:
 
     Returns:
         method -> `turning`: mean error of the setting that is best on the other styles; `setting`: the best setting
-        over all styles; `held_out`: mean error, on the same rows, of the setting chosen on the held-out frames; `oracle`:
-        mean error of the best setting of each fold.
+        over all styles; `held_out`: mean error, on the same rows, of the setting chosen on the held-out frames;
+        `oracle`: mean error of the best setting of each fold.
     """
     result = {}
     for name in dict.fromkeys(name for fold in folds for name, row in fold["rows"].items() if "candidates" in row):
