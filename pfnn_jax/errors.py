@@ -72,6 +72,12 @@ def check_probability(config: Any, *names: str) -> None:
         check_field(config, name, "be in [0, 1)", lambda value: 0 <= value < 1)
 
 
+def check_share(config: Any, *names: str) -> None:
+    """Checks that the named fields are shares, in (0, 1]; see `check_field`."""
+    for name in names:
+        check_field(config, name, "be in (0, 1]", lambda value: 0 < value <= 1)
+
+
 def check_one_of(config: Any, name: str, allowed: tuple[str, ...]) -> None:
     """Checks that the named field is one of some words; see `check_field`."""
     check_field(config, name, f"be one of {', '.join(allowed)}", lambda value: value in allowed)

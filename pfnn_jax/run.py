@@ -341,8 +341,8 @@ def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) ->
     if form.kind == own.kind == "cp" and form.rank != own.rank:
         raise InputError(source, "adapter rank", form.rank, f"must be {own.rank}, the rank of the run's adapters")
     if (form.kind == "film") != (own.kind == "film"):
-        asked = "must be film (few-shot: --method film or --recipe generator)"
-        rule = asked if own.kind == "film" else "must not be film"
+        needed = "must be film (few-shot: --method film or --recipe generator)"
+        rule = needed if own.kind == "film" else "must not be film"
         raise InputError(source, "adapter kind", form.kind, f"{rule}, as the run's styles are {own.kind}")
 
 

@@ -26,6 +26,7 @@ from flax import struct
 from pfnn_jax.control.loop.state import ROOT, CharacterState
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.vectors import length, lerp, unit
+from pfnn_jax.errors import check_positive, check_share
 from pfnn_jax.motion.ground import angle_between, to_local, turn, turn_towards, wrap_angle, yaw_of
 
 STOP_SPEED = 0.05
@@ -85,12 +86,8 @@ class TrackingConfig:
     fps: float = 60.0
 
     def __post_init__(self) -> None:
-        for name in ("time_scale_rate", "freeze_rate", "velocity_rate", "heading_rate"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"TrackingConfig.{name} must be in (0, 1], got {getattr(self, name)}.")
-        for name in ("min_time_scale", "stopping_time_scale", "strafe_timeout", "max_lookahead_ratio", "fps"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"TrackingConfig.{name} must be above 0, got {getattr(self, name)}.")
+        check_share(self, "time_scale_rate", "freeze_rate", "velocity_rate", "heading_rate")
+        check_positive(self, "min_time_scale", "stopping_time_scale", "strafe_timeout", "max_lookahead_ratio", "fps")
         if self.max_time_scale < self.min_time_scale:
             found = f"got {self.max_time_scale}"
             raise ValueError(f"TrackingConfig.max_time_scale must be at least min_time_scale, {found}.")

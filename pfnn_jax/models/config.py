@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
+from pfnn_jax.errors import check_at_least
 from pfnn_jax.models.layers import style_kinds
 
 POOLING = 4
@@ -39,17 +40,9 @@ class NetworkConfig:
     gating_hidden: int = 32
 
     def __post_init__(self):
-        for name in ("input_size", "output_size", "hidden", "rank", "gating_hidden"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"NetworkConfig.{name} must be at least 1, got {value}.")
-        if self.phase_size < 0:
-            raise ValueError(f"NetworkConfig.phase_size must be at least 0, got {self.phase_size}.")
-        least = 4 if self.phase_size == 0 else 1
-        if self.num_control_points < least:
-            raise ValueError(
-                f"NetworkConfig.num_control_points must be at least {least}, got {self.num_control_points}."
-            )
+        check_at_least(self, "input_size", "output_size", "hidden", "rank", "gating_hidden")
+        check_at_least(self, "phase_size", least=0)
+        check_at_least(self, "num_control_points", least=4 if self.phase_size == 0 else 1)
 
 
 @dataclass(frozen=True)
@@ -71,8 +64,7 @@ class AdapterConfig:
         if self.kind not in kinds:
             rule = ", ".join(kinds[:-1]) + f" or {kinds[-1]}"
             raise ValueError(f"AdapterConfig.kind must be {rule}, got {self.kind!r}.")
-        if self.rank < 1:
-            raise ValueError(f"AdapterConfig.rank must be at least 1, got {self.rank}.")
+        check_at_least(self, "rank")
 
 
 @dataclass(frozen=True)
@@ -96,9 +88,6 @@ class GeneratorConfig:
     film_hidden: int = 512
 
     def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value < 1:
-                raise ValueError(f"GeneratorConfig.{field.name} must be at least 1, got {value}.")
+        check_at_least(self, *(field.name for field in fields(self)))
         if self.clip_frames % POOLING:
             raise ValueError(f"GeneratorConfig.clip_frames must be a multiple of {POOLING}, got {self.clip_frames}.")

@@ -24,7 +24,7 @@ def append_metrics(path: str | Path, record: Mapping[str, Any]) -> None:
 
 
 def read_metrics(path: str | Path) -> list[dict[str, Any]]:
-    """The complete lines of RUN/metrics.jsonl; a last line cut by a kill is dropped.
+    """Reads the complete lines of RUN/metrics.jsonl; a last line cut by a kill is dropped.
 
     Raises:
         InputError: if another line is malformed.
@@ -36,7 +36,7 @@ def read_metrics(path: str | Path) -> list[dict[str, Any]]:
         try:
             records.append(json.loads(line))
         except json.JSONDecodeError as error:
-            raise InputError(file, f"line {number}", error.msg, "every line is one JSON object") from error
+            raise InputError(file, f"line {number}", error.msg, "every line must be one JSON object") from error
     return records
 
 

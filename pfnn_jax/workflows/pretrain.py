@@ -138,13 +138,13 @@ def _refuse_unfinished(out: Path) -> None:
 
 def _check_resumable(out: Path, wanted: RunConfig) -> None:
     """Refuses to resume a run that was started with other settings, or to train it for fewer steps than it has."""
-    found, asked = _plain(load_config(out)), _plain(wanted)
-    for entries in (found["pretrain"], asked["pretrain"]):
+    found, wanted_entries = _plain(load_config(out)), _plain(wanted)
+    for entries in (found["pretrain"], wanted_entries["pretrain"]):
         for name in LENGTHS:
             entries.pop(name, None)
-    for name in sorted(asked.keys() - {"versions"}):
-        if found[name] != asked[name]:
-            value = f"{_differing(found[name], asked[name])} differs from the settings given now"
+    for name in sorted(wanted_entries.keys() - {"versions"}):
+        if found[name] != wanted_entries[name]:
+            value = f"{_differing(found[name], wanted_entries[name])} differs from the settings given now"
             raise InputError(out, name, value, "must be the settings that the run was started with")
     progress, steps = train_progress(out), wanted.pretrain["steps"]
     if progress is not None and steps is not None and steps < progress[0]:

@@ -60,7 +60,7 @@ def test_arrays_of_numpy_and_plain_numbers_are_arrays_on_disk(tmp_path):
     assert_equal(loaded, {"a": jnp.arange(3, dtype=jnp.float32), "b": jnp.int32(2)})
 
 
-def test_a_second_save_replaces_the_first_and_leaves_nothing_beside(tmp_path):
+def test_a_second_save_replaces_the_first_and_leaves_no_other_file(tmp_path):
     for seed in (1, 2):
         save(tmp_path / "state", seed)
     assert_equal(load_record(tmp_path / "state", make_state()), make_state(2))

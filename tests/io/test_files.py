@@ -90,7 +90,7 @@ def test_a_name_of_another_kind_is_refused(name, suffixes, message):
     assert str(refused.value) == message
 
 
-def test_a_failure_is_told_in_one_line_without_the_path():
+def test_a_failure_is_one_line_without_the_path():
     assert failure(FileNotFoundError(2, "No such file or directory", "here/a")) == "No such file or directory"
     assert failure(ValueError("one\ntwo")) == "one" and failure(EOFError()) == "EOFError"
 

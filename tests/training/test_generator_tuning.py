@@ -28,7 +28,7 @@ PRETRAINED = PretrainConfig(
     generator_hidden=8,
 )
 TUNING = TuningConfig(steps=60, batch_size=8, clips_per_batch=2, learning_rate=1e-2, dropout=0.0, bone_length=0.0)
-LEARNED = 0.3  # share of the first error left after 60 steps; a single Film would leave none
+LEARNED = 0.3  # share of the first error left after 60 steps; a single FiLM style would leave none
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def pretrained():
 
 
 def style(pretrained):
-    """30 rows of a style that the frozen network can show: what it puts out under some Film."""
+    """Returns 30 rows of a style that the frozen network can produce: its outputs with some FiLM style."""
     data = body_rows(num_frames=(30,), seed=4)
     film = FiLMStyle(scale=jnp.full((2, HIDDEN), 3.0), shift=jnp.full((2, HIDDEN), 2.0))
     y = predict_batch(pretrained.params.shared, film, data.parts[0], None, None)

@@ -109,7 +109,7 @@ def test_gradient_of_the_loss(kind):
         check_grads(
             jax.jit(lambda *both: pretrain_loss(PretrainParams(*both), batch, Objective(0.01), None, dropout, KEY)[0]),
             (shared, adapter),
-            order=1,  # training takes no second derivative, and each would compile anew
+            order=1,  # training takes no second derivative, and each would be compiled again
             modes=("fwd", "rev"),
         )
 

@@ -64,7 +64,7 @@ def test_paths_are_accepted_or_refused_before_any_work(run, tmp_path):
 
 
 def test_a_generator_is_tuned_to_a_clip_and_kept_as_it_was(tmp_path):
-    """The style is the Film of the tuned generator; the run's own generator and network do not change."""
+    """The style is what the tuned generator predicts; the run's own generator and network do not change."""
     clips = [clip for style in ("neutral", "proud") for clip in synthetic_clips(style, 8)]
     dataset = prepare(clips, tmp_path / "data", PrepareConfig(layout="mason2022"))
     small = PretrainConfig(

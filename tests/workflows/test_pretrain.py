@@ -90,7 +90,7 @@ def test_killed_and_resumed_is_bit_for_bit_the_same(dataset, whole, tmp_path):
     assert [record["loss"] for record in read_metrics(out)] == [record["loss"] for record in read_metrics(whole.path)]
 
 
-def test_a_run_killed_before_its_first_save_begins_again(dataset, whole, tmp_path):
+def test_a_run_killed_before_its_first_save_restarts(dataset, whole, tmp_path):
     out = tmp_path / "run"
 
     def stop(progress):

@@ -20,6 +20,7 @@ from flax import struct
 from pfnn_jax.control.ik.limb import bend, forward_of
 from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics
 from pfnn_jax.control.vectors import length
+from pfnn_jax.errors import check_positive
 from pfnn_jax.motion.kinematics import quat_between, quat_conjugate, quat_multiply, quat_rotate
 
 PARTNER = (1, 0, 3, 2)
@@ -63,9 +64,9 @@ class FootLockConfig:
         if not 0.0 <= self.release_threshold <= self.lock_threshold <= 1.0:
             found = f"{self.release_threshold} and {self.lock_threshold}"
             raise ValueError(f"FootLockConfig needs 0 <= release_threshold <= lock_threshold <= 1, got {found}.")
-        for name in ("lock_time", "release_time", "heel_rise", "heel_limit", "toe_limit", "max_lock_offset", "fps"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"FootLockConfig.{name} must be above 0, got {getattr(self, name)}.")
+        check_positive(
+            self, "lock_time", "release_time", "heel_rise", "heel_limit", "toe_limit", "max_lock_offset", "fps"
+        )
 
 
 @struct.dataclass(kw_only=True)

@@ -25,6 +25,7 @@ from flax import struct
 from pfnn_jax.control.loop import rule_2017, rule_2022
 from pfnn_jax.control.loop.state import NUM_POINTS, ROOT, CharacterState
 from pfnn_jax.control.vectors import length, lerp
+from pfnn_jax.errors import check_positive, check_share
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.ground import turn_towards
 
@@ -75,12 +76,10 @@ class LoopConfig:
             "phase_rate",
             "steering",
         )
-        for name in shares:
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"LoopConfig.{name} must be in (0, 1], got {getattr(self, name)}.")
-        for name in ("position_bias", "direction_bias", "stand_speed", "jog_speed", "look_ahead", "command_gain"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"LoopConfig.{name} must be above 0, got {getattr(self, name)}.")
+        check_share(self, *shares)
+        check_positive(
+            self, "position_bias", "direction_bias", "stand_speed", "jog_speed", "look_ahead", "command_gain"
+        )
 
 
 _MASON = LoopConfig(0.75, 1.25, velocity_rate=0.25, direction_rate=0.25, gait_rate=0.25, look_ahead=0.8)
