@@ -1,4 +1,4 @@
-"""Small runs by layout and kind of style, made once for all tests of this folder."""
+"""Small runs by layout and kind of style, created once for all tests of this folder."""
 
 from __future__ import annotations
 

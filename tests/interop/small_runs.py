@@ -1,4 +1,4 @@
-"""Small random runs to export."""
+"""Small random runs for export."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HIDDEN = 12
 
 
 def make_run(path: Path, name: str, kind: str, num_styles: int = 2) -> Run:
-    """A small random network of a layout on the procedural skeleton, with styles; its walk is some bounded motion."""
+    """Creates a run with a small random network and styles on the procedural skeleton; its rollouts stay bounded."""
     skeleton, generator = synthetic_skeleton(), np.random.default_rng(7)
     layout = layout_for(name, skeleton)
     gated = {"phase_size": layout.phase_size, "gating_hidden": 5} if layout.phase_size else {}

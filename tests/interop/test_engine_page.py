@@ -1,4 +1,4 @@
-"""The loop printed in docs/engines.md is the loop of the package."""
+"""The loop printed in docs/engines.md equals the loop of the package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exports: they say what JAX says, come back as runs, and the loop in NumPy walks where the package's loop walks."""
+"""Exports: their outputs equal JAX, they import as runs, and the NumPy loop equals the controller's loop."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from pfnn_jax.motion.units import authors2018, convert_columns
 from pfnn_jax.run import Run
 from tests.raising import assert_refused
 
-FLOAT32 = 2e-5  # of an output's largest value: tables are rounded once, read back by least squares, and summed anew
+FLOAT32 = 2e-5  # of an output's largest value: tables are rounded, inverted by least squares and summed again
 LOOP = 1e-4  # metres after 300 frames; float32 against float64 on real networks gives 2e-6
 FRAMES = 300
 IMPORTS = {"pfnn2017": import_released_pfnn, "mason2018": import_released_cp, "mason2022": import_released_lpn}
 
 
 def film_numbers(run, style) -> np.ndarray:
-    """[4H] of a style of a FiLM run."""
+    """Returns the FiLM parameters [4H] of a style."""
     film = make_predictor(run, style).style
     assert isinstance(film, FiLMStyle)
     return np.asarray(film.to_vector())
 
 
 @pytest.mark.parametrize(("name", "kind"), [("mason2018", "cp"), ("mason2022", "film"), ("mason2022_pfnn", "one_hot")])
-def test_a_batch_function_is_the_predictor(runs, name, kind):
+def test_batch_function_equals_the_predictor(runs, name, kind):
     run = runs(name, kind)
     x, phase = sample_rows(run.normaliser, run.layout, 64)
     predictor = make_predictor(run, "style1")
@@ -70,22 +70,22 @@ def test_bins_round_trip_with_equal_predictions(runs, tmp_path, name, kind, styl
     back = IMPORTS[name](tmp_path / "bins", tmp_path / "run")
     np.testing.assert_array_equal(back.skeleton.offsets, run.skeleton.offsets)
     x, phase = sample_rows(run.normaliser, run.layout, 32)
-    beside = [file_stem(entry["name"]) for entry in description["styles"] if entry["files"]]
-    assert beside == list(back.config.styles)
-    pairs = [(style, beside[0] if beside else None)] if style else [(entry, entry) for entry in beside]
+    separate = [file_stem(entry["name"]) for entry in description["styles"] if entry["files"]]
+    assert separate == list(back.config.styles)
+    pairs = [(style, separate[0] if separate else None)] if style else [(entry, entry) for entry in separate]
     for own, theirs in pairs or [(None, None)]:
         expected, found = predict_rows(run, x, phase, own), predict_rows(back, x, phase, theirs)
         assert relative_error(found, expected) < FLOAT32
 
 
 def commands(speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities and facings [T] as complex numbers: straight on, round a corner, standing, and off again."""
+    """Returns velocities and facings [T] as complex numbers: straight, a corner, standing, and walking again."""
     facing = np.exp(1j * np.where(np.arange(FRAMES) < 120, 0.0, 1.2))
     return np.where((np.arange(FRAMES) // 40) == 5, 0.0, speed * facing), facing
 
 
 def walk(run: Run, choice: str | dict[str, float], description: dict) -> np.ndarray:
-    """World joints [T, J, 3] under `commands` by the controller's published loop, from the description's start."""
+    """Returns world joints [T, J, 3] of the controller's published loop under `commands`, from the exported start."""
     start, layout = description["start"], run.layout
     x = np.array(start["x"])
     if layout.name == "mason2018":  # the files are in the authors' units
@@ -118,7 +118,7 @@ def reference_walk(folder: Path) -> np.ndarray:
         ("pfnn2017", "cp", "style1"),
         ("pfnn2017", "cp", {"style0": 0.4, "style1": 0.6}),  # added into the tables
         ("mason2018", "cp", "style1"),
-        ("mason2018", "cp", {"style0": 1.6, "style1": -0.6}),  # beside them
+        ("mason2018", "cp", {"style0": 1.6, "style1": -0.6}),  # in separate files
         ("mason2022", "film", "style1"),
         ("mason2022", "film", {"style0": 0.4, "style1": 0.6}),
     ],
@@ -132,7 +132,7 @@ def test_reference_loop_equals_the_controller_loop(runs, tmp_path, name, kind, c
     np.testing.assert_allclose(reference_walk(tmp_path / "bins"), expected, atol=LOOP)
 
 
-def test_reference_loop_needs_numpy_alone_and_is_short():
+def test_reference_loop_only_needs_numpy_and_is_short():
     text = Path(reference_loop.__file__).read_text(encoding="utf-8")
     imports = [line for line in text.splitlines() if line.startswith(("import ", "from "))]
     assert imports == ["import json", "from pathlib import Path", "import numpy as np"]
@@ -148,7 +148,7 @@ def test_authors_files_round_trip(reference, tmp_path, directory):
     folder.mkdir()
     write_bins(folder, imported)
     for file in sorted((reference / directory).glob("*.bin")):
-        if file.stem in ("Walk_Velocities", "Run_Velocities"):  # settings of their demo, not of the network
+        if file.stem in ("Walk_Velocities", "Run_Velocities"):  # settings of their demo, not parameters of the network
             continue
         if directory == "lpn" or file.stem[0] in "XY":
             assert (folder / file.name).read_bytes() == file.read_bytes(), file.name

@@ -1,4 +1,4 @@
-"""What an exported folder tells beside its numbers, and what cannot be exported."""
+"""The description of an exported folder, and refused exports."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_description_contains_the_speed_to_command(runs, tmp_path, monkeypatch):
     assert mixed.asked_speed == pytest.approx(np.mean(asked))
 
 
-def test_a_run_without_roles_is_exported(runs, tmp_path):
+def test_run_without_roles_is_exported(runs, tmp_path):
     shutil.copytree(runs("mason2018", "cp").path, tmp_path / "run")
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     config["skeleton"]["roles"] = None
@@ -72,7 +72,7 @@ def test_a_run_without_roles_is_exported(runs, tmp_path):
         ("mason2022", "film", import_released_lpn, "Style_000_scale1.bin"),
     ],
 )
-def test_a_mixture_has_one_name_in_every_format(runs, tmp_path, layout, kind, import_released, file):
+def test_mixture_has_the_same_name_in_every_format(runs, tmp_path, layout, kind, import_released, file):
     run, style = runs(layout, kind), {"style0": 0.5, "style1": 0.5}
     names = [export_run(run.path, f, tmp_path / f, style=style)["styles"][0]["name"] for f in ("bins", "stablehlo")]
     assert names == ["style0:0.5+style1:0.5"] * 2

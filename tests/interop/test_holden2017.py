@@ -1,4 +1,4 @@
-"""Released weights: control points come back to rounding, golden rows hold, every bad file is named."""
+"""Released weights of Holden 2017: control points are recovered, golden rows match, every bad file is named."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ SHAPES = {
 
 
 def spline(points, index):
-    """The four-index cubic of Holden 2017, written apart from the package's basis."""
+    """Returns the four-index cubic of Holden 2017, implemented independently of the package's basis."""
     turns = 4 * index / 50
     k, d = int(turns), turns - int(turns)
     a, b, c, e = (points[(k + n - 1) % 4] for n in range(4))
@@ -51,7 +51,7 @@ def write_release(folder, indices, seed=0):
 
 @settings(deadline=None, max_examples=40)
 @given(st.sets(st.integers(0, 49), min_size=4), st.integers(0, 99))
-def test_control_points_come_back_to_rounding(indices, seed):
+def test_control_points_are_recovered_up_to_rounding(indices, seed):
     indices = sorted(indices)
     points = np.random.default_rng(seed).normal(size=(4, 3, 2))
     tables = np.stack([spline(points, index) for index in indices]).astype(np.float32)
@@ -62,12 +62,12 @@ def test_control_points_come_back_to_rounding(indices, seed):
         assert residual < ROUNDING
 
 
-def test_one_segment_holds_no_four_points_but_its_knots_do():
+def test_tables_within_one_segment_are_ill_conditioned_and_tables_over_the_cycle_are_not():
     assert condition_number([11, 12, 13, 14]) > 1e6
     assert condition_number(range(0, 50, 5)) == pytest.approx(1.43, abs=0.01)
 
 
-def test_a_release_becomes_a_run(tmp_path):
+def test_release_is_imported_as_a_run(tmp_path):
     points = write_release(tmp_path / "bins", (0, 9, 13, 25, 38))
     run = import_released_pfnn(tmp_path / "bins", tmp_path / "run")
     for layer, number in zip(run.shared.layers, "012", strict=True):
@@ -137,13 +137,13 @@ def test_frames_of_a_real_clip(released, reference, mode):
 
 
 def test_residuals_of_the_release(released):
-    """FORMATS 2.4: the released tables lie on a spline through four points to the rounding of float32."""
+    """The released tables lie on a spline through four points up to the rounding of float32 (FORMATS 2.4)."""
     assert released.config.pretrain["condition_number"] == pytest.approx(1.43, abs=0.01)
     assert max(released.config.pretrain["residual"].values()) < 2e-7
     assert load_run(released.path, "pfnn2017").fingerprint == released.fingerprint
 
 
-def test_the_skeleton_is_that_of_the_clips(released, mocap):
+def test_skeleton_matches_the_clips(released, mocap):
     clip = read_bvh(mocap / "pfnn" / "LocomotionFlat04_000.bvh")
     assert released.skeleton.names == clip.skeleton.names
     assert released.skeleton.roles == clip.skeleton.roles

@@ -1,4 +1,4 @@
-"""The released local-phase network: golden rows come back, it walks as under the authors' loop, bad files are named."""
+"""The released local-phase network: golden rows match, rollouts match the authors' loop, bad files are named."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pfnn_jax.motion.paths import circle
 from pfnn_jax.run import list_styles, style_note
 from tests.raising import assert_refused
 
-# Deviations of the outputs: float32 differs from the float64 goldens by 5e-6.
+# Standard deviations of the outputs: float32 differs from the float64 goldens by 5e-6.
 GOLDEN = 1e-4
 # Metres and radians after one second: rounding errors of float32 have grown a hundredfold by then.
 SECOND = 1e-4
@@ -79,7 +79,7 @@ def test_golden_mixtures(lpn_run, reference, tmp_path):
     np.testing.assert_allclose(one, y[:1], atol=GOLDEN)
 
 
-def test_no_style_is_the_mean_of_all(lpn_run, bank):
+def test_default_style_is_the_mean_of_all_styles(lpn_run, bank):
     style = make_predictor(lpn_run).style
     assert isinstance(style, FiLMStyle)
     mean = style.to_vector()
@@ -111,7 +111,7 @@ def test_tables_need_a_global_phase(lpn_run):
     assert_refused(predicting, place="mode", value="nearest50")
 
 
-def test_a_file_of_wrong_size_is_named(tmp_path):
+def test_file_of_wrong_size_is_named(tmp_path):
     (tmp_path / "cp0_a3.bin").write_bytes(bytes(12))
     file, absent = tmp_path / "cp0_a3.bin", tmp_path / "nowhere"
     assert_refused(lambda: read_array(file, (512, 348)), file="cp0_a3.bin", place="size", value="12 bytes")
@@ -121,7 +121,7 @@ def test_a_file_of_wrong_size_is_named(tmp_path):
 
 
 def reference_rollout(run, style, num_frames):
-    """The authors' loop without a turn: the target follows the facing, and the velocity follows the target."""
+    """Rolls out the authors' loop without turning: the target follows the facing, and the velocity the target."""
     predictor, config = replace_style(run, style), loop_config(run)
     x = straight_row(run.layout, predictor.input_mean, 1.0)
     assert predictor.phase_mean is not None
@@ -142,7 +142,7 @@ def replace_style(run, style):
     return replace(make_predictor(run, "Neutral"), style=style)
 
 
-def test_a_second_of_the_authors_loop(lpn_run, bank, reference):
+def test_first_second_equals_the_authors_loop(lpn_run, bank, reference):
     recorded = np.load(reference / "lpn_rollout_ref.npz")
     some = jax.tree.map(lambda leaf: leaf[recorded["styles"]], bank)
     y, *found = jax.jit(jax.vmap(partial(reference_rollout, lpn_run, num_frames=60)))(some)
@@ -169,7 +169,7 @@ def test_styles_walk_as_under_the_authors_loop(lpn_run, bank, reference):
 
 
 def stride_seconds(toes, roots, facing) -> float:
-    """The lag at which the toes' motion along the heading and in height, seen from the root, repeats itself."""
+    """Returns the period in seconds of the toes' height and motion along the heading, relative to the root."""
     ahead = ((toes[..., [0, 2]] - roots[:, None]) * facing[:, None]).sum(-1)
     signal = np.concatenate([ahead, toes[..., 1]], axis=1)
     signal = signal - signal.mean(axis=0)
@@ -187,13 +187,13 @@ def stride_seconds(toes, roots, facing) -> float:
 
 
 def alternates(contacts) -> bool:
-    """Whether the onsets [T, 2] of the right and left contact take turns."""
+    """Returns whether the onsets of the right and left contacts [T, 2] alternate."""
     onsets = np.argwhere((contacts[1:] > 0.5) & (contacts[:-1] <= 0.5))
     feet = onsets[np.argsort(onsets[:, 0], kind="stable"), 1]
     return len(feet) > 2 and bool((np.diff(feet) != 0).all())
 
 
-def test_generated_mixture_goes_round(lpn_run):
+def test_generated_mixture_follows_a_circle(lpn_run):
     style = {"Neutral": 0.5, "Old": 0.3, "Zombie": 0.2}
     predictor, speed = make_predictor(lpn_run, style), default_speed(lpn_run, style)
     loop = loop_config(lpn_run)

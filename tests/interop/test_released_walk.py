@@ -1,4 +1,4 @@
-"""Holden's released network under this controller walks, jogs and turns as under the authors' own loop."""
+"""The released network of Holden 2017 walks, jogs and turns under this controller as under the authors' loop."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pfnn_jax.motion.features.layout import pfnn2017
 
 LAYOUT = pfnn2017()
 NUM_FRAMES, SETTLED = 720, 120
-# The loops differ in the velocity that moves the old pose on, and in how they begin.
+# The loops differ in the velocity that extrapolates the previous pose, and in their first frames.
 CLOSE = 0.02
 SIZES = (342, 512, 512, 311)
 
@@ -32,7 +32,7 @@ def read(folder: Path, name: str, shape) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def predictor(reference) -> Predictor:
-    """The release's four control points, recovered from its slices by least squares."""
+    """Returns the network with four control points recovered from the released slices by least squares."""
     folder = reference / "pfnn"
     slices = sorted(int(file.stem[3:]) for file in folder.glob("W0_*.bin"))
     basis = np.stack([catmull_rom_basis(jnp.float32(2 * np.pi * i / 50)) for i in slices]).astype(np.float64)
@@ -48,7 +48,7 @@ def predictor(reference) -> Predictor:
 
 
 def walk(predictor: Predictor, speed: float, turn: float = 0.0) -> Frames:
-    """From a standing mean pose straight ahead, turning by `turn` radians at frame 300."""
+    """Walks straight from a standing mean pose and turns by `turn` radians at frame 300."""
     x = predictor.input_mean
     joints = LAYOUT.output_slice("joint_position")
     x = x.at[LAYOUT.input_slice("joint_position")].set(predictor.output_mean[joints])
@@ -63,7 +63,7 @@ def walk(predictor: Predictor, speed: float, turn: float = 0.0) -> Frames:
     ("speed", "turn", "name"),
     [(1.5, 0.0, "walk_cubic"), (1.5, np.pi / 2, "walk_turn90"), (3.0, 0.0, "jog5.0"), (4.5, 0.0, "run7.5")],
 )
-def test_gait_is_the_released_one(predictor, reference, speed, turn, name):
+def test_gait_matches_the_authors_rollouts(predictor, reference, speed, turn, name):
     expected = json.loads((reference / "pfnn_rollout_metrics.json").read_text())[name]
     frames = walk(predictor, speed, turn)
     roots, phase = frames.root_positions[SETTLED:], np.unwrap(frames.phase[SETTLED:])
