@@ -37,7 +37,9 @@ def catmull_rom_basis(phase: jax.Array, num_control_points: int = 4) -> jax.Arra
     # gather or scatter, which not every exchange format has.
     d = jnp.abs(offset - count * jnp.floor(offset / count + 0.5))
     near, far = (1.0 - d) * (1.0 + d - 1.5 * d * d), -0.5 * (d - 1.0) * (d - 2.0) ** 2
-    return jnp.where(d < 1.0, near, jnp.where(d < 2.0, far, 0.0))
+    # Masks, because the ONNX exporter cannot batch `jnp.where`.
+    inner, both = (d < 1.0).astype(d.dtype), (d < 2.0).astype(d.dtype)
+    return inner * near + (both - inner) * far
 
 
 def evaluate_spline(points: jax.Array, phase: jax.Array) -> jax.Array:
