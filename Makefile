@@ -16,7 +16,7 @@ types: .venv/.installed
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 pytest: .venv/.installed
-	$(BIN)/python -m pytest -n $(WORKERS) --nbmake tests notebooks
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --nbmake tests notebooks
 
 docs: .venv/.installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site

@@ -30,7 +30,8 @@ def evaluate_clips(
         roles_file: JSON naming the joints' roles.
 
     Returns:
-        For every style of the clips, what `one_step_test` returns, and `left_out`: skipped file -> reason.
+        For every style of the clips, what `one_step_test` returns; the same under `without_style` for the network
+        without a style, or on a FiLM run in the mean of its styles; and `left_out`: skipped file -> reason.
 
     Raises:
         InputError: for a bad clip, an unknown style, or a style whose clips were all skipped.
@@ -50,8 +51,10 @@ def evaluate_clips(
                 left_out[clip_file.path.name] = str(error)
         if not parts:
             raise InputError(files[0].path.parent, "style", own, "must have at least one clip with steps")
-        errors = one_step_test(_predictor(run, style, files[0]), join_takes(parts, names), run.layout, std)
-        result[own] = {**errors, "left_out": left_out}
+        takes = join_takes(parts, names)
+        errors = one_step_test(_predictor(run, style, files[0]), takes, run.layout, std)
+        without = one_step_test(make_predictor(run, None), takes, run.layout, std)
+        result[own] = {**errors, "without_style": without, "left_out": left_out}
     return result
 
 
