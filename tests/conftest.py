@@ -15,6 +15,9 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 # Tests compile much and compute little: without LLVM's optimisations they take half the time.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+# What one worker or an earlier run has compiled is read from disk: a second run takes a third of the time.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().parents[1] / ".jax_cache"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 # The first example of a property compiles, which takes longer than hypothesis allows. On continuous integration the
 # same examples are drawn every time.

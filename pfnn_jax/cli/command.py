@@ -82,7 +82,7 @@ def parse_choice(style: str | None, run: Path) -> str | dict[str, float] | None:
     Raises:
         InputError: for a style that the run does not have, or a mixture that is malformed.
     """
-    from pfnn_jax.inference.mixture import parse_style
+    from pfnn_jax.inference.style_choice import parse_style
     from pfnn_jax.run import list_styles
 
     if style is None:

@@ -47,8 +47,9 @@ from pfnn_jax.control.tracking import (
 )
 from pfnn_jax.control.vectors import lerp
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.mixture import check_weights, need_style, stack_styles
+from pfnn_jax.inference.mixture import need_style, stack_styles
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor
+from pfnn_jax.inference.style_choice import check_weights
 from pfnn_jax.models.network import Network
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout

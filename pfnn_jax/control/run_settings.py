@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, LoopConfig
-from pfnn_jax.inference.mixture import StyleChoice
+from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.motion.features.decode import root_steps
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser

@@ -6,69 +6,19 @@ one style (`models.style`), in a controller, whose weights change from frame to 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.inference.style_choice import StyleChoice, check_weights
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.style import Style, mix_styles
 from pfnn_jax.run import Run, list_styles, load_style
-
-StyleChoice: TypeAlias = str | Mapping[str, float] | None
-"""A style's name, names with weights, or None: style-agnostic motion, on a FiLM run the mean of its styles."""
-
-SUM = 1e-3
-"""How far from one the sum of weights may lie: weights are typed with a few decimals."""
-
-
-def parse_style(text: str, styles: Sequence[str], source: str | Path) -> str | dict[str, float]:
-    """A style's name, or a mixture written as `A:0.5+B:0.3+C:0.2`.
-
-    Args:
-        text: what was asked for. A text without a colon, or that is the name of a style, is a name.
-        styles: names that there are.
-        source: for messages.
-
-    Raises:
-        InputError: for a part that is no NAME:WEIGHT, a name that stands twice, or weights that do not sum to one.
-    """
-    if ":" not in text or text in styles:
-        return text
-    weights: dict[str, float] = {}
-    for part in text.split("+"):
-        name, _, number = part.rpartition(":")
-        try:
-            weight = float(number)
-        except ValueError:
-            weight = float("nan")
-        if not name or name in weights or not np.isfinite(weight):
-            raise InputError(source, "style", part, "a mixture is NAME:WEIGHT+NAME:WEIGHT+..., each name once")
-        weights[name] = weight
-    check_weights(tuple(weights.values()), source, "style weights")
-    return weights
-
-
-def file_stem(name: str) -> str:
-    """A style's name, or a mixture as it is written, as part of a file name on every system."""
-    return re.sub(r'[/\\<>:"|?*]', "-", name)
-
-
-def check_weights(weights: Sequence[float] | np.ndarray, source: str | Path, place: str) -> None:
-    """Refuses weights that are not finite or do not sum to one.
-
-    Raises:
-        InputError: naming the weights and their sum.
-    """
-    total = float(np.sum(weights))
-    if not abs(total - 1.0) <= SUM:
-        shown = " + ".join(f"{weight:g}" for weight in weights)
-        raise InputError(source, place, f"{shown} = {total:g}", "must sum to one")
 
 
 def load_choice(run: Run, choice: StyleChoice) -> Style | None:

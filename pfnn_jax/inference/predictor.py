@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.inference.mixture import StyleChoice, load_choice
+from pfnn_jax.inference.mixture import load_choice
+from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.models.layers.film import layer_norm
 from pfnn_jax.models.network import Network, coefficients, forward
 from pfnn_jax.models.style import Normalise, Style

@@ -17,9 +17,10 @@ from numpy.lib.format import MAGIC_PREFIX
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import table_phase
-from pfnn_jax.inference.mixture import StyleChoice, check_weights, load_bank, mix_rows
+from pfnn_jax.inference.mixture import load_bank, mix_rows
 from pfnn_jax.inference.modes import LayerNorm, Mode
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
+from pfnn_jax.inference.style_choice import StyleChoice, check_weights
 from pfnn_jax.io.files import failure, refuse_existing, replacing
 from pfnn_jax.models.layers.film import FiLMStyle, layer_norm, layer_norm_sample
 from pfnn_jax.models.style import Style

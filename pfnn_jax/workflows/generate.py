@@ -10,9 +10,10 @@ from pfnn_jax.control.controller import make_controller
 from pfnn_jax.control.generation import GeneratedWalk, as_path, fix_walk, loop_path, track_path
 from pfnn_jax.control.run_settings import default_speed, loop_config, style_label
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.mixture import StyleChoice, choice_weights, parse_style
+from pfnn_jax.inference.mixture import choice_weights
 from pfnn_jax.inference.modes import Mode
 from pfnn_jax.inference.predictor import make_predictor
+from pfnn_jax.inference.style_choice import StyleChoice, parse_style
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.paths import Path
 from pfnn_jax.run import Run, list_styles, load_run

@@ -11,9 +11,10 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
-from pfnn_jax.inference.mixture import load_bank, load_choice, parse_style
+from pfnn_jax.inference.mixture import load_bank, load_choice
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import RowStyles, predict_rows
+from pfnn_jax.inference.style_choice import parse_style
 from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
 from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style

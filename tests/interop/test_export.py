@@ -13,9 +13,9 @@ import pytest
 from pfnn_jax.control.controller import make_controller, rollout_commands
 from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import Command
-from pfnn_jax.inference.mixture import file_stem
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import predict_rows
+from pfnn_jax.inference.style_choice import file_stem
 from pfnn_jax.interop.export import reference_loop
 from pfnn_jax.interop.export.batch import batch_function, relative_error, sample_rows
 from pfnn_jax.interop.export.bins import write_bins

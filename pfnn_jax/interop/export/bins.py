@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.mixture import StyleChoice
+from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.interop.export.styles import ExportStyle, choose_styles
 from pfnn_jax.interop.released.holden2017 import NUM_TABLES, spline_design
 from pfnn_jax.models.layers.cp import CPLayer

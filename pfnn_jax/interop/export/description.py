@@ -12,7 +12,7 @@ import numpy as np
 from pfnn_jax.control.generation import starting_row
 from pfnn_jax.control.loop.state import NUM_POINTS, ROOT
 from pfnn_jax.control.run_settings import loop_config
-from pfnn_jax.inference.mixture import StyleChoice
+from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.interop.export.walks import Walk, walks_of
 from pfnn_jax.motion.features.layout import GAITS, TRAJECTORY_OFFSETS, FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.mixture import StyleChoice
 from pfnn_jax.inference.predictor import assemble_predictor, make_predictor
+from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.interop.export.batch import batch_function, sample_rows
 from pfnn_jax.interop.export.bins import write_bins
 from pfnn_jax.interop.export.description import FILE, SCHEMA, describe

@@ -11,7 +11,8 @@ import jax
 import numpy as np
 
 from pfnn_jax.control.run_settings import style_label
-from pfnn_jax.inference.mixture import StyleChoice, file_stem, load_choice, need_style
+from pfnn_jax.inference.mixture import load_choice, need_style
+from pfnn_jax.inference.style_choice import StyleChoice, file_stem
 from pfnn_jax.models.style import Style
 from pfnn_jax.run import Run, list_styles, style_note
 

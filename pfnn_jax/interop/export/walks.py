@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from pfnn_jax.control.controller import Controller, make_controller
 from pfnn_jax.control.controller_state import style_speed
 from pfnn_jax.control.run_settings import default_speed
-from pfnn_jax.inference.mixture import StyleChoice, choice_weights
+from pfnn_jax.inference.mixture import choice_weights
+from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.run import Run
 
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.mixture import file_stem
+from pfnn_jax.inference.style_choice import file_stem
 from pfnn_jax.interop.released.files import DESCRIPTION, read_array, read_description, read_statistics
 from pfnn_jax.interop.released.holden2017 import NUM_TABLES, read_tables, recover_control_points
 from pfnn_jax.models.config import AdapterConfig

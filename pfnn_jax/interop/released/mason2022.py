@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.inference.mixture import file_stem
 from pfnn_jax.inference.predictor import assemble_predictor, evaluate
+from pfnn_jax.inference.style_choice import file_stem
 from pfnn_jax.interop.released.files import read_array, read_description, read_statistics
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.gating import Gating

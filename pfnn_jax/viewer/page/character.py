@@ -15,7 +15,7 @@ import numpy as np
 from pfnn_jax.control.controller import Command, ControllerState
 from pfnn_jax.control.loop.state import ROOT
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.mixture import SUM
+from pfnn_jax.inference.style_choice import SUM_TOLERANCE
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.viewer.page.drive_input import DriveInput, HeldKeys
 from pfnn_jax.viewer.page.recording import Recording
@@ -172,7 +172,7 @@ class Character:
         """
         values = [float(weight) for weight in weights]
         sound = len(values) == len(names) > 0 and all(value >= 0.0 for value in values)
-        if not sound or not abs(sum(values) - 1.0) <= SUM:
+        if not sound or not abs(sum(values) - 1.0) <= SUM_TOLERANCE:
             shown = ", ".join(f"{value:g}" for value in values[:8])
             raise InputError("page", "style weights", shown, "must be one for each style, not negative, with sum one")
         shares: dict[str, float] = {}
