@@ -44,7 +44,7 @@ lock:
 	  --no-header --no-emit-index-url --no-annotate --quiet -o requirements.lock
 
 clean:
-	rm -rf .venv site demo .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv site demo .pytest_cache .ruff_cache .hypothesis .jax_cache
 
 # Two stamps: a changed lock file rebuilds the environment, a changed pyproject.toml installs the project again.
 .venv/.locked: requirements.lock
