@@ -44,7 +44,8 @@ from pfnn_jax.control.tracking import TrackingConfig
 from pfnn_jax.control.vectors import to_3d
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.motion.ground import to_local
-from pfnn_jax.run import list_styles, load_run
+from pfnn_jax.run import load_run
+from pfnn_jax.run_config import list_styles
 
 FPS = 60
 WALK_OFF, OBEY, STOP = 3 * FPS, 6 * FPS, 3 * FPS

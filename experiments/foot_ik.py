@@ -31,7 +31,8 @@ from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.paths import figure_eight
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.run import Run, list_styles, load_run
+from pfnn_jax.run import Run, load_run
+from pfnn_jax.run_config import list_styles
 from pfnn_jax.workflows.generate import generate_walk
 
 COLUMNS = {

@@ -12,102 +12,26 @@ RUN/metrics.jsonl   one line for each interval of training
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import jax
 import numpy as np
 
-from pfnn_jax.errors import InputError, check_positive
-from pfnn_jax.io.checkpoint import fingerprint, load_record, read_note, save_record
-from pfnn_jax.io.files import locate, read_json, refuse_existing, replacing, saved_names, write_json
-from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
+from pfnn_jax.errors import InputError
+from pfnn_jax.io.checkpoint import fingerprint, load_record, save_record
+from pfnn_jax.io.files import locate, read_note, refuse_existing, replacing, write_json
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import Network, init_network, num_parameters
 from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.motion.datasets.sources import check_style_name
-from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout, layout_for
+from pfnn_jax.motion.features.layout import FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, load_normaliser, save_normaliser
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
-
-STATE_NOTE = "train_state.json"
-
-RUN_RULE = "must be a run directory, as `pfnn-jax pretrain` or `pfnn-jax import-released` writes it"
-
-
-def _versions() -> dict[str, str]:
-    return {"pfnn_jax": importlib.metadata.version("pfnn-jax"), "jax": jax.__version__}
-
-
-@dataclass(frozen=True)
-class RunConfig:
-    """Everything needed to rebuild a run.
-
-    Attributes:
-        network: sizes of the shared network.
-        adapter: form of the styles that pretraining learned. A later style may be an adapter of another kind, but
-            FiLM styles and adapters cannot share a network: it is trained with layer norm or without it.
-        layout: name of the frame layout.
-        num_joints: J.
-        styles: names of the pretraining styles, in the order of the adapter bank.
-        skeleton: as `skeleton_to_json` returns it.
-        pretrain: settings of pretraining, or where the parameters came from.
-        generator: sizes of the FiLM generator in RUN/generator/, or None.
-        command_gain: factor on commanded speeds before they reach the network.
-        versions: of pfnn_jax and jax at the time of writing.
-    """
-
-    network: NetworkConfig
-    adapter: AdapterConfig
-    layout: str
-    num_joints: int
-    styles: tuple[str, ...]
-    skeleton: Mapping[str, Any]
-    pretrain: Mapping[str, Any] = field(default_factory=dict)
-    generator: GeneratorConfig | None = None
-    command_gain: float = 1.0
-    versions: Mapping[str, str] = field(default_factory=_versions)
-
-    def __post_init__(self):
-        if self.layout not in LAYOUTS:
-            raise ValueError(f"RunConfig.layout must be one of {', '.join(LAYOUTS)}, got {self.layout!r}.")
-        layout = LAYOUTS[self.layout](self.num_joints)
-        if self.network.phase_size != layout.phase_size:
-            raise ValueError(
-                f"RunConfig.network must have phase_size {layout.phase_size} for layout {self.layout}, "
-                f"got {self.network.phase_size}."
-            )
-        check_positive(self, "command_gain")
-        sizes = (self.network.input_size, self.network.output_size)
-        if sizes != (layout.input_size, layout.output_size):
-            raise ValueError(
-                f"RunConfig.network must have {layout.input_size} inputs and {layout.output_size} outputs "
-                f"for layout {self.layout} with {self.num_joints} joints, got {sizes[0]} and {sizes[1]}."
-            )
-
-
-def load_config(path: str | Path) -> RunConfig:
-    """Reads RUN/config.json; the shared parameters need not exist yet.
-
-    Raises:
-        InputError: if it is absent or malformed, or a value breaks a rule.
-    """
-    file = (locate(Path(path)) or Path(path)) / "config.json"
-    data = read_json(file, RUN_RULE)
-    try:
-        network, adapter = NetworkConfig(**data.pop("network")), AdapterConfig(**data.pop("adapter"))
-        sizes = data.pop("generator", None)
-        generator = None if sizes is None else GeneratorConfig(**sizes)
-        styles = tuple(data.pop("styles"))
-        return RunConfig(network=network, adapter=adapter, styles=styles, generator=generator, **data)
-    except KeyError as error:
-        raise InputError(file, "entry", f"{error.args[0]} is absent", RUN_RULE) from error
-    except (TypeError, ValueError) as error:
-        raise InputError(file, "entries", str(error).removesuffix("."), RUN_RULE) from error
-
+from pfnn_jax.run_config import RUN_RULE, STATE_NOTE, RunConfig, check_adapter, check_new_style, load_config, style_note
 
 State = TypeVar("State")
 
@@ -199,31 +123,10 @@ def load_run(path: str | Path, layout: str | None = None) -> Run:
     )
 
 
-def check_finished(path: str | Path) -> None:
-    """Checks that a run can be loaded, without reading its parameters.
-
-    Raises:
-        InputError: if it is not a run directory, or its pretraining has not finished.
-    """
-    load_config(path)
-    if locate(Path(path) / "shared") is None:
-        raise InputError(path, "shared", "absent", "no shared parameters yet: run or resume pretraining first")
-
-
 def save_shared(path: str | Path, shared: Network) -> None:
     """Saves the style-agnostic parameters; styles that were trained for other ones are refused from then on."""
     note = {"fingerprint": fingerprint(shared), "parameters": num_parameters(shared)}
     save_record(Path(path) / "shared", shared, "shared.json", note)
-
-
-def has_shared(path: str | Path) -> bool:
-    """Returns whether the run's pretraining has come to an end."""
-    return locate(Path(path) / "shared") is not None
-
-
-def save_config(path: str | Path, config: RunConfig) -> None:
-    """Replaces the configuration of an existing run."""
-    write_json(Path(path) / "config.json", asdict(config))
 
 
 def save_generator(path: str | Path, parameters: Any) -> None:
@@ -277,17 +180,6 @@ def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, A
     return folder
 
 
-def check_new_style(path: str | Path, name: str, overwrite: bool = False) -> Path:
-    """Returns the folder of a style to be saved; to be called before long work.
-
-    Raises:
-        InputError: if the name cannot be a folder's, or the style exists and `overwrite` is not set.
-    """
-    folder = Path(path) / "styles" / check_style_name(name, Path(path))
-    refuse_existing(folder, overwrite)
-    return folder
-
-
 @overload
 def load_style(run: Run, name: str) -> Style: ...
 @overload
@@ -311,39 +203,6 @@ def load_style(run: Run, name: str | None) -> Style | None:
         raise InputError(folder / "style.json", "adapter", error, "must be a kind and a rank") from error
     check_adapter(run.config, form, folder)
     return load_record(folder, _abstract_adapter(run.config, form))
-
-
-def list_styles(path: str | Path) -> tuple[str, ...]:
-    """Returns the names of the run's styles, sorted."""
-    return saved_names(Path(path) / "styles")
-
-
-def style_note(path: str | Path, name: str) -> dict[str, Any]:
-    """Reads style.json: `name`, `shared` (fingerprint), `adapter` (kind and rank) and `info`.
-
-    Raises:
-        InputError: for an unknown style, listing the known ones.
-    """
-    names = list_styles(path)
-    if name not in names:
-        raise InputError(path, "style", name, f"must be one of {', '.join(names) or '(this run has no styles yet)'}")
-    return read_note(Path(path) / "styles" / name, "style.json", "must be a style saved by `pfnn-jax few-shot`")
-
-
-def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) -> None:
-    """Refuses a style that does not fit the run's network; to be called before training.
-
-    Raises:
-        InputError: for a CP adapter of another rank than the run's, where that has CP adapters, and for a FiLM style
-            of a network trained with adapters or the reverse: with FiLM the hidden layers are normalised.
-    """
-    own = config.adapter
-    if form.kind == own.kind == "cp" and form.rank != own.rank:
-        raise InputError(source, "adapter rank", form.rank, f"must be {own.rank}, the rank of the run's adapters")
-    if (form.kind == "film") != (own.kind == "film"):
-        needed = "must be film (few-shot: --method film or --recipe generator)"
-        rule = needed if own.kind == "film" else "must not be film"
-        raise InputError(source, "adapter kind", form.kind, f"{rule}, as the run's styles are {own.kind}")
 
 
 STATE_FORMAT = 2
@@ -370,21 +229,6 @@ def load_train_state(path: str | Path, abstract_state: State) -> State | None:
         rule = f"must be {STATE_FORMAT}: resume with the version that wrote it, or pass overwrite=True to start again"
         raise InputError(folder, "format", found, rule)
     return load_record(folder, abstract_state)
-
-
-def train_step(path: str | Path) -> int | None:
-    """Returns the step of the last completely saved state, or None where there is none."""
-    found = train_progress(path)
-    return None if found is None else found[0]
-
-
-def train_progress(path: str | Path) -> tuple[int, int | None] | None:
-    """Returns (step, steps in all) of the last completely saved state, or None where there is none."""
-    folder = Path(path) / "train_state"
-    if locate(folder) is None:
-        return None
-    note = read_note(folder, STATE_NOTE, RUN_RULE)
-    return int(note["step"]), note.get("steps")
 
 
 def shared_fingerprint(path: str | Path) -> str:

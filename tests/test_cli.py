@@ -24,8 +24,10 @@ from pfnn_jax.cli.predict import Predict
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
-from pfnn_jax.run import fingerprint, list_styles, load_run, load_style, style_note, train_step
+from pfnn_jax.run import fingerprint, load_run, load_style
+from pfnn_jax.run_config import list_styles, style_note, train_step
 from pfnn_jax.training.config import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
+from tests.trained import made_once
 
 SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
 QUICK = "--rank 3 --eval-epochs 1 2 --learning-rates 0.001 --main-dropouts 0 --batch-size 16".split()
@@ -51,10 +53,13 @@ def refused(capsys):
     return check
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def folder(tmp_path_factory) -> Path:
-    """A folder of BVH files per style, a dataset, a run, and a clip of a third style."""
-    folder = tmp_path_factory.mktemp("work")
+    """A folder of BVH files per style, a dataset, a run, and a clip of a third style, which the run has learned."""
+    return made_once(tmp_path_factory, "cli", make_folder)
+
+
+def make_folder(folder: Path) -> None:
     for style in ("neutral", "old"):
         (folder / "bvh" / style).mkdir(parents=True)
         for number, labelled in enumerate(synthetic_clips(style, 10.0, clip_seconds=5.0)):
@@ -65,7 +70,6 @@ def folder(tmp_path_factory) -> Path:
     run("prepare", folder / "bvh", "--out", folder / "data")
     run("pretrain", folder / "data", "--out", folder / "run", *SMALL, "--json", folder / "pretrain.json")
     run("few-shot", folder / "run", folder / "zombie.bvh", "--name", "zombie", *QUICK, "--json", folder / "few.json")
-    return folder
 
 
 def test_help_lists_every_command(capsys):
@@ -152,7 +156,13 @@ def test_few_shot_leaves_the_shared_network_bitwise_unchanged(folder, tmp_path):
     assert fingerprint(load_style(after, "old")) == fingerprint(old)
 
 
-FOUND = {"frames": 1, "seconds": 1.0, "choice": {"epochs": 100, "held_out_error": 2.0}, "stable_on_turns": False}
+FOUND = {
+    "frames": 1,
+    "seconds": 1.0,
+    "choice": {"epochs": 100, "held_out_error": 2.0},
+    "error_without_style": 3.0,
+    "stable_on_turns": False,
+}
 
 
 @pytest.fixture
@@ -200,7 +210,7 @@ def test_options_that_would_be_ignored_are_refused(folder, refused, words):
 def test_few_shot_says_what_its_error_means(folder, requested, capsys):
     requested("--mirror", "False")
     shown = capsys.readouterr().out
-    assert "not mirrored" in shown and "1.0 = predicting the mean" in shown
+    assert "not mirrored" in shown and "without the style 3.000" in shown and "1.0 = predicting the mean" in shown
     assert len([line for line in shown.splitlines() if line.startswith("warning: ")]) == 2  # error 2.0, and unstable
 
 

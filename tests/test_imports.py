@@ -18,7 +18,8 @@ MAY_IMPORT = {
     "io": set(),
     "motion": {"io"},
     "models": set(),
-    "run": {"io", "motion", "models"},
+    "run_config": {"io", "motion", "models"},
+    "run": {"io", "motion", "models", "run_config"},
 }
 for _next in ("training", "inference", "control", "interop", "workflows", "viewer", "evaluation", "benchmarks", "demo"):
     MAY_IMPORT[_next] = set(MAY_IMPORT)  # each may import those before it

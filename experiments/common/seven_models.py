@@ -14,8 +14,8 @@ import numpy as np
 
 from experiments.common.seven_takes import Take, Takes, rows_of
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor
-from pfnn_jax.io.checkpoint import load_record, read_note, save_record
-from pfnn_jax.io.files import locate
+from pfnn_jax.io.checkpoint import load_record, save_record
+from pfnn_jax.io.files import locate, read_note
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.models.network import Network, init_network

@@ -83,8 +83,11 @@ def parse_choice(style: str | None, run: Path) -> str | dict[str, float] | None:
         InputError: for a style that the run does not have, or a mixture that is malformed.
     """
     from pfnn_jax.inference.style_choice import parse_style
-    from pfnn_jax.run import list_styles
+    from pfnn_jax.run_config import list_styles, style_note
 
     if style is None:
         return None
-    return parse_style(style, list_styles(run), run)
+    choice = parse_style(style, list_styles(run), run)
+    for name in (choice,) if isinstance(choice, str) else choice:
+        style_note(run, name)
+    return choice

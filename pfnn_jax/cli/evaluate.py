@@ -30,7 +30,7 @@ class Evaluate(Command):
 
     def run(self) -> Any:
         from pfnn_jax.motion.datasets.sources import list_clips
-        from pfnn_jax.run import check_finished
+        from pfnn_jax.run_config import check_finished
 
         check_finished(self.run_path)
         clips = list_clips(self.source)

@@ -32,7 +32,7 @@ class Export(Command):
     overwrite: bool = False
 
     def run(self) -> Any:
-        from pfnn_jax.run import check_finished
+        from pfnn_jax.run_config import check_finished
 
         check_output(self.out, self.overwrite)
         check_finished(self.run_path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +12,7 @@ from tyro.conf import Positional
 from pfnn_jax.cli.command import FLAT, Command, Run
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
-from pfnn_jax.training.config import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig, TuningConfig
+from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig, TuningConfig
 
 GRID = frozenset(field.name for field in fields(FewShotConfig)) - {"seed"}
 
@@ -55,9 +54,10 @@ class FewShot(Command):
     def run(self) -> Any:
         self._check_recipe()
         from pfnn_jax.cli.progress import progress
-        from pfnn_jax.run import check_finished
+        from pfnn_jax.run_config import check_finished, check_new_style
 
         check_finished(self.run_path)
+        check_new_style(self.run_path, self.name, self.overwrite)
         clip = ClipFile(self.clip, self.name, start=self.start, stop=self.stop)
         mirror = is_symmetric(self.name) if self.mirror is None else self.mirror
         from pfnn_jax.run import load_run
@@ -65,9 +65,12 @@ class FewShot(Command):
 
         run = load_run(self.run_path)
         with progress("learning") as report:
-            options: Any = {"mirror": mirror, "roles_file": self.roles, "overwrite": self.overwrite}
-            if "progress_callback" in inspect.signature(tune_style).parameters or self.recipe != "generator":
-                options["progress_callback"] = lambda share, what: report(share, 1.0, what)
+            options: Any = {
+                "mirror": mirror,
+                "roles_file": self.roles,
+                "overwrite": self.overwrite,
+                "progress_callback": lambda share, what: report(share, 1.0, what),
+            }
             if self.recipe == "generator":
                 info = tune_style(run, clip, replace(self.tuning, seed=self.config.seed), **options)
             else:
@@ -91,8 +94,9 @@ class FewShot(Command):
 
     def _grid(self, run: Any) -> FewShotConfig:
         """Returns the settings of the recipe, with the given options in their place."""
-        default = FILM_FEW_SHOT if run.config.adapter.kind == "film" else FewShotConfig()
-        base = MASON2018_FEW_SHOT if self.recipe == "mason2018" else default
+        from pfnn_jax.workflows.learn import default_config
+
+        base = MASON2018_FEW_SHOT if self.recipe == "mason2018" else default_config(run)
         given = {name: getattr(self.config, name) for name in self.given & {*GRID, "seed"}}
         method = given.get("method", base.method)
         if "rank" in given and method != "cp":
@@ -108,12 +112,12 @@ class FewShot(Command):
             print(f"training loss {info['loss']:.4g}")
             return
         choice = dict(info["choice"])
-        error, without = choice.pop("held_out_error", None), info.get("error_without_style")
+        error, without = choice.pop("held_out_error"), info["error_without_style"]
         print("chosen: " + ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in choice.items()))
-        if error is not None:
-            compared = "" if without is None else f"; without the style {without:.3f}"
-            print(f"held-out error {error:.3f}{compared} (lower is better, 1.0 = predicting the mean)")
-            if error > 1.0:
-                print("warning: an error above 1.0 is worse than predicting the mean: the clip does not fit the run")
-        if info.get("stable_on_turns") is False:
+        print(
+            f"held-out error {error:.3f}, without the style {without:.3f} (lower is better, 1.0 = predicting the mean)"
+        )
+        if error > 1.0:
+            print("warning: an error above 1.0 is worse than predicting the mean: the clip does not fit the run")
+        if not info["stable_on_turns"]:
             print("warning: no setting walks circles without diverging: pretrain the run for longer, or expect falls")

@@ -46,7 +46,7 @@ class Generate(Command):
 
     def run(self) -> Any:
         from pfnn_jax.motion.paths import make_path
-        from pfnn_jax.run import check_finished
+        from pfnn_jax.run_config import check_finished
 
         check_output(self.out, self.overwrite, ".bvh")
         if self.mode != "cubic" and not self.published_loop:

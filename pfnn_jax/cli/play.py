@@ -31,7 +31,7 @@ class Play(Command):
     open: bool = False
 
     def run(self) -> Any:
-        from pfnn_jax.run import check_finished
+        from pfnn_jax.run_config import check_finished
 
         if not self.run_paths:
             raise InputError("command line", "runs", "none", "name at least one run directory")

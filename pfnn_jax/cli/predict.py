@@ -38,7 +38,7 @@ class Predict(Command):
     overwrite: bool = False
 
     def run(self) -> Any:
-        from pfnn_jax.run import check_finished
+        from pfnn_jax.run_config import check_finished
 
         check_output(self.out, self.overwrite, ".npz")
         check_finished(self.run_path)

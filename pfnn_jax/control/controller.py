@@ -55,7 +55,8 @@ from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.run import Run, list_styles, load_style
+from pfnn_jax.run import Run, load_style
+from pfnn_jax.run_config import list_styles
 
 STYLE_RATE = 0.06
 """Share per frame by which a character's style moves towards the commanded one: 90 % of the way in 0.6 s."""

@@ -12,7 +12,8 @@ from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.motion.features.decode import root_steps
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
-from pfnn_jax.run import Run, list_styles, style_note
+from pfnn_jax.run import Run
+from pfnn_jax.run_config import list_styles, style_note
 
 
 def loop_config(run: Run) -> LoopConfig:

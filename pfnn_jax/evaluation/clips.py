@@ -14,7 +14,8 @@ from pfnn_jax.inference.predictor import Predictor, make_predictor
 from pfnn_jax.motion.datasets.clip_rows import load_for_layout
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.labels.footsteps import NoGaitError
-from pfnn_jax.run import Run, list_styles
+from pfnn_jax.run import Run
+from pfnn_jax.run_config import list_styles
 from pfnn_jax.workflows.learn import clip_parts
 
 

@@ -18,7 +18,8 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.inference.style_choice import StyleChoice, check_weights
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.style import Style, mix_styles
-from pfnn_jax.run import Run, list_styles, load_style
+from pfnn_jax.run import Run, load_style
+from pfnn_jax.run_config import list_styles
 
 
 def load_choice(run: Run, choice: StyleChoice) -> Style | None:

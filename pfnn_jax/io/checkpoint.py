@@ -88,11 +88,6 @@ def load_record(folder: Path, abstract: Tree) -> Tree:
         raise InputError(folder, "checkpoint", first, "must be a complete, undamaged save") from error
 
 
-def read_note(folder: Path, note_name: str, rule: str) -> dict[str, Any]:
-    """Reads the note of the last complete `save_record`; `rule` as in `read_json`."""
-    return read_json((locate(folder) or folder) / note_name, rule)
-
-
 def fingerprint(tree: Any) -> str:
     """Returns the SHA-256 over names, types, shapes and values of a tree of parameters, in hexadecimal."""
     digest = hashlib.sha256()

@@ -237,3 +237,8 @@ def _is_running(pid: int) -> bool:
     except (PermissionError, OverflowError):
         return True
     return True
+
+
+def read_note(folder: Path, note_name: str, rule: str) -> dict[str, Any]:
+    """Reads the note of the last complete `save_record`; `rule` as in `read_json`."""
+    return read_json((locate(folder) or folder) / note_name, rule)

@@ -16,7 +16,8 @@ from pfnn_jax.inference.predictor import make_predictor
 from pfnn_jax.inference.style_choice import StyleChoice, parse_style
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.paths import Path
-from pfnn_jax.run import Run, list_styles, load_run
+from pfnn_jax.run import Run, load_run
+from pfnn_jax.run_config import list_styles
 
 
 def generate_clip(

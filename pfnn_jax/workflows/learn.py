@@ -21,7 +21,8 @@ from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.skeleton import check_same_topology
-from pfnn_jax.run import Run, check_adapter, check_new_style, load_generator, load_run, save_style
+from pfnn_jax.run import Run, load_generator, load_run, save_style
+from pfnn_jax.run_config import check_adapter, check_new_style
 from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig, TuningConfig
 from pfnn_jax.training.data import Rows, hold_out
 from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style

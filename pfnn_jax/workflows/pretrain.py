@@ -17,19 +17,15 @@ from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.run import (
     Run,
-    RunConfig,
     create_run,
-    has_shared,
-    load_config,
     load_run,
     load_train_state,
-    save_config,
     save_generator,
     save_shared,
     save_style,
     save_train_state,
-    train_progress,
 )
+from pfnn_jax.run_config import RunConfig, has_shared, load_config, save_config, train_progress
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Rows
 from pfnn_jax.training.log import append_metrics, rewind_metrics

@@ -10,7 +10,8 @@ from pfnn_jax.interop.export.run import export_run
 from pfnn_jax.interop.released.holden2017 import import_released_pfnn
 from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
-from pfnn_jax.run import Run, list_styles, load_run, load_style, save_style
+from pfnn_jax.run import Run, load_run, load_style, save_style
+from pfnn_jax.run_config import list_styles
 
 __all__ = ["Run", "export_run", "import_released", "list_styles", "load_run", "load_style", "save_style"]
 

@@ -27,7 +27,8 @@ from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout
 from pfnn_jax.motion.features.normaliser import fit_normaliser
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+from pfnn_jax.run import Run, create_run, load_run, save_shared, save_style
+from pfnn_jax.run_config import RunConfig
 from tests.interop.small_runs import make_run
 
 FLOAT32 = 2e-5  # metres: fused and unfused products of a walk of a few seconds

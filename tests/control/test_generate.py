@@ -29,7 +29,8 @@ from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.paths import Path, circle, read_path, straight
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.run import Run, RunConfig, create_run, load_run, load_style, save_shared, save_style
+from pfnn_jax.run import Run, create_run, load_run, load_style, save_shared, save_style
+from pfnn_jax.run_config import RunConfig
 from pfnn_jax.workflows.generate import generate_clip
 
 # Metres: the clip's root path is filled in by chords before the first frame; the pose forgets half of it every frame.

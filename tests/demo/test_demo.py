@@ -11,7 +11,8 @@ from pfnn_jax.demo.pipeline import DemoConfig, demo, straight_walk
 from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, FIXED, GRIDS
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.labels.phase import read_phase
-from pfnn_jax.run import list_styles, load_run, style_note
+from pfnn_jax.run import load_run
+from pfnn_jax.run_config import list_styles, style_note
 from tests.raising import assert_refused
 
 TINY = DemoConfig(seconds_per_style=4, test_seconds=3.5, hidden=8, steps=20, epochs=1, walk_seconds=2)

@@ -14,7 +14,8 @@ from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
-from pfnn_jax.run import RunConfig, create_run, load_run, save_shared, save_style
+from pfnn_jax.run import create_run, load_run, save_shared, save_style
+from pfnn_jax.run_config import RunConfig
 
 FLOAT32 = 1e-5  # a few ulp over sums of some tens of terms
 LAYOUT = mason2018(2)

@@ -15,7 +15,8 @@ from pfnn_jax.motion.features.layout import layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
-from pfnn_jax.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+from pfnn_jax.run import Run, create_run, load_run, save_shared, save_style
+from pfnn_jax.run_config import RunConfig
 
 HIDDEN = 12
 

@@ -24,7 +24,7 @@ from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.motion.ground import turn_towards
 from pfnn_jax.motion.paths import circle
-from pfnn_jax.run import list_styles, style_note
+from pfnn_jax.run_config import list_styles, style_note
 from tests.raising import assert_refused
 
 # Standard deviations of the outputs: float32 differs from the float64 goldens by 5e-6.

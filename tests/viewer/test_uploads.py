@@ -16,7 +16,8 @@ from pfnn_jax.control import stability
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
-from pfnn_jax.run import list_styles, load_run, load_style
+from pfnn_jax.run import load_run, load_style
+from pfnn_jax.run_config import list_styles
 from pfnn_jax.training.config import FewShotConfig
 from pfnn_jax.viewer.page import uploads
 from pfnn_jax.viewer.page.character import Character

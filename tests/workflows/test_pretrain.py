@@ -18,7 +18,8 @@ from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
-from pfnn_jax.run import list_styles, load_generator, load_run, load_style, train_step
+from pfnn_jax.run import load_generator, load_run, load_style
+from pfnn_jax.run_config import list_styles, train_step
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Rows
 from pfnn_jax.training.film_styles import mean_styles

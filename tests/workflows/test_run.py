@@ -18,10 +18,7 @@ from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
 from pfnn_jax.run import (
-    RunConfig,
     create_run,
-    list_styles,
-    load_config,
     load_generator,
     load_run,
     load_style,
@@ -30,9 +27,8 @@ from pfnn_jax.run import (
     save_shared,
     save_style,
     save_train_state,
-    style_note,
-    train_step,
 )
+from pfnn_jax.run_config import RunConfig, list_styles, load_config, style_note, train_step
 from pfnn_jax.training.log import append_metrics, read_metrics, rewind_metrics
 from tests.raising import assert_refused
 

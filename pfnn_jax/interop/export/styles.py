@@ -14,7 +14,8 @@ from pfnn_jax.control.run_settings import style_label
 from pfnn_jax.inference.mixture import load_choice, need_style
 from pfnn_jax.inference.style_choice import StyleChoice, file_stem
 from pfnn_jax.models.style import Style
-from pfnn_jax.run import Run, list_styles, style_note
+from pfnn_jax.run import Run
+from pfnn_jax.run_config import list_styles, style_note
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,8 @@ from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_exp, quat_rotate
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
-from pfnn_jax.run import Run, RunConfig, create_run, load_run, save_shared
+from pfnn_jax.run import Run, create_run, load_run, save_shared
+from pfnn_jax.run_config import RunConfig
 
 NUM_TABLES = 50
 CONTROL_POINTS = 4

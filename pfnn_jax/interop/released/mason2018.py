@@ -25,7 +25,8 @@ from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.units import authors2018, convert_columns
-from pfnn_jax.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+from pfnn_jax.run import Run, create_run, load_run, save_shared, save_style
+from pfnn_jax.run_config import RunConfig
 
 
 def import_released_cp(directory: str | Path, out: str | Path, overwrite: bool = False) -> Run:

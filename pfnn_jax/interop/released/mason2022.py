@@ -29,7 +29,8 @@ from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_forward_up, quat_rotate
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_to_json
-from pfnn_jax.run import Run, RunConfig, create_run, load_run, save_shared, save_style
+from pfnn_jax.run import Run, create_run, load_run, save_shared, save_style
+from pfnn_jax.run_config import RunConfig
 
 HIDDEN, EXPERTS, GATING_HIDDEN = 512, 8, 32
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.run import check_finished
+from pfnn_jax.run_config import check_finished
 from pfnn_jax.viewer.draw.palette import ACCENT, rgb
 from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.guard import guarded

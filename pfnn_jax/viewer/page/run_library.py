@@ -16,7 +16,8 @@ from pfnn_jax.control.controller import Command, Controller, make_controller, wi
 from pfnn_jax.control.controller_state import ControllerParams
 from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.errors import InputError
-from pfnn_jax.run import Run, list_styles, load_run, load_style
+from pfnn_jax.run import Run, load_run, load_style
+from pfnn_jax.run_config import list_styles
 from pfnn_jax.viewer.page.view import phase_scale
 
 SPARE = 8

@@ -21,7 +21,8 @@ from typing import Any
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
-from pfnn_jax.run import Run, list_styles
+from pfnn_jax.run import Run
+from pfnn_jax.run_config import list_styles
 from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, compile_calibration
