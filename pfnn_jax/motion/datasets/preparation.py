@@ -48,9 +48,9 @@ class PrepareConfig:
     """How clips become a dataset.
 
     Attributes:
-        layout: name in `LAYOUTS`.
+        layout: frame layout: pfnn2017, mason2018, mason2022, mason2022_pfnn or mason2022_mann.
         fps: frames per second; must be the layout's.
-        mirror: whether to add the mirror image of every clip of a symmetric style.
+        mirror: add the mirror image of every clip of a symmetric style.
         grouped_std: whether to average standard deviations over blocks of columns (`fit_normaliser`).
         validation: share of every clip's rows, in one block, that is kept for validation (Mason 2022: 0.1).
         test: share of every clip's rows, in one block, that is kept for testing.
