@@ -1,12 +1,12 @@
-"""Networks blended beforehand at evenly spaced phases (Holden 2017 §7): a frame costs three products, no blending.
+"""Lookup tables: networks blended in advance at evenly spaced phases, so that a frame costs three matrix products.
 
-One table entry is a predictor of a single control point, so that the same forward pass serves. Which entry serves a
-frame is chosen on the host, and its arrays go to the compiled function as they are: to gather them from one stacked
-array would copy 2.4 MB a frame and take as long as the exact spline.
+A table entry (Holden 2017 §7) is a predictor with a single control point, evaluated by the same forward pass. The entry
+for a frame is chosen on the host and passed to the compiled function: gathering it from one stacked array would copy
+2.4 MB per frame and take as long as the exact spline.
 
-Where the phase is traced (within `jit`, `scan`, `vmap`) there is no host to choose. There the entry is blended from
-the control points at the entry's phase: the same numbers to rounding, at the cost of the exact spline, and a batch of
-characters stays one matrix product.
+When the phase is traced (inside `jit`, `scan` or `vmap`), the host cannot choose. The entry is then blended from the
+control points at the entry's phase: equal up to rounding, at the cost of the exact spline, and a batch of characters
+remains one matrix product.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class Lookup:
     """A table of predictors over the phase.
 
     Attributes:
-        predictor: the network it was made from.
-        slices: one predictor of a single control point for each table phase 2πi/N; arrays of their own.
-        mode: which entry serves a phase: the nearest, or the last one passed (as the released demo truncates).
+        predictor: the network from which the table was made.
+        slices: one predictor with a single control point for each table phase 2πi/N.
+        mode: which entry is used for a phase: the nearest, or the last one passed (the released demo truncates).
     """
 
     predictor: Predictor
@@ -51,7 +51,7 @@ def make_lookup(predictor: Predictor, num_slices: int = NUM_SLICES, mode: Lookup
     """Blends a network at N phases.
 
     Full, dense, diagonal and bias adapters are added into the second layer's matrix. A CP adapter, like every layer of
-    a CP network, keeps its factors and has only its diagonal blended; a Film is the same at every phase.
+    a CP network, keeps its factors and has only its diagonal blended; a FiLM style is the same at every phase.
 
     Args:
         predictor: the network; a table of 50 entries at 234-512-512-400 takes 118 MB.
@@ -59,7 +59,7 @@ def make_lookup(predictor: Predictor, num_slices: int = NUM_SLICES, mode: Lookup
         mode: `nearest50`, or `constant50` for the released demo's truncation.
 
     Raises:
-        ValueError: for an unknown mode, no slices, or a gating network: only a phase that goes round has a table.
+        ValueError: for an unknown mode, no slices, or a gating network: tables need a cyclic phase.
     """
     _check_mode(mode)
     if predictor.network.gating is not None:
@@ -72,12 +72,12 @@ def make_lookup(predictor: Predictor, num_slices: int = NUM_SLICES, mode: Lookup
 
 
 def evaluate_lookup(lookup: Lookup, x: jax.Array, phase: jax.Array | float) -> jax.Array:
-    """One frame through the entry that serves its phase.
+    """Evaluates one frame with the table entry of its phase.
 
     Args:
         lookup: the table.
         x: [Dx] input in layout units.
-        phase: [] radians. Where it is traced, see the head of this file.
+        phase: [] radians; may be traced, see the module docstring.
 
     Returns:
         [Dy] output in layout units; piecewise constant in the phase.
@@ -91,7 +91,7 @@ def evaluate_lookup(lookup: Lookup, x: jax.Array, phase: jax.Array | float) -> j
 
 
 def table_phase(phase: jax.Array, mode: LookupMode, num_slices: int = NUM_SLICES) -> jax.Array:
-    """Phase [] in radians of the table entry that serves a phase [] in radians.
+    """Returns the phase [] in radians of the table entry for a phase [] in radians.
 
     Raises:
         ValueError: for an unknown mode.

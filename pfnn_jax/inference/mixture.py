@@ -1,7 +1,7 @@
-"""Mixtures: styles of one run by barycentric weights, combined before modulation (Mason 2022 §5.1).
+"""Loads styles and mixtures of styles of a run (barycentric weights, combined before modulation: Mason 2022 §5.1).
 
-A mixture adds to the network the weighted sum of what its styles add, wherever it is asked for: here as parameters of
-one style (`models.style`), in a controller, whose weights change from frame to frame, as a `MixedLayer`.
+Here the weights are fixed, so a mixture becomes the parameters of one style. A controller, whose weights change from
+frame to frame, mixes with `Style.mix_dynamic`; `models.style` explains why there are two forms.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from pfnn_jax.run_config import list_styles
 
 
 def load_choice(run: Run, choice: StyleChoice) -> Style | None:
-    """The parameters of a choice of style; a mixture of CP styles has the sum of their ranks.
+    """Returns the parameters of a choice of style; a mixture of CP styles has the sum of their ranks.
 
     Args:
-        run: as `load_run` returns it.
-        choice: a name; weights by name (any number, also negative ones); or None, which is no style at all, and on a
-            FiLM run, whose network knows no motion without one, the mean of its pretraining styles.
+        run: a loaded run.
+        choice: a name; weights by name (any number of styles, negative weights allowed); or None for style-agnostic
+            motion. A FiLM network cannot run without a style, so None then means the mean of the pretraining styles.
 
     Raises:
         InputError: for an unknown style, weights that do not sum to one, or styles of different kinds.
@@ -43,10 +43,10 @@ def load_choice(run: Run, choice: StyleChoice) -> Style | None:
 
 
 def choice_weights(run: Run, choice: StyleChoice) -> dict[str, float]:
-    """Weights of a choice by name; of none at all where the network moves without a style.
+    """Returns the weights of a choice by name; empty if the network runs without a style.
 
     Raises:
-        InputError: for None on a FiLM run without styles, whose network knows no motion without one.
+        InputError: for None on a FiLM run without styles.
     """
     if choice is None and run.config.adapter.kind == "film":
         names = [name for name in run.config.styles if name in list_styles(run.path)]
@@ -56,17 +56,17 @@ def choice_weights(run: Run, choice: StyleChoice) -> dict[str, float]:
 
 
 def need_style(run: Run, names: Sequence[str]) -> None:
-    """Refuses a FiLM run of which no style is named: its network knows no motion without one.
+    """Refuses a FiLM run without any style: its network cannot run without one.
 
     Raises:
         InputError: naming the run.
     """
     if not names and run.config.adapter.kind == "film":
-        raise InputError(run.path, "styles", "none", "a FiLM run needs at least one style to move")
+        raise InputError(run.path, "styles", "none", "a FiLM run must have at least one style")
 
 
 def load_bank(run: Run, names: Sequence[str]) -> Style:
-    """The parameters of some of a run's styles, stacked [S, ...] in the order of the names.
+    """Loads styles of a run and stacks their parameters, leaves [S, ...], in the order of the names.
 
     Raises:
         InputError: for an unknown style, or styles of different kinds.
@@ -75,21 +75,21 @@ def load_bank(run: Run, names: Sequence[str]) -> Style:
 
 
 def stack_styles(styles: Mapping[str, Any], source: str | Path) -> Any:
-    """Returns styles by name as one bank, leaves [S, ...] in the order of the names.
+    """Stacks styles into one bank, leaves [S, ...] in the order of the mapping.
 
     Raises:
-        InputError: for styles of different kinds or sizes; `source` names where they are from.
+        InputError: for styles of different kinds or sizes, naming `source`.
     """
     names = tuple(styles)
     shapes = [jax.tree.map(np.shape, style) for style in styles.values()]
     for name, shape in zip(names, shapes, strict=True):
         if shape != shapes[0]:
             raise InputError(
-                source, "style", name, f"only styles of one kind can be mixed, and {names[0]} is of another"
+                source, "style", name, f"must be of the same kind and size as {names[0]} to be mixed with it"
             )
     return jax.tree.map(lambda *leaves: np.stack(leaves), *styles.values())
 
 
 def mix_rows(bank: FiLMStyle, indices: jax.Array, weights: jax.Array) -> FiLMStyle:
-    """One mixture for each row: a bank [S, 2, H], indices [N, M] and weights [N, M] give Films [N, 2, H]."""
+    """Mixes FiLM styles per row: a bank [S, 2, H], indices [N, M] and weights [N, M] give styles [N, 2, H]."""
     return jax.tree.map(lambda leaf: jnp.einsum("nm,nmlh->nlh", weights, leaf[indices]), bank)

@@ -1,4 +1,4 @@
-"""A network ready to run: parameters, one style, statistics, and a frame in and out in the layout's units."""
+"""Evaluates a trained network in the units of its layout: parameters, one style and normalisation statistics."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from pfnn_jax.run import Run
 
 @struct.dataclass
 class Predictor:
-    """Everything that one evaluation needs.
+    """Everything needed to evaluate one frame.
 
     Attributes:
         network: shared parameters.
         style: one style's parameters, or None for style-agnostic motion.
         input_mean, input_std: [Dx] statistics of x, in layout units.
         output_mean, output_std: [Dy] statistics of y, in layout units.
-        phase_mean, phase_std: [G] statistics of what a gating network reads, or None for a scalar phase.
+        phase_mean, phase_std: [G] statistics of the gating input, or None for a scalar phase.
     """
 
     network: Network
@@ -38,12 +38,12 @@ class Predictor:
 
 
 def make_predictor(run: Run, style: StyleChoice = None) -> Predictor:
-    """The predictor of one of a run's styles, of a mixture of them, or of its style-agnostic motion.
+    """Returns the predictor of a style of a run, of a mixture of styles, or of style-agnostic motion.
 
     Args:
-        run: as `load_run` returns it.
-        style: name of the style; weights that sum to one by name; or None, which on a FiLM run is the mean of its
-            styles.
+        run: a loaded run.
+        style: a name; weights by name that sum to one; or None for style-agnostic motion (for a FiLM run, the mean of
+            its styles).
 
     Raises:
         InputError: for an unknown style, one that does not belong to the run's shared network, or weights that do not
@@ -53,7 +53,7 @@ def make_predictor(run: Run, style: StyleChoice = None) -> Predictor:
 
 
 def assemble_predictor(network: Network, style: Style | None, normaliser: Normaliser) -> Predictor:
-    """The predictor of parameters in memory; `style` None for style-agnostic motion."""
+    """Returns the predictor of parameters in memory; `style` is None for style-agnostic motion."""
     records = (normaliser.inputs, normaliser.outputs)
     if normaliser.phases is not None:
         records = (*records, normaliser.phases)
@@ -62,12 +62,12 @@ def assemble_predictor(network: Network, style: Style | None, normaliser: Normal
 
 
 def evaluate(predictor: Predictor, x: jax.Array, phase: jax.Array, *, normalise: Normalise = layer_norm) -> jax.Array:
-    """One frame through the network (Mason 2018 Eq. 1 and 4, Mason 2022 Eq. 2 to 4); `vmap` for many.
+    """Evaluates one frame (Mason 2018 Eq. 1 and 4, Mason 2022 Eq. 2 to 4); use `vmap` for many.
 
     Args:
         predictor: the network.
         x: [Dx] input in layout units.
-        phase: [] radians, for the exact spline; or [G] in layout units, for a gating network.
+        phase: [] radians for the exact spline, or the gating input [G] in layout units.
         normalise: layer norm of a FiLM style: `layer_norm`, or `layer_norm_sample` as in the authors' training.
 
     Returns:
@@ -81,7 +81,7 @@ def evaluate(predictor: Predictor, x: jax.Array, phase: jax.Array, *, normalise:
 def evaluate_at(
     predictor: Predictor, x: jax.Array, blending: jax.Array, *, normalise: Normalise = layer_norm
 ) -> jax.Array:
-    """`evaluate` at given blending coefficients [K]: x [Dx] -> [Dy], both in layout units."""
+    """Evaluates one frame at given blending coefficients [K]: x [Dx] -> [Dy], both in layout units."""
     normalised = (x - predictor.input_mean) / predictor.input_std
     y = forward(predictor.network, predictor.style, blending, normalised, normalise=normalise)
     return y * predictor.output_std + predictor.output_mean

@@ -1,4 +1,4 @@
-"""A network evaluated on rows of inputs, from arrays or from a file, in the layout's units."""
+"""Evaluates a network on rows of inputs, from arrays or from a file, in the units of the layout."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.run import Run, load_run
 
-ZIP = b"PK"  # with which an archive begins
+ZIP = b"PK"  # first bytes of an archive
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Rows:
         phase: [N] radians, or [N, G] in layout units.
         styles: [N, M] int, or None.
         weights: [N, M], or None.
-        style_array: the array in which the styles stood.
+        style_array: name of the array that gave the styles.
     """
 
     x: np.ndarray
@@ -50,11 +50,11 @@ class Rows:
 
 
 def read_rows(file: Path, layout: FrameLayout) -> Rows:
-    """The rows of a `.npz` file (see `predict_file`).
+    """Reads the rows of a `.npz` file (see `predict_file`).
 
     Raises:
-        InputError: for a file that cannot be read, an array that is missing, of another shape or type, or holds a
-            number that is not a finite float32: naming array, row and column.
+        InputError: if the file cannot be read, or an array is missing, has another shape or type, or contains a value
+            that is not a finite float32; names array, row and column.
     """
     arrays = _read_arrays(file, layout)
     x = arrays["x"]
@@ -70,7 +70,7 @@ def read_rows(file: Path, layout: FrameLayout) -> Rows:
     if "styles" in arrays:
         styles = _as_indices(file, "styles", arrays["styles"], (len(x), None))
         if "weights" not in arrays:
-            raise InputError(file, "array weights", "absent", "must stand beside styles")
+            raise InputError(file, "array weights", "absent", "must accompany array styles")
         weights = _as_floats(file, "weights", arrays["weights"])
         if weights.shape != styles.shape:
             rule = f"must have the shape of styles, {styles.shape}"
@@ -107,10 +107,10 @@ def _read_arrays(file: Path, layout: FrameLayout) -> dict[str, np.ndarray]:
 
 
 def _load(stream: BinaryIO) -> Any:
-    """What a NumPy file holds.
+    """Loads a NumPy file.
 
     Raises:
-        ValueError: for any other file. NumPy itself offers to unpickle those, which none of them is to be.
+        ValueError: for any other file, which NumPy would offer to unpickle; nothing is ever unpickled.
     """
     begins = stream.read(len(MAGIC_PREFIX))
     if begins and not begins.startswith((ZIP, MAGIC_PREFIX)):
@@ -130,7 +130,7 @@ def _as_indices(file: Path, name: str, values: np.ndarray, shape: tuple[int | No
 
 
 def _as_floats(file: Path, name: str, values: np.ndarray) -> np.ndarray:
-    """The values in float64, all within the range of float32."""
+    """Returns the values in float64 after checking that all are finite in float32."""
     if values.dtype.kind not in "fiu":
         raise InputError(file, f"array {name}", values.dtype, "must hold real numbers")
     floats = values.astype(np.float64)
@@ -142,19 +142,19 @@ def _as_floats(file: Path, name: str, values: np.ndarray) -> np.ndarray:
 
 
 NORMS = {"population": layer_norm, "sample": layer_norm_sample}
-"""Layer norm of FiLM styles by name: that of the authors' run time, and that of their training graph."""
+"""Layer norms of FiLM styles: `population` as in the authors' runtime, `sample` as in their training graph."""
 
 CHUNK = 1024
-"""Rows in one call."""
+"""Rows evaluated in one call."""
 
 
 @dataclass(frozen=True, eq=False)
 class RowStyles:
-    """A style, or a mixture, for every row.
+    """A style or mixture for every row.
 
     Attributes:
         indices: [N, M] int, into the `styles` of a run's configuration.
-        weights: [N, M], each row with sum one.
+        weights: [N, M], every row sums to one.
     """
 
     indices: np.ndarray
@@ -169,21 +169,21 @@ def predict_rows(
     mode: Mode = "cubic",
     layer_norm: LayerNorm = "population",
 ) -> np.ndarray:
-    """The network's outputs for independent frames, in float32 without reduced-precision products.
+    """Returns the outputs of a run for independent frames, in float32 without reduced-precision products.
 
     Args:
-        run: as `load_run` returns it.
+        run: a loaded run.
         x: [N, Dx] inputs in layout units.
         phase: [N] radians, any real numbers; or [N, G] in layout units for a gating network.
         style: one choice for all rows, as `make_predictor` takes it, or one for every row.
-        mode: the network as it is, or at the phase of the table entry that would serve (see `lookup`).
+        mode: `cubic` for the exact spline, else the phase is rounded to that of a table entry (see `lookup`).
         layer_norm: statistics of the layer norm of FiLM styles.
 
     Returns:
         [N, Dy] outputs in layout units.
 
     Raises:
-        InputError: for an unknown style, weights that do not sum to one, or a table where there is no global phase.
+        InputError: for an unknown style, weights that do not sum to one, or a table mode without a global phase.
         ValueError: for an unknown mode or layer norm.
     """
     if layer_norm not in NORMS:
@@ -226,24 +226,24 @@ def predict_file(
     layer_norm: LayerNorm = "population",
     overwrite: bool = False,
 ) -> np.ndarray:
-    """Evaluates a run on the rows of a file and writes its outputs into another.
+    """Evaluates a run on the rows of a file and writes the outputs to another file.
 
     Args:
         run_path: the run directory.
         in_npz: arrays `x` [N, Dx] in the layout's units; `phase` [N] in radians, or `gating_x` (or `phase`) [N, G] for
             a gating network; and, where rows differ in style, `style` [N] or `styles` [N, M] with `weights` [N, M]:
             indices into the run's styles, and weights that sum to one.
-        out_npz: gets `y` [N, Dy] in the layout's units.
-        style: of all rows, where the file tells none.
+        out_npz: receives `y` [N, Dy] in the layout's units.
+        style: style of all rows, if the file contains none.
         mode, layer_norm: as in `predict_rows`.
-        overwrite: replace an existing output file.
+        overwrite: whether to replace an existing output file.
 
     Returns:
         y.
 
     Raises:
-        InputError: for a run, a style or an input file that is not as it should be (naming array, row and column),
-            if both the file and `style` tell a style, or if the output exists and `overwrite` is not set.
+        InputError: for a bad run, style or input file (naming array, row and column), if both the file and `style`
+            give a style, or if the output exists and `overwrite` is not set.
     """
     run, out = load_run(run_path), Path(out_npz)
     refuse_existing(out, overwrite)
@@ -255,7 +255,7 @@ def predict_file(
 
 
 def _row_styles(file: Path, rows: Rows, run: Run, style: StyleChoice) -> StyleChoice | RowStyles:
-    """The file's own styles, checked, or the one choice for all."""
+    """Returns the checked styles of the file, or the choice for all rows."""
     if rows.styles is None or rows.weights is None:
         return style
     if style is not None:
@@ -271,7 +271,7 @@ def _row_styles(file: Path, rows: Rows, run: Run, style: StyleChoice) -> StyleCh
 
 
 def _predict_each(run: Run, styles: RowStyles, rows: tuple[np.ndarray, np.ndarray], layer_norm: LayerNorm):
-    """Rows of different styles; FiLM rows are gathered from a small bank, of other styles one group after another."""
+    """Predicts rows of different styles: FiLM styles are gathered from a bank, other kinds run group by group."""
     used, local = np.unique(styles.indices, return_inverse=True)
     names = [run.config.styles[index] for index in used]
     local = local.reshape(styles.indices.shape)
