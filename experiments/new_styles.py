@@ -31,6 +31,7 @@ from experiments.common.new_style_methods import (
     Learned,
     by_content,
     frames_of,
+    generator_of,
     named,
     window_films,
 )
@@ -234,10 +235,10 @@ def draw_map(model: Model, known: Takes, styles: Mapping[str, NewStyle], config:
         vectors = films if isinstance(films, np.ndarray) else _vectors(films)
         return vectors[np.sort(rng.permutation(len(vectors))[: config.windows])]
 
-    before = {style: some(window_films(model, model.generator, _of(known.train, style))) for style in known.styles}
+    before = {style: some(window_films(model, generator_of(model), _of(known.train, style))) for style in known.styles}
     after = dict(before)
     for style, new in styles.items():
-        before[new.name] = some(window_films(model, model.generator, [new.clip, *new.others]))
+        before[new.name] = some(window_films(model, generator_of(model), [new.clip, *new.others]))
         after[new.name] = some(np.load(config.out / f"films_{style}.npy"))
     figure, apart = film_map({"before fine-tuning": before, "after": after}, config.perplexity, config.seed)
     save_figure(figure, config.out / "film_vectors.png")

@@ -16,7 +16,7 @@ from pfnn_jax.benchmarks.timing import Figure, figure, interleave
 from pfnn_jax.benchmarks.training import compare_steps
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
-from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.motion.datasets.sources import list_clips
@@ -136,19 +136,18 @@ def lpn_character_figures(sizes: NetworkConfig, repetitions: int, num_frames: in
 def generator_figures(config: GeneratorConfig, num_clips: int, repetitions: int) -> list[Figure]:
     """Measures clips per second through the FiLM generator, without and with the gradient of its parameters."""
     section = f"FiLM generator, {num_clips} clips at once"
-    generator = film_generator(config)
-    parameters = generator.init(jax.random.key(0))
+    generator = FiLMGenerator.init(config, key=jax.random.key(0))
     clips = jax.random.normal(jax.random.key(1), (num_clips, config.clip_frames, config.features))
 
     @jax.jit
-    def films(parameters, clips):
-        return jax.vmap(lambda clip: generator.apply(parameters, clip))(clips)
+    def styles(generator, clips):
+        return jax.vmap(generator)(clips)
 
-    def size(parameters, clips):
-        return sum(jnp.mean(leaf**2) for leaf in jax.tree.leaves(films(parameters, clips)))
+    def size(generator, clips):
+        return sum(jnp.mean(leaf**2) for leaf in jax.tree.leaves(styles(generator, clips)))
 
-    works = {"clips": partial(films, parameters, clips)}
-    works["clips, with gradient"] = partial(jax.jit(jax.grad(size)), parameters, clips)
+    works = {"clips": partial(styles, generator, clips)}
+    works["clips, with gradient"] = partial(jax.jit(jax.grad(size)), generator, clips)
     seconds = interleave(works, repetitions)
     return [figure(section, name, num_clips / value, "1/s") for name, value in seconds.items()]
 

@@ -1,102 +1,96 @@
-"""The FiLM generator: a clip of a style -> its Film (Mason 2022 §4.2 and §4.3)."""
+"""The FiLM generator: from a clip of a style to its FiLM parameters (Mason 2022 §4.2 and §4.3)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache, partial
-from typing import Any
+from typing import Self
 
 import chex
 import jax
 import jax.numpy as jnp
-from flax import nnx
+from flax import struct
 
-from pfnn_jax.models.config import GeneratorConfig
+from pfnn_jax.models.config import POOLING, GeneratorConfig
 from pfnn_jax.models.dropout import drop, need_key
 from pfnn_jax.models.layers.film import FiLMStyle
 
-_POOL = 2  # each of the two poolings halves the number of frames
+
+@struct.dataclass(kw_only=True)
+class Kernel:
+    """Weights and bias of one layer: a convolution [width, I, O] over frames or a matrix [I, O], and [O]."""
+
+    kernel: jax.Array
+    bias: jax.Array
+
+    @classmethod
+    def init(cls, shape: tuple[int, ...], *, key: jax.Array) -> Self:
+        """Returns Glorot-uniform weights, the default of the authors' framework, and a zero bias."""
+        return cls(kernel=jax.nn.initializers.glorot_uniform()(key, shape), bias=jnp.zeros(shape[-1]))
+
+    def convolve(self, frames: jax.Array) -> jax.Array:
+        """Returns the convolution [T, O] of frames [T, I], with zeros beyond the ends."""
+        layout = ("NWC", "WIO", "NWC")
+        value = jax.lax.conv_general_dilated(frames[None], self.kernel, (1,), "SAME", dimension_numbers=layout)[0]
+        return value + self.bias[None]
+
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Returns the product [O] of a vector x [I] with the matrix, plus the bias."""
+        return x @ self.kernel + self.bias
 
 
-@dataclass(frozen=True)
+@struct.dataclass(kw_only=True)
 class FiLMGenerator:
-    """A generator as two pure functions over a plain tree of parameters.
+    """Two convolutions over time, each with ReLU and max-pooling of two frames, and two dense layers with ReLU between.
 
-    Attributes:
-        config: its sizes.
-        init: key -> parameters, a dictionary of dictionaries of arrays.
-        apply: (parameters, clip [T, F] normalised, *, dropout: [] rate or None, key) -> Film. `dropout` acts behind
-            the first dense layer only, as in the authors' code, and needs `key` (ValueError). For many clips:
-            `jax.vmap(generator.apply, (None, 0))`, which is one convolution over the batch in each layer.
+    For many clips use `jax.vmap`, which makes one convolution over the batch of each layer.
     """
 
-    config: GeneratorConfig
-    init: Callable[[jax.Array], Any]
-    apply: Callable[..., FiLMStyle]
+    conv1: Kernel
+    conv2: Kernel
+    dense1: Kernel
+    dense2: Kernel
 
+    @classmethod
+    def init(cls, config: GeneratorConfig, *, key: jax.Array) -> Self:
+        """Returns freshly initialised parameters."""
+        keys = jax.random.split(key, 4)
+        filters, flat = config.filters, config.clip_frames // POOLING * config.filters
+        return cls(
+            conv1=Kernel.init((config.width, config.features, filters), key=keys[0]),
+            conv2=Kernel.init((config.width, filters, filters), key=keys[1]),
+            dense1=Kernel.init((flat, config.hidden), key=keys[2]),
+            dense2=Kernel.init((config.hidden, 4 * config.film_hidden), key=keys[3]),
+        )
 
-@lru_cache
-def film_generator(config: GeneratorConfig) -> FiLMGenerator:
-    """The generator of these sizes; made once for each configuration, so that compiled functions are reused."""
-    structure, _ = nnx.split(nnx.eval_shape(lambda: _Generator(config, nnx.Rngs(0))))
-    return FiLMGenerator(config=config, init=partial(_init, config), apply=partial(_apply, structure, config))
+    @property
+    def clip_frames(self) -> int:
+        """Returns T, the number of frames of a clip."""
+        return self.dense1.kernel.shape[0] // self.conv2.kernel.shape[-1] * POOLING
 
+    def __call__(self, clip: jax.Array, *, dropout: jax.Array | None = None, key: jax.Array | None = None) -> FiLMStyle:
+        """Returns the FiLM parameters of a clip.
 
-def paper_count(config: GeneratorConfig) -> int:
-    """Parameters as Mason 2022 Table 2 counts them: `filters · width + width` for each of the two convolutions.
+        Args:
+            clip: [T, F] normalised.
+            dropout: [] drop probability after the first dense layer, the only place in the authors' code, or None.
+            key: random key, needed with `dropout`.
 
-    A convolution has `inputs · filters · width + filters`; the dense layers are counted in full.
-    """
-    flat = config.clip_frames // _POOL**2 * config.filters
-    outputs = 4 * config.film_hidden
-    dense = (flat + 1) * config.hidden + (config.hidden + 1) * outputs
-    return 2 * (config.filters * config.width + config.width) + dense
-
-
-class _Generator(nnx.Module):
-    def __init__(self, config: GeneratorConfig, rngs: nnx.Rngs):
-        # Weights uniform in ± sqrt(6 / (inputs + outputs)), the default of the authors' framework; biases zero.
-        weights = nnx.initializers.glorot_uniform()
-        conv = partial(nnx.Conv, kernel_size=config.width, padding="SAME", kernel_init=weights, rngs=rngs)
-        dense = partial(nnx.Linear, kernel_init=weights, rngs=rngs)
-        flat = config.clip_frames // _POOL**2 * config.filters
-        self.conv1 = conv(config.features, config.filters)
-        self.conv2 = conv(config.filters, config.filters)
-        self.dense1 = dense(flat, config.hidden)
-        self.dense2 = dense(config.hidden, 4 * config.film_hidden)
-
-    def __call__(self, clip: jax.Array, dropout: jax.Array | None, key: jax.Array | None) -> jax.Array:
-        value = _pool(jax.nn.relu(self.conv1(clip)))
-        value = _pool(jax.nn.relu(self.conv2(value)))
+        Raises:
+            ValueError: if `dropout` is given without `key`.
+        """
+        chex.assert_shape(clip, (self.clip_frames, self.conv1.kernel.shape[1]))
+        need_key(dropout, key)
+        value = _pool(jax.nn.relu(self.conv1.convolve(clip)))
+        value = _pool(jax.nn.relu(self.conv2.convolve(value)))
         value = jax.nn.relu(self.dense1(value.reshape(-1)))
         if dropout is not None and key is not None:
             value = drop(key, dropout, value)
-        return self.dense2(value)
+        return FiLMStyle.from_vector(self.dense2(value))
 
 
 def _pool(value: jax.Array) -> jax.Array:
-    """The larger of every two frames: [T, C] -> [T / 2, C].
+    """Returns the larger of every two frames: [T, C] -> [T / 2, C].
 
-    Written as a maximum of two slices: XLA's CPU compiler merges a reduction with the dense layer behind it into one
-    kernel that takes six times as long for a few clips.
+    Written as a maximum of two slices: XLA's CPU compiler merges a reduction with the dense layer after it into one
+    kernel, which takes six times as long for a few clips.
     """
-    return jnp.maximum(value[0::_POOL], value[1::_POOL])
-
-
-def _init(config: GeneratorConfig, key: jax.Array) -> Any:
-    return nnx.to_pure_dict(nnx.state(_Generator(config, nnx.Rngs(key))))
-
-
-def _apply(
-    structure: Any,
-    config: GeneratorConfig,
-    params: Any,
-    clip: jax.Array,
-    *,
-    dropout: jax.Array | None = None,
-    key: jax.Array | None = None,
-) -> FiLMStyle:
-    chex.assert_shape(clip, (config.clip_frames, config.features))
-    need_key(dropout, key)
-    return FiLMStyle.from_vector(nnx.merge(structure, params)(clip, dropout, key))
+    return jnp.maximum(value[0::2], value[1::2])

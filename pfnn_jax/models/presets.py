@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 
 import jax
 
-from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
-from pfnn_jax.models.film_generator import film_generator, paper_count
+from pfnn_jax.models.config import POOLING, AdapterConfig, GeneratorConfig, NetworkConfig
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import init_network, num_parameters
 from pfnn_jax.models.style import init_style
 
@@ -102,8 +102,19 @@ def counts(name: str, num_styles: int = 95) -> Counts:
     if preset.adapter.kind != "film":
         return Counts(synthesis, num_styles * per_style, per_style, num_styles * per_style)
     generator = GeneratorConfig(features=12 * JOINTS, film_hidden=HIDDEN)
-    modulation = _count(lambda: film_generator(generator).init(key))
+    modulation = _count(lambda: FiLMGenerator.init(generator, key=key))
     return Counts(synthesis, modulation, per_style, paper_count(generator))
+
+
+def paper_count(config: GeneratorConfig) -> int:
+    """Returns the generator's number of parameters as Mason 2022 Table 2 counts it.
+
+    The paper counts `filters · width + width` for each of the two convolutions; a convolution has `inputs · filters ·
+    width + filters`. The dense layers are counted in full.
+    """
+    flat, outputs = config.clip_frames // POOLING * config.filters, 4 * config.film_hidden
+    dense = (flat + 1) * config.hidden + (config.hidden + 1) * outputs
+    return 2 * (config.filters * config.width + config.width) + dense
 
 
 def _count(make) -> int:

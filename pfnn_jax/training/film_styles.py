@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,31 +16,31 @@ from pfnn_jax.training.steps import generate_styles
 CHUNK = 16  # clips through the generator at once
 
 
-def window_styles(generator: FiLMGenerator, params: Any, rows: Rows, style: int) -> FiLMStyle:
+def window_styles(generator: FiLMGenerator, rows: Rows, style: int) -> FiLMStyle:
     """Returns the FiLM style, leaves [W, 2, H], of each of a style's windows.
 
     Args:
-        generator, params: the generator.
+        generator: of FiLM parameters.
         rows: rows and windows of S styles.
         style: number of the style; its windows shorter than the generator's clips are padded.
     """
     windows, found = rows.windows_of(style), []
     for begin in range(0, len(windows), CHUNK):
         chunk = np.resize(windows[begin : begin + CHUNK], (CHUNK, 2))  # one shape, one compilation
-        clips = jnp.asarray(rows.take_clips(chunk, generator.config.clip_frames))
-        found.append(jax.tree.map(np.asarray, _generate(generator, params, clips)))
+        clips = jnp.asarray(rows.take_clips(chunk, generator.clip_frames))
+        found.append(jax.tree.map(np.asarray, _generate(generator, clips)))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(windows)], *found)
 
 
-def mean_styles(generator: FiLMGenerator, params: Any, rows: Rows) -> FiLMStyle:
+def mean_styles(generator: FiLMGenerator, rows: Rows) -> FiLMStyle:
     """Returns the mean FiLM style of every style over its windows, leaves [S, 2, H]."""
     means = [
-        jax.tree.map(partial(np.mean, axis=0), window_styles(generator, params, rows, style))
+        jax.tree.map(partial(np.mean, axis=0), window_styles(generator, rows, style))
         for style in range(len(rows.styles))
     ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *means)
 
 
-@partial(jax.jit, static_argnums=0)
-def _generate(generator: FiLMGenerator, params: Any, clips: jax.Array) -> FiLMStyle:
-    return generate_styles(generator, params, clips, None, None)
+@jax.jit
+def _generate(generator: FiLMGenerator, clips: jax.Array) -> FiLMStyle:
+    return generate_styles(generator, clips, None, None)

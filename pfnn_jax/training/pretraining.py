@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import optax
 
-from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_bank
 from pfnn_jax.motion.features.layout import FrameLayout
@@ -45,7 +45,7 @@ def pretrain(
 
     Returns:
         The state after the last step: `params.shared` is the network, `params.modulation` the bank of styles
-        [S, ...], or with FiLM the generator's parameters; `styles_of` gives the styles in both cases.
+        [S, ...], or with FiLM the generator; `styles_of` gives the styles in both cases.
 
     Raises:
         TrainingError: when a loss is not finite, before the callbacks see that state.
@@ -54,14 +54,8 @@ def pretrain(
     config = PretrainConfig() if config is None else config
     key = jax.random.key(config.seed) if key is None else key
     order = order_of(rows, config.batch_size, config.seed, config.num_clips)
-    generator = config.generator(rows.layout)
     objective = Objective.for_layout(rows.layout, config.l1, config.l1_norm, config.bone_length)
-    step = make_pretrain_step(
-        optax.adam(config.learning_rate),
-        objective,
-        equal_dropout(config.dropout),
-        None if generator is None else film_generator(generator),
-    )
+    step = make_pretrain_step(optax.adam(config.learning_rate), objective, equal_dropout(config.dropout))
     frozen = Frozen(jax.random.fold_in(key, 1), rows.bones() if objective.bone_length else None)
     state = init_state(config, rows.layout, len(rows.styles), key=key) if state is None else state
     steps = total_steps(config, order)
@@ -82,23 +76,20 @@ def init_state(
     sizes, generator = config.network(layout), config.generator(layout)
     shared, tx = init_network(sizes, key=shared_key), optax.adam(config.learning_rate)
     if generator is not None:
-        return init_train_state(shared, film_generator(generator).init(style_key), tx, is_bank=False)
+        return init_train_state(shared, FiLMGenerator.init(generator, key=style_key), tx)
     bank = init_bank(config.adapter, config.hidden, sizes.num_control_points, num_styles, key=style_key)
     return init_train_state(shared, bank, tx)
 
 
-def styles_of(state: TrainState, rows: Rows, config: PretrainConfig) -> Any:
+def styles_of(state: TrainState, rows: Rows) -> Any:
     """Returns the trained styles, stacked [S, ...]: the bank, or the mean FiLM styles that a generator makes.
 
     Args:
         state: of training.
         rows: that it was trained on; the generator reads all windows of every style.
-        config: of training.
     """
-    generator = config.generator(rows.layout)
-    if generator is None:
-        return state.params.modulation
-    return mean_styles(film_generator(generator), state.params.modulation, rows)
+    modulation = state.params.modulation
+    return mean_styles(modulation, rows) if isinstance(modulation, FiLMGenerator) else modulation
 
 
 def total_steps(config: PretrainConfig, order: StepOrder) -> int:

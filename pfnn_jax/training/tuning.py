@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from pfnn_jax.models.config import GeneratorConfig
-from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import Network
 from pfnn_jax.training.config import TuningConfig
@@ -24,17 +23,16 @@ from pfnn_jax.training.steps import Frozen, PretrainParams, Step, descend, equal
 
 
 class Tuned(NamedTuple):
-    """The result of tuning: the generator's parameters, and the mean FiLM style over the style's windows."""
+    """The result of tuning: the generator, and the mean FiLM style over the style's windows."""
 
-    generator: Any
+    generator: FiLMGenerator
     style: FiLMStyle
     losses: np.ndarray  # [steps] squared errors
 
 
 def tune_generator(
     shared: Network,
-    sizes: GeneratorConfig,
-    params: Any,
+    generator: FiLMGenerator,
     rows: Rows,
     config: TuningConfig | None = None,
     *,
@@ -45,7 +43,7 @@ def tune_generator(
 
     Args:
         shared: pretrained network and gating, neither differentiated nor changed.
-        sizes, params: the pretrained generator; copied, not changed.
+        generator: pretrained; copied, not changed.
         rows: rows and windows of one style (S = 1).
         config: how to tune; `TuningConfig()` by default. The order of minibatches follows `config.seed`.
         key: of dropout; by default from `config.seed`.
@@ -57,29 +55,27 @@ def tune_generator(
     """
     config = TuningConfig() if config is None else config
     key = jax.random.key(config.seed) if key is None else key
-    generator, tx = film_generator(sizes), optax.adam(config.learning_rate)
+    tx = optax.adam(config.learning_rate)
     order = order_of(rows, config.batch_size, config.seed, config.clips_per_batch)
     objective = Objective.for_layout(rows.layout, config.l1, bone_length=config.bone_length)
     bones = rows.bones() if objective.bone_length else None
-    copied = jax.tree.map(lambda leaf: jnp.array(leaf, copy=True), params)  # training donates its state
+    copied = jax.tree.map(lambda leaf: jnp.array(leaf, copy=True), generator)  # training donates its state
     steps = config.epochs * order.steps_per_epoch if config.steps is None else config.steps
-    training = RowTraining(_make_step(tx, objective, config, sizes), rows, order, steps, config.steps_per_dispatch)
+    training = RowTraining(_make_step(tx, objective, config), rows, order, steps, config.steps_per_dispatch)
     state = TrainState(copied, tx.init(copied), jnp.zeros((), jnp.int32))
     frozen = Frozen(jax.random.fold_in(key, 1), bones, shared)
     state, losses = training.run(state, 0, frozen, lambda _, progress: progress_callback(progress))
-    styles = window_styles(generator, state.params, rows, 0)
+    styles = window_styles(state.params, rows, 0)
     return Tuned(state.params, jax.tree.map(lambda leaf: leaf.mean(axis=0), styles), losses)
 
 
-def _make_step(
-    tx: optax.GradientTransformation, objective: Objective, config: TuningConfig, sizes: GeneratorConfig
-) -> Step:
+def _make_step(tx: optax.GradientTransformation, objective: Objective, config: TuningConfig) -> Step:
     """Returns a step in which the generator is differentiated and `frozen.shared` is not."""
-    generator, dropout = film_generator(sizes), equal_dropout(config.dropout)
+    dropout = equal_dropout(config.dropout)
 
-    def loss(params: Any, batch: Batch, frozen: Frozen, key: jax.Array):
-        both = PretrainParams(frozen.shared, params)
-        return pretrain_loss(both, batch, objective, frozen.bones, dropout, key, generator)
+    def loss(generator: FiLMGenerator, batch: Batch, frozen: Frozen, key: jax.Array):
+        both = PretrainParams(frozen.shared, generator)
+        return pretrain_loss(both, batch, objective, frozen.bones, dropout, key)
 
     def step(state: TrainState, batch: Batch, frozen: Frozen):
         key = jax.random.fold_in(frozen.key, state.step)

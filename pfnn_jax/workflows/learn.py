@@ -115,16 +115,14 @@ def tune_style(
     run, clip_file = _as_run(run), _as_clip_file(clip_file)
     config = TuningConfig() if config is None else config
     check_new_style(run.path, clip_file.style, overwrite)
-    params, sizes = load_generator(run), run.config.generator
-    assert sizes is not None  # `load_generator` refuses such a run
+    generator = load_generator(run)
     progress_callback(0.0, "labelling")
     parts = clip_parts(load_for_layout(clip_file, run.layout, roles_file), run, mirror)
     _check_length(parts, config.batch_size, clip_file.path)
     about = _about_clip(run, clip_file, parts, mirror)
     tuned = tune_generator(
         run.shared,
-        sizes,
-        params,
+        generator,
         _rows(run, clip_file.style, parts),
         config,
         progress_callback=lambda progress: progress_callback(0.95 * progress.step / progress.steps, "tuning"),

@@ -89,7 +89,7 @@ def pretrain_run(
             save_train_state(out, state, progress.step, progress.steps)
 
     state = pretrain(rows, config, state=state, progress_callback=progress_callback, state_callback=save)
-    _save_result(out, state, dataset, styles_of(state, rows, config))
+    _save_result(out, state, dataset, styles_of(state, rows))
     return load_run(out)
 
 

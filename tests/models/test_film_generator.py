@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,10 +12,10 @@ import pytest
 from jax.test_util import check_grads
 
 from pfnn_jax.models.config import GeneratorConfig
-from pfnn_jax.models.film_generator import film_generator, paper_count
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import num_parameters
-from pfnn_jax.models.presets import LAYOUT_OF, TABLE2, Backbone, counts, network_config
+from pfnn_jax.models.presets import LAYOUT_OF, TABLE2, Backbone, counts, network_config, paper_count
 from tests.models.helpers import randomise, shapes
 
 FLOAT64 = 1e-10  # sums of a hundred terms of size ten in double precision
@@ -24,9 +24,9 @@ KEY = jax.random.key(31)
 TINY = GeneratorConfig(features=3, clip_frames=12, filters=4, width=5, hidden=6, film_hidden=2)
 
 
-def tiny() -> dict[str, dict[str, jax.Array]]:
-    """Parameters with biases that are not zero."""
-    return randomise(film_generator(TINY).init(KEY), 1)
+def tiny() -> FiLMGenerator:
+    """Returns a generator whose biases are not zero."""
+    return randomise(FiLMGenerator.init(TINY, key=KEY), 1)
 
 
 def clip(seed: int = 2, *batch: int) -> jax.Array:
@@ -42,14 +42,14 @@ def slow_convolution(value: np.ndarray, kernel: np.ndarray, bias: np.ndarray) ->
 
 def test_generator_is_its_formula(float64: None):
     """Convolution, ReLU, the larger of two frames, twice; then two dense layers (Mason 2022 §4.3), with loops."""
-    params = jax.tree.map(np.asarray, tiny())
+    generator = jax.tree.map(np.asarray, tiny())
     value = np.asarray(clip())
-    for name in ("conv1", "conv2"):
-        value = np.maximum(slow_convolution(value, params[name]["kernel"], params[name]["bias"]), 0)
+    for layer in (generator.conv1, generator.conv2):
+        value = np.maximum(slow_convolution(value, layer.kernel, layer.bias), 0)
         value = value.reshape(-1, 2, TINY.filters).max(axis=1)
-    hidden = np.maximum(value.reshape(-1) @ params["dense1"]["kernel"] + params["dense1"]["bias"], 0)
-    expected = FiLMStyle.from_vector(hidden @ params["dense2"]["kernel"] + params["dense2"]["bias"])
-    film = film_generator(TINY).apply(tiny(), clip())
+    hidden = np.maximum(value.reshape(-1) @ generator.dense1.kernel + generator.dense1.bias, 0)
+    expected = FiLMStyle.from_vector(hidden @ generator.dense2.kernel + generator.dense2.bias)
+    film = tiny()(clip())
     np.testing.assert_allclose(film.scale, expected.scale, atol=FLOAT64)
     np.testing.assert_allclose(film.shift, expected.shift, atol=FLOAT64)
 
@@ -57,68 +57,69 @@ def test_generator_is_its_formula(float64: None):
 def test_size_of_the_papers_generator():
     """Each number is counted: the paper leaves the inputs of the convolutions out of its own count."""
     config = GeneratorConfig(features=300)
-    params = jax.eval_shape(lambda: film_generator(config).init(KEY))
-    assert shapes(params) == {
-        "['conv1']['kernel']": ((25, 300, 256), "float32"),
-        "['conv1']['bias']": ((256,), "float32"),
-        "['conv2']['kernel']": ((25, 256, 256), "float32"),
-        "['conv2']['bias']": ((256,), "float32"),
-        "['dense1']['kernel']": ((15360, 2048), "float32"),
-        "['dense1']['bias']": ((2048,), "float32"),
-        "['dense2']['kernel']": ((2048, 2048), "float32"),
-        "['dense2']['bias']": ((2048,), "float32"),
+    generator = jax.eval_shape(lambda: FiLMGenerator.init(config, key=KEY))
+    assert shapes(generator) == {
+        ".conv1.kernel": ((25, 300, 256), "float32"),
+        ".conv1.bias": ((256,), "float32"),
+        ".conv2.kernel": ((25, 256, 256), "float32"),
+        ".conv2.bias": ((256,), "float32"),
+        ".dense1.kernel": ((15360, 2048), "float32"),
+        ".dense1.bias": ((2048,), "float32"),
+        ".dense2.kernel": ((2048, 2048), "float32"),
+        ".dense2.bias": ((2048,), "float32"),
     }
-    assert num_parameters(params) == 39_214_592
+    assert num_parameters(generator) == 39_214_592
     assert paper_count(config) == 35_668_530
 
 
 def test_dropout_acts_behind_the_first_dense_layer_only():
     """All of it dropped leaves the last bias, which is what no clip at all would leave."""
-    params = tiny()
-    film = film_generator(TINY).apply(params, clip(), dropout=jnp.asarray(1.0), key=KEY)
-    left = FiLMStyle.from_vector(params["dense2"]["bias"])
+    generator = tiny()
+    film = generator(clip(), dropout=jnp.asarray(1.0), key=KEY)
+    left = FiLMStyle.from_vector(generator.dense2.bias)
     np.testing.assert_array_equal(film.scale, left.scale)
     np.testing.assert_array_equal(film.shift, left.shift)
-    kept = film_generator(TINY).apply(params, clip(), dropout=jnp.asarray(0.0), key=KEY)
-    np.testing.assert_array_equal(kept.scale, film_generator(TINY).apply(params, clip()).scale)
+    kept = generator(clip(), dropout=jnp.asarray(0.0), key=KEY)
+    np.testing.assert_array_equal(kept.scale, generator(clip()).scale)
 
 
 def test_dropout_keeps_or_drops_each_hidden_number(float64: None):
     """The film is linear in what is dropped: at rate 1/2 it is one of the 2^6 doubled partial sums."""
-    params = tiny()
-    params["dense2"]["bias"] = jnp.zeros_like(params["dense2"]["bias"])
-    without = [
-        film_generator(TINY).apply(params | {"dense2": {**params["dense2"], "kernel": kernel}}, clip()).scale[0, 0]
-        for kernel in (params["dense2"]["kernel"] * jnp.eye(6)[:, i : i + 1] for i in range(6))
-    ]
-    dropped = film_generator(TINY).apply(params, clip(), dropout=jnp.asarray(0.5), key=KEY).scale[0, 0]
+    fresh = tiny()
+    last = replace(fresh.dense2, bias=jnp.zeros_like(fresh.dense2.bias))
+    generator = replace(fresh, dense2=last)
+    kernels = [last.kernel * jnp.eye(6)[:, i : i + 1] for i in range(6)]
+    without = [replace(generator, dense2=replace(last, kernel=kernel))(clip()).scale[0, 0] for kernel in kernels]
+    dropped = generator(clip(), dropout=jnp.asarray(0.5), key=KEY).scale[0, 0]
     choices = (np.arange(64)[:, None] >> np.arange(6)) & 1
     assert np.abs(choices @ (2 * np.asarray(without)) - float(dropped)).min() < FLOAT64
 
 
 def test_dropout_needs_a_key():
     with pytest.raises(ValueError, match="`key` is needed where `dropout` is given, got None"):
-        film_generator(TINY).apply(tiny(), clip(), dropout=jnp.asarray(0.3))
+        tiny()(clip(), dropout=jnp.asarray(0.3))
 
 
 def test_gradients(float64: None):
-    check_grads(jax.jit(film_generator(TINY).apply), (tiny(), clip()), order=1, modes=("fwd", "rev"))
+    check_grads(jax.jit(lambda generator, clip: generator(clip)), (tiny(), clip()), order=1, modes=("fwd", "rev"))
 
 
 def test_a_batch_is_its_clips_one_by_one(float64: None):
     clips = clip(3, 4)
-    batched = jax.vmap(film_generator(TINY).apply, (None, 0))(tiny(), clips)
+    batched = jax.vmap(tiny())(clips)
     for index in range(4):
-        one = film_generator(TINY).apply(tiny(), clips[index])
+        one = tiny()(clips[index])
         np.testing.assert_allclose(batched.scale[index], one.scale, atol=FLOAT64)
 
 
 def test_a_batch_is_one_convolution_in_each_layer():
     """Forward two; backward one more for each layer's weights and one for the second layer's input."""
-    batched = jax.vmap(film_generator(TINY).apply, (None, 0))
 
-    def loss(params, clips):
-        film = batched(params, clips)
+    def batched(generator: FiLMGenerator, clips: jax.Array) -> FiLMStyle:
+        return jax.vmap(generator)(clips)
+
+    def loss(generator, clips):
+        film = batched(generator, clips)
         return (film.scale**2).mean() + (film.shift**2).mean()
 
     clips = clip(3, 7)
@@ -131,24 +132,24 @@ def test_a_batch_is_one_convolution_in_each_layer():
         assert "stablehlo.while" not in text
 
 
-def test_made_once_for_each_configuration():
-    assert film_generator(TINY) is film_generator(GeneratorConfig(**asdict(TINY)))
+def test_knows_its_number_of_frames():
+    assert tiny().clip_frames == TINY.clip_frames
 
 
 def test_initial_weights_are_uniform_with_zero_biases_and_follow_the_key():
     config = GeneratorConfig(features=24, clip_frames=16, filters=32, width=5, hidden=64, film_hidden=16)
-    params, again, other = (film_generator(config).init(jax.random.key(seed)) for seed in (0, 0, 1))
+    one, again, other = (FiLMGenerator.init(config, key=jax.random.key(seed)) for seed in (0, 0, 1))
     for name, fan in (("conv1", 5 * (24 + 32)), ("conv2", 5 * 64), ("dense1", 4 * 32 + 64), ("dense2", 64 + 64)):
-        bound = np.sqrt(6 / fan)
-        assert 0.9 * bound < np.abs(params[name]["kernel"]).max() <= bound * (1 + 1e-6)
-        assert (params[name]["bias"] == 0).all()
-        assert (params[name]["kernel"] == again[name]["kernel"]).all()
-        assert (params[name]["kernel"] != other[name]["kernel"]).any()
+        bound, layer = np.sqrt(6 / fan), getattr(one, name)
+        assert 0.9 * bound < np.abs(layer.kernel).max() <= bound * (1 + 1e-6)
+        assert (layer.bias == 0).all()
+        assert (layer.kernel == getattr(again, name).kernel).all()
+        assert (layer.kernel != getattr(other, name).kernel).any()
 
 
 def test_a_clip_of_another_length_is_refused():
     with pytest.raises(AssertionError):
-        film_generator(TINY).apply(tiny(), clip()[:-4])
+        tiny()(clip()[:-4])
 
 
 def test_messages_of_the_config():

@@ -15,7 +15,6 @@ import pytest
 
 from pfnn_jax.errors import TrainingError
 from pfnn_jax.models.config import AdapterConfig
-from pfnn_jax.models.film_generator import film_generator
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import load_generator, load_run, load_style
@@ -208,6 +207,6 @@ def test_a_film_run_from_disk_is_the_one_from_memory_and_holds_its_generator(dat
     sizes, generator = memory.config.generator, load_generator(memory)
     assert sizes is not None
     assert_bitwise_equal(generator, load_generator(disk))
-    films = mean_styles(film_generator(sizes), generator, Rows.from_dataset(dataset))
+    films = mean_styles(generator, Rows.from_dataset(dataset))
     for index, style in enumerate(dataset.styles):
         assert_bitwise_equal(load_style(memory, style), jax.tree.map(lambda leaf, i=index: leaf[i], films))

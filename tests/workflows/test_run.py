@@ -11,7 +11,7 @@ import pytest
 from pfnn_jax.errors import InputError
 from pfnn_jax.io import checkpoint
 from pfnn_jax.models.config import AdapterConfig, AdapterKind, GeneratorConfig, NetworkConfig
-from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import mason2018
@@ -329,7 +329,7 @@ def make_film_run(path):
 
 def test_a_generator_round_trips(tmp_path):
     path = make_film_run(tmp_path / "run")
-    parameters = film_generator(GENERATOR).init(jax.random.key(2))
+    parameters = FiLMGenerator.init(GENERATOR, key=jax.random.key(2))
     save_generator(path, parameters)
     run = load_run(path)
     assert run.config.generator == GENERATOR
@@ -338,13 +338,22 @@ def test_a_generator_round_trips(tmp_path):
     assert_equal(load_style(run, "angry"), make_adapter("film"))
 
 
+def test_a_generator_saved_as_a_dictionary_loads(tmp_path):
+    """Earlier versions kept the generator's parameters as dictionaries of the same names."""
+    path = make_film_run(tmp_path / "run")
+    generator = FiLMGenerator.init(GENERATOR, key=jax.random.key(2))
+    layers = {name: getattr(generator, name) for name in ("conv1", "conv2", "dense1", "dense2")}
+    save_generator(path, {name: {"kernel": layer.kernel, "bias": layer.bias} for name, layer in layers.items()})
+    assert_equal(load_generator(load_run(path)), generator)
+
+
 def test_a_run_without_a_generator_says_so(tmp_path):
     assert_refused(lambda: load_generator(load_run(make_run(tmp_path / "run"))), place="generator", value="absent")
 
 
 def test_a_generator_of_another_shared_network_is_refused(tmp_path):
     path = make_film_run(tmp_path / "run")
-    save_generator(path, film_generator(GENERATOR).init(jax.random.key(2)))
+    save_generator(path, FiLMGenerator.init(GENERATOR, key=jax.random.key(2)))
     save_shared(path, init_network(make_config().network, key=jax.random.key(9)))
     assert_refused(lambda: load_generator(load_run(path)), place="shared network", rule_mentions="the generator")
 
