@@ -24,7 +24,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.io.checkpoint import fingerprint, load_record, save_record
 from pfnn_jax.io.files import locate, read_note, refuse_existing, replacing, write_json
 from pfnn_jax.models.config import AdapterConfig
-from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import Network, init_network, num_parameters
 from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.motion.datasets.sources import check_style_name
@@ -135,7 +135,7 @@ def save_generator(path: str | Path, parameters: Any) -> None:
     save_record(Path(path) / "generator", parameters, "generator.json", note)
 
 
-def load_generator(run: Run) -> Any:
+def load_generator(run: Run) -> FiLMGenerator:
     """Loads the parameters of the run's FiLM generator.
 
     Raises:
@@ -148,7 +148,7 @@ def load_generator(run: Run) -> Any:
     if note.get("shared") != run.fingerprint:
         rule = f"must be {_short(run.fingerprint)}: the generator was trained with another shared network"
         raise InputError(folder, "shared network", _short(note.get("shared")), rule)
-    return load_record(folder, _abstract(lambda: film_generator(sizes).init(jax.random.key(0))))
+    return load_record(folder, _abstract(lambda: FiLMGenerator.init(sizes, key=jax.random.key(0))))
 
 
 def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, Any], overwrite: bool = False) -> Path:

@@ -19,8 +19,7 @@ from experiments.common.seven_models import Model
 from experiments.common.seven_takes import Take, common_columns
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.inference.rows import evaluate_rows
-from pfnn_jax.models.config import GeneratorConfig
-from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.encode import Features, join_rows
@@ -106,29 +105,27 @@ def nearest_style(model: Model, clip: Take, budget: Budget, seed: int) -> Learne
 def generated(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
     """Returns the mean FiLM parameters over the clip's windows, by the generator without tuning."""
     started = time.perf_counter()
-    film = _mean(window_films(model, model.generator, [clip]))
+    film = _mean(window_films(model, generator_of(model), [clip]))
     return Learned(film, 0, num_parameters(film), time.perf_counter() - started)
 
 
 def tuned(model: Model, clip: Take, budget: Budget, seed: int) -> Learned:
     """Tunes the generator to the clip (§5.3.2), for the fewest steps whose held-out error is within the tolerance."""
     started = time.perf_counter()
-    sizes = generator_sizes(model)
     learn, held = hold_out(clip.parts(model.layout.name), budget.held_out, clip.name)
     rows, columns = join_rows(held), common_columns(model.layout)
     std = np.asarray(model.normaliser.outputs.std)[columns]
-    parameters, done, errors = model.generator, 0, {}
+    generator, done, errors = generator_of(model), 0, {}
     for steps in budget.tuning_steps:
-        found = tune_generator(
-            model.network, sizes, parameters, clip_data(model, learn), _tuning(budget, steps - done, seed + done)
-        )
-        parameters, done = found.generator, steps
+        tuning = _tuning(budget, steps - done, seed + done)
+        found = tune_generator(model.network, generator, clip_data(model, learn), tuning)
+        generator, done = found.generator, steps
         residual = evaluate_rows(model.predictor(found.style), rows.x, rows.phase)[:, columns] - rows.y[:, columns]
         errors[steps] = float(np.mean((residual / std) ** 2))
     limit = min(errors.values()) * (1 + budget.tolerance)
     steps = min(steps for steps, error in errors.items() if error <= limit)
     data = clip_data(model, clip.parts(model.layout.name))
-    found = tune_generator(model.network, sizes, model.generator, data, _tuning(budget, steps, seed))
+    found = tune_generator(model.network, generator_of(model), data, _tuning(budget, steps, seed))
     film, generator = jax.tree.map(np.asarray, (found.style, found.generator))
     seconds = time.perf_counter() - started
     return Learned(film, num_parameters(generator), num_parameters(film), seconds, f"{steps} steps", generator)
@@ -187,18 +184,17 @@ def average(model: Model) -> Style | None:
     return None if model.config.adapter.kind == "cp" else _mean(model.bank)
 
 
-def generator_sizes(model: Model) -> GeneratorConfig:
-    """Returns the sizes of a FiLM model's generator."""
-    sizes = model.config.generator(model.layout)
-    if sizes is None or model.generator is None:
+def generator_of(model: Model) -> FiLMGenerator:
+    """Returns a FiLM model's generator."""
+    if model.generator is None:
         raise ValueError(f"`model` must have a FiLM generator, got {model.name}.")
-    return sizes
+    return model.generator
 
 
-def window_films(model: Model, parameters: Any, takes: Sequence[Take]):
-    """Returns FiLM styles, leaves [W, 2, H], of all windows of the takes, by a generator with the given parameters."""
+def window_films(model: Model, generator: FiLMGenerator, takes: Sequence[Take]):
+    """Returns FiLM styles, leaves [W, 2, H], of all windows of the takes, by a generator."""
     parts = [part for take in takes for part in take.parts(model.layout.name)]
-    return window_styles(film_generator(generator_sizes(model)), parameters, clip_data(model, parts), 0)
+    return window_styles(generator, clip_data(model, parts), 0)
 
 
 def frames_of(clip: Take) -> int:

@@ -17,7 +17,7 @@ from pfnn_jax.inference.predictor import Predictor, assemble_predictor
 from pfnn_jax.io.checkpoint import load_record, save_record
 from pfnn_jax.io.files import locate, read_note
 from pfnn_jax.models.config import AdapterConfig
-from pfnn_jax.models.film_generator import film_generator
+from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import Network, init_network
 from pfnn_jax.models.presets import LAYOUT_OF, TABLE2
 from pfnn_jax.models.style import Style, init_bank
@@ -56,7 +56,7 @@ class Model:
     normaliser: Normaliser
     network: Network
     bank: Any
-    generator: Any
+    generator: FiLMGenerator | None
     seconds: float
     loss: float
 
@@ -96,7 +96,7 @@ def train_model(name: str, takes: Takes, config: PretrainConfig) -> Model:
     started = time.perf_counter()
     state = pretrain(data, own, progress_callback=lambda progress: losses.append(progress.loss))
     seconds = time.perf_counter() - started
-    bank = jax.tree.map(np.asarray, styles_of(state, data, own))
+    bank = jax.tree.map(np.asarray, styles_of(state, data))
     generator = None if own.generator(layout) is None else jax.tree.map(np.asarray, state.params.modulation)
     network = jax.tree.map(np.asarray, state.params.shared)
     return Model(
@@ -150,4 +150,5 @@ def _tree(network: Network, bank: Any, generator: Any) -> dict[str, Any]:
 def _fresh(config: PretrainConfig, layout: FrameLayout, num_styles: int) -> dict[str, Any]:
     key, sizes, generator = jax.random.key(0), config.network(layout), config.generator(layout)
     bank = init_bank(config.adapter, config.hidden, sizes.num_control_points, num_styles, key=key)
-    return _tree(init_network(sizes, key=key), bank, None if generator is None else film_generator(generator).init(key))
+    made = None if generator is None else FiLMGenerator.init(generator, key=key)
+    return _tree(init_network(sizes, key=key), bank, made)

@@ -52,21 +52,21 @@ def predict_batch(
 
 
 def generate_styles(
-    generator: FiLMGenerator, params: Any, clips: Any, dropout: jax.Array | None, key: jax.Array | None
+    generator: FiLMGenerator, clips: Any, dropout: jax.Array | None, key: jax.Array | None
 ) -> FiLMStyle:
     """Returns FiLM styles, leaves [C, 2, H], of clips [C, T, F]; every clip goes through the generator once."""
     if dropout is None or key is None:
-        return jax.vmap(lambda clip: generator.apply(params, clip))(clips)
+        return jax.vmap(generator)(clips)
     keys = jax.random.split(key, clips.shape[0])
-    return jax.vmap(lambda clip, key: generator.apply(params, clip, dropout=dropout, key=key))(clips, keys)
+    return jax.vmap(lambda clip, key: generator(clip, dropout=dropout, key=key))(clips, keys)
 
 
 def predict_generated(
-    network: Network, generator: FiLMGenerator, params: Any, batch: Batch, dropout: Dropout, key: jax.Array
+    network: Network, generator: FiLMGenerator, batch: Batch, dropout: Dropout, key: jax.Array
 ) -> jax.Array:
     """Returns normalised outputs [B, O] of frames of which equal shares, in order, are modulated by each clip."""
     film_key, key = jax.random.split(key)
-    films = generate_styles(generator, params, batch.clip, dropout.main, film_key)
+    films = generate_styles(generator, batch.clip, dropout.main, film_key)
     share = batch.phase.shape[0] // films.scale.shape[0]
     styles = jax.tree.map(lambda leaf: jnp.repeat(leaf, share, axis=0), films)
     return predict_batch(network, styles, batch, dropout, key, style_per_frame=True)
@@ -76,18 +76,17 @@ def predict_generated(
 class PretrainParams:
     """A value for the shared network and one for what modulates it: parameters, their gradients, or optimiser states.
 
-    What modulates the network is a bank, S styles on a leading axis; or, for FiLM, the parameters of one generator.
+    What modulates the network is a bank, S styles on a leading axis; or, for FiLM, one generator.
     """
 
     shared: Any
     modulation: Any
 
 
-def init_train_state(
-    shared: Any, modulation: Any, tx: optax.GradientTransformation, *, is_bank: bool = True
-) -> TrainState:
+def init_train_state(shared: Any, modulation: Any, tx: optax.GradientTransformation) -> TrainState:
     """Returns a state of pretraining at step 0; every style of a bank has its own optimiser state."""
-    init = jax.vmap(tx.init) if is_bank else tx.init
+    is_generator = isinstance(modulation, FiLMGenerator)
+    init: Callable[[Any], Any] = tx.init if is_generator else jax.vmap(tx.init)
     return TrainState(
         params=PretrainParams(shared, modulation),
         opt_state=PretrainParams(tx.init(shared), init(modulation)),
@@ -102,18 +101,17 @@ def pretrain_loss(
     bones: Bones | None,
     dropout: Dropout,
     key: jax.Array,
-    generator: FiLMGenerator | None = None,
     predict: Callable[..., jax.Array] = predict_batch,
 ) -> tuple[jax.Array, jax.Array]:
     """Returns (loss, squared error) of one minibatch of one style.
 
-    `params.modulation` is that style's parameters, or those of the generator where there is one. `dropout.main` acts
-    in the generator too. `predict` computes the outputs of a batch without a generator.
+    `params.modulation` is that style, or a FiLM generator, in which `dropout.main` acts too. `predict` computes the
+    outputs of a batch in a style.
     """
-    if generator is None:
-        prediction = predict(params.shared, params.modulation, batch, dropout, key)
+    if isinstance(params.modulation, FiLMGenerator):
+        prediction = predict_generated(params.shared, params.modulation, batch, dropout, key)
     else:
-        prediction = predict_generated(params.shared, generator, params.modulation, batch, dropout, key)
+        prediction = predict(params.shared, params.modulation, batch, dropout, key)
     return objective.loss(prediction, batch.y, (params.shared, params.modulation), bones)
 
 
@@ -144,17 +142,16 @@ def make_pretrain_step(
     tx: optax.GradientTransformation,
     objective: Objective,
     dropout: Dropout,
-    generator: FiLMGenerator | None = None,
     predict: Callable[..., jax.Array] = predict_batch,
 ) -> Step:
     """Returns a pure step (state, batch of style `step mod S`, frozen) -> (state, squared error).
 
     In a bank, only that style and its optimiser state change, along with the shared parameters; a generator changes as
-    a whole in every step. `predict` computes the outputs of a batch without a generator; benchmarks replace it.
+    a whole in every step. `predict` computes the outputs of a batch in a style; benchmarks replace it.
     """
 
     def update(params: PretrainParams, opt_state: PretrainParams, batch: Batch, key: jax.Array, bones: Bones | None):
-        loss = partial(pretrain_loss, generator=generator, predict=predict)
+        loss = partial(pretrain_loss, predict=predict)
         gradient, error = jax.grad(loss, has_aux=True)(params, batch, objective, bones, dropout, key)
         shared, shared_state = descend(tx, gradient.shared, opt_state.shared, params.shared)
         modulation, modulation_state = descend(tx, gradient.modulation, opt_state.modulation, params.modulation)
@@ -177,7 +174,11 @@ def make_pretrain_step(
         params, opt_state, error = update(state.params, state.opt_state, batch, key, frozen.bones)
         return TrainState(params, opt_state, state.step + 1), error
 
-    return bank_step if generator is None else generator_step
+    def step(state: TrainState, batch: Batch, frozen: Frozen):
+        one = generator_step if isinstance(state.params.modulation, FiLMGenerator) else bank_step
+        return one(state, batch, frozen)
+
+    return step
 
 
 def descend(tx: optax.GradientTransformation, gradient: Any, opt_state: Any, params: Any) -> tuple[Any, Any]:
