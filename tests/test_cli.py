@@ -515,7 +515,10 @@ def interrupt(command, at: Callable[[subprocess.Popen], None], times: int = 1) -
         for _ in range(times):
             process.send_signal(signal.SIGINT)
         begun = time.monotonic()
-        _, errors = process.communicate(timeout=60.0)
+        try:
+            _, errors = process.communicate(timeout=60.0)
+        finally:
+            process.kill()  # otherwise a command that hangs would hang the test
         return process.returncode, errors, time.monotonic() - begun
 
 

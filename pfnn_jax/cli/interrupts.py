@@ -14,6 +14,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -26,6 +27,9 @@ MESSAGE = "pfnn-jax: interrupted\n"
 
 GRACE = 0.5
 """Seconds in which the main thread may remove temporary files. A second Ctrl-C ends the process without them."""
+
+POLL = 0.001
+"""Seconds between two looks at whether the line is printed."""
 
 _interrupted = threading.Event()
 _announcing = threading.Lock()
@@ -77,8 +81,14 @@ def _exit_code() -> Iterator[None]:
 
 
 def _handle(number: int, frame: FrameType | None) -> NoReturn:
-    """Interrupts the main thread, once it runs Python again."""
-    _announce()
+    """Interrupts the main thread, once it runs Python again and the watching thread has printed the line.
+
+    Takes no lock: a second signal may interrupt this handler, or the main thread while it holds one.
+    """
+    for _ in range(round(GRACE / POLL)):
+        if _interrupted.is_set():
+            break
+        time.sleep(POLL)
     raise KeyboardInterrupt
 
 
