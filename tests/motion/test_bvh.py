@@ -274,8 +274,7 @@ def test_a_full_disk_leaves_no_partial_file(tmp_path, monkeypatch, broken):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(*((os, "replace", full) if broken == "replace" else (Path, "write_bytes", full)))
-    with pytest.raises(InputError, match="output: No space left on device; must be writable"):
-        write_bvh(tmp_path / "out.bvh", body_clip())
+    assert_refused(lambda: write_bvh(tmp_path / "out.bvh", body_clip()), file="out.bvh", place="disk")
     assert list(tmp_path.iterdir()) == []
 
 

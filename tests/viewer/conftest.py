@@ -25,13 +25,21 @@ FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 
 
 @pytest.fixture(scope="session")
-def played_run(tmp_path_factory) -> Path:
-    """A small PFNN with three styles; only the tests of the page write to it."""
-    folder = tmp_path_factory.mktemp("played")
+def trained_run(tmp_path_factory) -> Path:
+    """A small PFNN with three styles, which no test changes."""
+    folder = tmp_path_factory.mktemp("trained")
     clips = [clip for style in STYLES for clip in synthetic_clips(style, 10)]
     dataset = prepare(clips, folder / "data", PrepareConfig(layout="mason2018"))
     settings = PretrainConfig(AdapterConfig("cp", 4), hidden=32, steps=200, batch_size=64, learning_rate=3e-3)
     return pretrain_run(dataset, folder / "run", settings).path
+
+
+@pytest.fixture(scope="module")
+def played_run(trained_run, tmp_path_factory) -> Path:
+    """A copy of the run for the tests of one file, which may learn styles in it."""
+    path = tmp_path_factory.mktemp("played") / "run"
+    shutil.copytree(trained_run, path)
+    return path
 
 
 @pytest.fixture(scope="session")
@@ -43,10 +51,10 @@ def zombie_bvh(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def second_run(played_run, tmp_path_factory) -> Path:
+def second_run(trained_run, tmp_path_factory) -> Path:
     """A copy with two of the styles: another run for which nothing must be compiled."""
     path = tmp_path_factory.mktemp("second") / "two"
-    shutil.copytree(played_run, path)
+    shutil.copytree(trained_run, path)
     shutil.rmtree(path / "styles" / "depressed")
     return path
 
