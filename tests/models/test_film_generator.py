@@ -113,7 +113,7 @@ def test_a_batch_is_its_clips_one_by_one(float64: None):
 
 
 def test_a_batch_is_one_convolution_in_each_layer():
-    """Two in the forward pass; one more for each layer's weights and for the second layer's input in the backward pass."""
+    """Two forward; backward, three more: for the weights of both layers and the input of the second."""
 
     def batched(generator: FiLMGenerator, clips: jax.Array) -> FiLMStyle:
         return jax.vmap(generator)(clips)

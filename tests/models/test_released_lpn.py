@@ -17,11 +17,10 @@ from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network, num_parameters, predict
 from pfnn_jax.models.style import mix_styles
 
-# Golden values are float64. The difference comes from the constant inside the layer norm's root: 1e-8 on variances above 5.
+# Golden values are float64; the constant inside the layer norm's root adds 1e-8 to variances above 5.
 FLOAT64 = 1e-7
-FLOAT32 = (
-    1e-4  # in standard deviations of each output: ten times the rounding error of these networks in single precision
-)
+FLOAT32 = 1e-4  # standard deviations of each output: ten times the rounding error in single precision
+
 
 Tree = TypeVar("Tree")
 
