@@ -83,7 +83,7 @@ class NumpyExperts:
         self.gating = [(np.array(layer.weights), np.array(layer.biases)) for layer in network.gating.layers]
         self.scale, self.shift = np.array(film.scale), np.array(film.shift)
         p = predictor
-        values = (p.input_mean, p.input_std, p.output_mean, p.output_std, p.phase_mean, p.phase_std)
+        values = (p.input_mean, p.input_std, p.output_mean, p.output_std, p.gating_mean, p.gating_std)
         self.statistics = [np.array(value) for value in values]
 
     def __call__(self, x: np.ndarray, gating_input: np.ndarray) -> np.ndarray:

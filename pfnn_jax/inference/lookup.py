@@ -13,20 +13,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.core import Tracer
 
+from pfnn_jax.inference.modes import LookupMode
 from pfnn_jax.inference.predictor import Predictor, evaluate, evaluate_at
 from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.models.style import Style
-
-LookupMode = Literal["nearest50", "constant50"]
 
 NUM_SLICES = 50
 """Entries in the released controllers' tables."""

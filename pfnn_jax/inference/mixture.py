@@ -92,4 +92,8 @@ def stack_styles(styles: Mapping[str, Any], source: str | Path) -> Any:
 
 def mix_rows(bank: FiLMStyle, indices: jax.Array, weights: jax.Array) -> FiLMStyle:
     """Mixes FiLM styles per row: a bank [S, 2, H], indices [N, M] and weights [N, M] give styles [N, 2, H]."""
-    return jax.tree.map(lambda leaf: jnp.einsum("nm,nmlh->nlh", weights, leaf[indices]), bank)
+
+    def mix(indices: jax.Array, weights: jax.Array) -> FiLMStyle:
+        return jax.tree.map(lambda leaf: leaf[indices], bank).mix(weights)
+
+    return jax.vmap(mix)(indices, weights)

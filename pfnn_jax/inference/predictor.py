@@ -24,7 +24,7 @@ class Predictor:
         style: one style's parameters, or None for style-agnostic motion.
         input_mean, input_std: [Dx] statistics of x, in layout units.
         output_mean, output_std: [Dy] statistics of y, in layout units.
-        phase_mean, phase_std: [G] statistics of the gating input, or None for a scalar phase.
+        gating_mean, gating_std: [G] statistics of the gating input, or None for a scalar phase.
     """
 
     network: Network
@@ -33,8 +33,8 @@ class Predictor:
     input_std: jax.Array
     output_mean: jax.Array
     output_std: jax.Array
-    phase_mean: jax.Array | None = None
-    phase_std: jax.Array | None = None
+    gating_mean: jax.Array | None = None
+    gating_std: jax.Array | None = None
 
 
 def make_predictor(run: Run, style: StyleChoice = None) -> Predictor:
@@ -61,21 +61,23 @@ def assemble_predictor(network: Network, style: Style | None, normaliser: Normal
     return Predictor(network, style, *values)
 
 
-def evaluate(predictor: Predictor, x: jax.Array, phase: jax.Array, *, normalise: Normalise = layer_norm) -> jax.Array:
+def evaluate(
+    predictor: Predictor, x: jax.Array, gating_input: jax.Array, *, normalise: Normalise = layer_norm
+) -> jax.Array:
     """Evaluates one frame (Mason 2018 Eq. 1 and 4, Mason 2022 Eq. 2 to 4); use `vmap` for many.
 
     Args:
         predictor: the network.
         x: [Dx] input in layout units.
-        phase: [] radians for the exact spline, or the gating input [G] in layout units.
+        gating_input: [] radians for the exact spline, or the gating input [G] in layout units.
         normalise: layer norm of a FiLM style: `layer_norm`, or `layer_norm_sample` as in the authors' training.
 
     Returns:
         [Dy] output in layout units.
     """
-    if predictor.phase_mean is not None and predictor.phase_std is not None:
-        phase = (phase - predictor.phase_mean) / predictor.phase_std
-    return evaluate_at(predictor, x, coefficients(predictor.network, phase), normalise=normalise)
+    if predictor.gating_mean is not None and predictor.gating_std is not None:
+        gating_input = (gating_input - predictor.gating_mean) / predictor.gating_std
+    return evaluate_at(predictor, x, coefficients(predictor.network, gating_input), normalise=normalise)
 
 
 def evaluate_at(

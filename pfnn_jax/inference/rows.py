@@ -31,25 +31,25 @@ ZIP = b"PK"  # first bytes of an archive
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class InputRows:
     """Independent frames.
 
     Attributes:
         x: [N, Dx] in layout units.
-        phase: [N] radians, or [N, G] in layout units.
+        gating_input: [N] radians, or [N, G] in layout units.
         styles: [N, M] int, or None.
         weights: [N, M], or None.
         style_array: name of the array that gave the styles.
     """
 
     x: np.ndarray
-    phase: np.ndarray
+    gating_input: np.ndarray
     styles: np.ndarray | None = None
     weights: np.ndarray | None = None
     style_array: str = "styles"
 
 
-def read_rows(file: Path, layout: FrameLayout) -> Rows:
+def read_rows(file: Path, layout: FrameLayout) -> InputRows:
     """Reads the rows of a `.npz` file (see `predict_file`).
 
     Raises:
@@ -75,11 +75,11 @@ def read_rows(file: Path, layout: FrameLayout) -> Rows:
         if weights.shape != styles.shape:
             rule = f"must have the shape of styles, {styles.shape}"
             raise InputError(file, "array weights", f"shape {weights.shape}", rule)
-        return Rows(x, phase, styles, weights)
+        return InputRows(x, phase, styles, weights)
     if "style" in arrays:
         styles = _as_indices(file, "style", arrays["style"], (len(x),))[:, None]
-        return Rows(x, phase, styles, np.ones(styles.shape), "style")
-    return Rows(x, phase)
+        return InputRows(x, phase, styles, np.ones(styles.shape), "style")
+    return InputRows(x, phase)
 
 
 def _phase_array(arrays: dict[str, np.ndarray], layout: FrameLayout) -> str:
@@ -145,7 +145,7 @@ NORMS = {"population": layer_norm, "sample": layer_norm_sample}
 """Layer norms of FiLM styles: `population` as in the authors' runtime, `sample` as in their training graph."""
 
 CHUNK = 1024
-"""Rows evaluated in one call."""
+"""InputRows evaluated in one call."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ class RowStyles:
 def predict_rows(
     run: Run,
     x: np.ndarray,
-    phase: np.ndarray,
+    gating_input: np.ndarray,
     style: StyleChoice | RowStyles = None,
     mode: Mode = "cubic",
     layer_norm: LayerNorm = "population",
@@ -174,7 +174,7 @@ def predict_rows(
     Args:
         run: a loaded run.
         x: [N, Dx] inputs in layout units.
-        phase: [N] radians, any real numbers; or [N, G] in layout units for a gating network.
+        gating_input: [N] radians, any real numbers; or [N, G] in layout units for a gating network.
         style: one choice for all rows, as `make_predictor` takes it, or one for every row.
         mode: `cubic` for the exact spline, else the phase is rounded to that of a table entry (see `lookup`).
         layer_norm: statistics of the layer norm of FiLM styles.
@@ -191,11 +191,11 @@ def predict_rows(
     if run.layout.phase_size:
         if mode != "cubic":
             raise InputError(run.path, "mode", mode, f"must be cubic: layout {run.layout.name} has no global phase")
-        phases = np.asarray(phase, np.float32)
+        gating = np.asarray(gating_input, np.float32)
     else:
-        turned = np.mod(np.asarray(phase, np.float64), 2 * math.pi).astype(np.float32)
-        phases = turned if mode == "cubic" else np.asarray(table_phase(jnp.asarray(turned), mode))
-    rows = np.asarray(x, np.float32), phases
+        turned = np.mod(np.asarray(gating_input, np.float64), 2 * math.pi).astype(np.float32)
+        gating = turned if mode == "cubic" else np.asarray(table_phase(jnp.asarray(turned), mode))
+    rows = np.asarray(x, np.float32), gating
     with jax.default_matmul_precision("highest"):
         if isinstance(style, RowStyles):
             return _predict_each(run, style, rows, layer_norm)
@@ -203,17 +203,17 @@ def predict_rows(
 
 
 def evaluate_rows(
-    predictor: Predictor, x: np.ndarray, phase: np.ndarray, *, layer_norm: LayerNorm = "population"
+    predictor: Predictor, x: np.ndarray, gating_input: np.ndarray, *, layer_norm: LayerNorm = "population"
 ) -> np.ndarray:
     """Returns the outputs [N, Dy] of a predictor for independent frames, in layout units.
 
     Args:
         predictor: the network and style.
         x: [N, Dx] inputs in layout units.
-        phase: [N] radians, or [N, G] in layout units for a gating network.
+        gating_input: [N] radians, or [N, G] in layout units for a gating network.
         layer_norm: statistics of the layer norm of FiLM styles.
     """
-    return _in_chunks(partial(_evaluate_rows, predictor, layer_norm=layer_norm), (x, phase))
+    return _in_chunks(partial(_evaluate_rows, predictor, layer_norm=layer_norm), (x, gating_input))
 
 
 def predict_file(
@@ -248,13 +248,13 @@ def predict_file(
     run, out = load_run(run_path), Path(out_npz)
     refuse_existing(out, overwrite)
     rows = read_rows(Path(in_npz), run.layout)
-    y = predict_rows(run, rows.x, rows.phase, _row_styles(Path(in_npz), rows, run, style), mode, layer_norm)
+    y = predict_rows(run, rows.x, rows.gating_input, _row_styles(Path(in_npz), rows, run, style), mode, layer_norm)
     with replacing(out) as new, new.open("wb") as file:
         np.savez(file, y=y)
     return y
 
 
-def _row_styles(file: Path, rows: Rows, run: Run, style: StyleChoice) -> StyleChoice | RowStyles:
+def _row_styles(file: Path, rows: InputRows, run: Run, style: StyleChoice) -> StyleChoice | RowStyles:
     """Returns the checked styles of the file, or the choice for all rows."""
     if rows.styles is None or rows.weights is None:
         return style
@@ -304,8 +304,8 @@ def _in_chunks(call: Callable[..., jax.Array], arrays: tuple[np.ndarray, ...]) -
 
 
 @partial(jax.jit, static_argnames="layer_norm")
-def _evaluate_rows(predictor: Predictor, x: jax.Array, phase: jax.Array, *, layer_norm: LayerNorm) -> jax.Array:
-    return jax.vmap(partial(evaluate, predictor, normalise=NORMS[layer_norm]))(x, phase)
+def _evaluate_rows(predictor: Predictor, x: jax.Array, gating_input: jax.Array, *, layer_norm: LayerNorm) -> jax.Array:
+    return jax.vmap(partial(evaluate, predictor, normalise=NORMS[layer_norm]))(x, gating_input)
 
 
 @partial(jax.jit, static_argnames="layer_norm")
@@ -313,13 +313,13 @@ def _evaluate_films(
     predictor: Predictor,
     bank: FiLMStyle,
     x: jax.Array,
-    phase: jax.Array,
+    gating_input: jax.Array,
     indices: jax.Array,
     weights: jax.Array,
     *,
     layer_norm: LayerNorm,
 ) -> jax.Array:
-    def one(style: Style, x: jax.Array, phase: jax.Array) -> jax.Array:
-        return evaluate(replace(predictor, style=style), x, phase, normalise=NORMS[layer_norm])
+    def one(style: Style, x: jax.Array, gating_input: jax.Array) -> jax.Array:
+        return evaluate(replace(predictor, style=style), x, gating_input, normalise=NORMS[layer_norm])
 
-    return jax.vmap(one)(mix_rows(bank, indices, weights), x, phase)
+    return jax.vmap(one)(mix_rows(bank, indices, weights), x, gating_input)

@@ -113,7 +113,7 @@ def forward(
         coefficients: [K] blending coefficients.
         x: [I] normalised input.
         dropout: drop probabilities in training, or None at run time.
-        key: random key, needed with `dropout`. A residual or one-hot style draws a mask of its own.
+        key: random key, needed with `dropout`. A residual or one-hot style has its own mask.
         normalise: [H] -> [H], used with FiLM only: `layer_norm` or `layer_norm_sample`.
 
     Returns:

@@ -1,4 +1,4 @@
-"""The seven models of Mason 2022 Table 2: three synthesis networks, four ways of modulating a style."""
+"""The seven models of Mason 2022 Table 2: three synthesis networks and four forms of style."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from pfnn_jax.models.style import init_style
 
 Backbone = Literal["pfnn", "mann", "lpn"]
 
-# The frame layout each synthesis network reads and writes.
+# Frame layout of each synthesis network.
 LAYOUT_OF: dict[Backbone, str] = {"pfnn": "mason2022_pfnn", "mann": "mason2022_mann", "lpn": "mason2022"}
 
-JOINTS, HIDDEN = 25, 512  # of the paper's character and networks
+JOINTS, HIDDEN = 25, 512  # the paper's character and networks
 
 
 class _Sizes(NamedTuple):
-    beside_pose: int  # outputs that are neither trajectory nor pose
+    other_outputs: int  # outputs besides trajectory and pose
     phase_size: int
     num_control_points: int
 
 
 _SIZES: dict[Backbone, _Sizes] = {
-    "pfnn": _Sizes(beside_pose=3, phase_size=0, num_control_points=4),  # two contacts, the phase update
-    "mann": _Sizes(beside_pose=2, phase_size=12, num_control_points=8),  # two contacts
-    "lpn": _Sizes(beside_pose=18, phase_size=8, num_control_points=8),  # phases, their updates, two contacts
+    "pfnn": _Sizes(other_outputs=3, phase_size=0, num_control_points=4),  # two contacts, the phase update
+    "mann": _Sizes(other_outputs=2, phase_size=12, num_control_points=8),  # two contacts
+    "lpn": _Sizes(other_outputs=18, phase_size=8, num_control_points=8),  # phases, their updates, two contacts
 }
 
 
@@ -57,10 +57,10 @@ class Counts:
     """Numbers of parameters, the columns of Mason 2022 Table 2.
 
     Attributes:
-        synthesis: of the animation synthesis network, its gating network included.
-        modulation: of what makes the styles: all styles' parameters, or the FiLM generator.
+        synthesis: of the synthesis network, including its gating network.
+        modulation: of all styles together, or of the FiLM generator.
         per_style: of one style at run time.
-        modulation_published: as the paper prints it, which differs for the FiLM generator alone.
+        modulation_published: as printed in the paper, which differs for the FiLM generator only.
     """
 
     synthesis: int
@@ -70,7 +70,7 @@ class Counts:
 
 
 def network_config(backbone: Backbone, num_joints: int = JOINTS, hidden: int = HIDDEN) -> NetworkConfig:
-    """Sizes of a synthesis network for a character of `num_joints` joints (Mason 2022 §4.3).
+    """Returns the sizes of a synthesis network for a character of `num_joints` joints (Mason 2022 §4.3).
 
     Raises:
         ValueError: for an unknown backbone.
@@ -80,7 +80,7 @@ def network_config(backbone: Backbone, num_joints: int = JOINTS, hidden: int = H
     sizes = _SIZES[backbone]
     return NetworkConfig(
         input_size=48 + 12 * num_joints,
-        output_size=24 + 12 * num_joints + sizes.beside_pose,
+        output_size=24 + 12 * num_joints + sizes.other_outputs,
         hidden=hidden,
         num_control_points=sizes.num_control_points,
         phase_size=sizes.phase_size,
@@ -88,7 +88,7 @@ def network_config(backbone: Backbone, num_joints: int = JOINTS, hidden: int = H
 
 
 def counts(name: str, num_styles: int = 95) -> Counts:
-    """Parameters of a model of `TABLE2` for the paper's character, counted in the records themselves.
+    """Counts the parameters of a model of `TABLE2` for the paper's character, in the records themselves.
 
     Raises:
         ValueError: for an unknown name.

@@ -11,7 +11,7 @@ There are two forms of it, which compute the same function:
   style. A style that is linear in its parameters is mixed by a weighted sum of parameters; a CP layer is not, because
   its factors multiply each other, and mixing S layers of rank R gives one layer of rank S R.
 - `Style.mix_dynamic` suits weights that change from frame to frame or differ between the samples of a batch. A layer
-  becomes a `MixedLayer`, which sums outputs: under `vmap` no sample needs a weight matrix of its own, and styles of
+  becomes a `MixedLayer`, which sums outputs: under `vmap` no sample needs its own weight matrix, and styles of
   weight zero cost nothing where a single sample is evaluated.
 """
 

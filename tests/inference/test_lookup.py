@@ -1,4 +1,4 @@
-"""Laws of the tables: an entry is the network at its phase, whatever the form of layers and adapters."""
+"""Laws of lookup tables: an entry equals the network at its phase, for every kind of layer and style."""
 
 import math
 
@@ -9,16 +9,19 @@ import pytest
 
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup, table_phase
 from pfnn_jax.inference.predictor import Predictor, evaluate
+from pfnn_jax.interop.export.bins import network_at
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
+from pfnn_jax.models.layers import style_kinds
 from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.network import init_network, num_parameters
+from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.models.style import init_style
 
 FLOAT32 = 2e-5  # a few ulp over sums of some tens of terms, blended before or after the product
 INPUTS, OUTPUTS, HIDDEN = 10, 7, 12
 STEP = 2 * math.pi / 50
 exact = jax.jit(evaluate)
-ADAPTERS = [None, "cp", "full", "diagonal", "bias"]
+STYLES = [None, *style_kinds()]
 
 
 def make_predictor(kind, rank=None):
@@ -34,8 +37,8 @@ def make_predictor(kind, rank=None):
     return Predictor(*filled, *statistics)
 
 
-@pytest.mark.parametrize(("kind", "rank"), [*((kind, None) for kind in ADAPTERS), (None, 5), ("full", 5)])
-def test_an_entry_is_the_network_at_its_phase(kind, rank):
+@pytest.mark.parametrize(("kind", "rank"), [*((kind, None) for kind in STYLES), (None, 5), ("full", 5)])
+def test_entry_equals_network_at_its_phase(kind, rank):
     predictor = make_predictor(kind, rank)
     lookup = make_lookup(predictor)
     x = jax.random.normal(jax.random.key(7), (INPUTS,))
@@ -45,6 +48,19 @@ def test_an_entry_is_the_network_at_its_phase(kind, rank):
         np.testing.assert_allclose(evaluate_lookup(lookup, x, index * STEP + 0.01), expected, atol=FLOAT32)
 
 
+@pytest.mark.parametrize("kind", [kind for kind in STYLES if kind != "film"])
+def test_entry_equals_the_exported_tables(kind):
+    predictor = make_predictor(kind)
+    entry, c = make_lookup(predictor).slices[13], np.asarray(catmull_rom_basis(jnp.float32(13 * STEP)))
+    terms = {} if entry.style is None else entry.style.affine_terms(jnp.ones(1))
+    exported = network_at(predictor.network, predictor.style, c.astype(np.float64))
+    for index, (layer, (weights, biases)) in enumerate(zip(entry.network.layers, exported, strict=True)):
+        found, offset = (np.asarray(part) for part in layer.affine(jnp.ones(1)))
+        more, shift = terms.get(index, (jnp.zeros(()), jnp.zeros(())))
+        np.testing.assert_allclose(found + np.asarray(more), weights, atol=FLOAT32)
+        np.testing.assert_allclose(offset + np.asarray(shift), biases, atol=FLOAT32)
+
+
 @pytest.mark.parametrize(
     ("mode", "turns", "index"),
     [
@@ -52,7 +68,7 @@ def test_an_entry_is_the_network_at_its_phase(kind, rank):
         ("constant50", 0.99, 0), ("constant50", 1.01, 1), ("constant50", 49.9, 49), ("constant50", 50.1, 0),
     ],
 )  # fmt: skip
-def test_which_entry_serves_a_phase(mode, turns, index):
+def test_entry_of_a_phase(mode, turns, index):
     predictor = make_predictor(None)
     x = jnp.ones(INPUTS)
     served = evaluate_lookup(make_lookup(predictor, mode=mode), x, turns * STEP)
@@ -84,9 +100,11 @@ def test_finer_tables_approach_the_spline():
     assert errors[1] < 0.1 * errors[0]
 
 
-def test_full_diagonal_and_bias_adapters_vanish_into_the_table():
+def test_affine_adapters_are_added_into_the_table():
     plain = num_parameters(make_lookup(make_predictor(None)).slices[0])
-    assert all(num_parameters(make_lookup(make_predictor(k)).slices[0]) == plain for k in ("full", "diagonal", "bias"))
+    assert all(
+        num_parameters(make_lookup(make_predictor(k)).slices[0]) == plain for k in ("full", "diagonal", "bias", "dense")
+    )
     assert num_parameters(make_lookup(make_predictor("cp")).slices[0]) == plain + 3 * (2 * HIDDEN + 1) + HIDDEN
 
 
@@ -97,8 +115,8 @@ def test_entries_share_the_factors_of_cp_layers():
         assert one.a is two.a and one.b is two.b
 
 
-def test_refusals():
-    with pytest.raises(ValueError, match="`mode` must be nearest50 or constant50, got 'linear'"):
+def test_bad_modes_and_sizes_are_refused():
+    with pytest.raises(ValueError, match="`mode`"):
         make_lookup(make_predictor(None), mode="linear")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match="`num_slices` must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="`num_slices`"):
         make_lookup(make_predictor(None), num_slices=0)

@@ -1,4 +1,4 @@
-"""Laws of the predictor: it is the network between the statistics."""
+"""Laws of the predictor: the network between normalisation of its inputs and denormalisation of its outputs."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.network import init_network, predict
@@ -16,6 +15,7 @@ from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
 from pfnn_jax.run import create_run, load_run, save_shared, save_style
 from pfnn_jax.run_config import RunConfig
+from tests.raising import assert_refused
 
 FLOAT32 = 1e-5  # a few ulp over sums of some tens of terms
 LAYOUT = mason2018(2)
@@ -42,7 +42,7 @@ def run(tmp_path_factory):
 
 
 @pytest.mark.parametrize("style", [None, "angry"])
-def test_it_is_the_network_between_the_statistics(run, style):
+def test_predictor_normalises_inputs_and_denormalises_outputs(run, style):
     predictor = make_predictor(run, style)
     assert (predictor.style is None) == (style is None)
     x, phase = jax.random.normal(jax.random.key(2), (LAYOUT.input_size,)), jnp.float32(1.3)
@@ -53,11 +53,10 @@ def test_it_is_the_network_between_the_statistics(run, style):
 
 
 def test_an_unknown_style_is_refused(run):
-    with pytest.raises(InputError, match="style: proud; must be one of angry"):
-        make_predictor(run, "proud")
+    assert_refused(lambda: make_predictor(run, "proud"), place="style", value="proud", rule_mentions="angry")
 
 
-def test_a_batch_is_its_singles_and_compiled_is_eager(run):
+def test_batched_and_compiled_evaluation_equal_single_frames(run):
     predictor = make_predictor(run, "angry")
     x = jax.random.normal(jax.random.key(3), (5, LAYOUT.input_size))
     phase = jnp.linspace(0.0, 6.0, 5)

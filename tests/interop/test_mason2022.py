@@ -124,8 +124,8 @@ def reference_rollout(run, style, num_frames):
     """Rolls out the authors' loop without turning: the target follows the facing, and the velocity the target."""
     predictor, config = replace_style(run, style), loop_config(run)
     x = straight_row(run.layout, predictor.input_mean, 1.0)
-    assert predictor.phase_mean is not None
-    start = initial_state(run.layout, x, predictor.phase_mean, jnp.zeros(2), jnp.zeros(()))
+    assert predictor.gating_mean is not None
+    start = initial_state(run.layout, x, predictor.gating_mean, jnp.zeros(2), jnp.zeros(()))
     start = replace(start, target_velocity=jnp.zeros(2))
 
     def frame(state, _):

@@ -1,4 +1,4 @@
-"""What several tests of the networks share."""
+"""Helpers shared by the tests of networks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LAYER_KINDS = tuple(kind for kind in STYLE_KINDS if issubclass(style_class(kind)
 
 
 def randomise(tree: Tree, seed: int) -> Tree:
-    """The same tree with every leaf normal: fresh layers have zero biases, which would hide a mistake."""
+    """Returns the tree with normal leaves; the zero biases of fresh layers could hide a mistake."""
     leaves, structure = jax.tree.flatten(tree)
     keys = jax.random.split(jax.random.key(seed), len(leaves))
     return jax.tree.unflatten(structure, [jax.random.normal(k, v.shape) for k, v in zip(keys, leaves, strict=True)])
@@ -45,12 +45,12 @@ def random_bank(kind: str, num_styles: int, num_control_points: int, hidden: int
 
 
 def shapes(tree: object) -> dict[str, tuple[tuple[int, ...], str]]:
-    """{path: (shape, dtype)} of a tree of parameters: what a checkpoint holds, in one screen."""
+    """Returns {path: (shape, dtype)} of a tree of parameters, as a checkpoint stores it."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
     return {jax.tree_util.keystr(path): (leaf.shape, str(leaf.dtype)) for path, leaf in leaves}
 
 
 def array_sizes(text: str) -> set[int]:
-    """Numbers of elements of every array in StableHLO (`tensor<2x3xf32>`) or HLO (`f32[2,3]`) text."""
+    """Returns the numbers of elements of all arrays in StableHLO (`tensor<2x3xf32>`) or HLO (`f32[2,3]`) text."""
     found = re.findall(r"tensor<((?:\d+x)+)[a-z]", text) + re.findall(r"\b[a-z]+\d+\[([\d,]+)\]", text)
     return {int(np.prod([int(size) for size in re.findall(r"\d+", shape)])) for shape in found}

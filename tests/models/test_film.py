@@ -1,4 +1,4 @@
-"""Film and one-hot styles: identities of the modulation, and what they do to a network."""
+"""Laws of FiLM and one-hot styles, and of networks with them."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ def small_network(inputs: int = INPUTS) -> Network:
 
 
 def frame() -> tuple[jax.Array, jax.Array]:
-    """(coefficients [K], x [I])"""
+    """Returns (coefficients [K], x [I])."""
     return jnp.asarray([0.1, 0.2, 0.3, 0.4]), jax.random.normal(jax.random.key(5), (INPUTS,))
 
 
-def test_layer_norm_has_mean_zero_and_deviation_one(float64: None):
+def test_layer_norm_has_mean_zero_and_standard_deviation_one(float64: None):
     f = 5 * features() + 3
     assert layer_norm(f).mean() == pytest.approx(0, abs=FLOAT64)
     assert layer_norm(f).std() == pytest.approx(1, abs=NO_VARIANCE)
-    assert layer_norm_sample(f).std(ddof=1) == pytest.approx(1, abs=2e-6)  # 1e-6 on a deviation of at least 1
+    assert layer_norm_sample(f).std(ddof=1) == pytest.approx(1, abs=2e-6)  # 1e-6 on a standard deviation of at least 1
 
 
 @pytest.mark.parametrize("normalise", [layer_norm, layer_norm_sample])
-def test_normalisation_forgets_offset_and_size(normalise, float64: None):
+def test_normalisation_is_invariant_to_offset_and_scale(normalise, float64: None):
     np.testing.assert_allclose(normalise(7 * features() - 2), normalise(features()), atol=2e-6)
 
 
@@ -79,7 +79,7 @@ def test_modulate_is_scale_and_shift_of_its_own_row():
     np.testing.assert_array_equal(FiLMStyle.identity(HIDDEN).modulate(1, f), layer_norm(f))
 
 
-def test_scale_zero_leaves_the_shift_alone():
+def test_scale_zero_gives_the_shift():
     film = replace(random_film(), scale=jnp.zeros((2, HIDDEN)))
     np.testing.assert_array_equal(film.modulate(0, features()), film.shift[0])
 
@@ -110,7 +110,7 @@ def test_no_film_means_no_normalisation():
     assert (forward(network, FiLMStyle.identity(HIDDEN), c, x) != plain).all()
 
 
-def test_every_frame_may_have_a_film_of_its_own(float64: None):
+def test_vmap_over_film_styles_equals_single_frames(float64: None):
     network, (c, x) = small_network(), frame()
     films = randomise(jax.tree.map(lambda leaf: jnp.zeros((6, *leaf.shape)), FiLMStyle.identity(HIDDEN)), 8)
     batched = jax.vmap(lambda film: forward(network, film, c, x))(films)
@@ -148,7 +148,7 @@ def one_hot_of(first: BlendedLayer, style: int) -> OneHot:
 
 @pytest.mark.parametrize("style", [0, 2])
 def test_a_one_hot_style_is_a_one_hot_input(style: int, float64: None):
-    """A network with three more inputs, one of them set, against the columns of that input beside the network."""
+    """Compares a network with three more inputs, one of them set, to a network with that input's columns as a style."""
     wide, (c, x) = small_network(INPUTS + 3), frame()
     first = wide.layers[0]
     assert isinstance(first, BlendedLayer)
@@ -158,7 +158,7 @@ def test_a_one_hot_style_is_a_one_hot_input(style: int, float64: None):
 
 
 def test_a_one_hot_input_is_kept_or_dropped_as_a_whole(float64: None):
-    """Its one input, 1, is dropped at the adapter's rate: nothing of the style is left, or 1 / (1 - rate) of it."""
+    """Its one input, 1, is dropped at the adapter's rate: the style vanishes, or is scaled by 1 / (1 - rate)."""
     network, (c, x) = small_network(), frame()
     style = OneHot(shift=BiasLayer(biases=jax.random.normal(KEY, (POINTS, HIDDEN))))
     double = jax.tree.map(lambda leaf: 2 * leaf, style)
@@ -176,6 +176,6 @@ def test_gradients_of_forward_with_a_one_hot_style(float64: None):
     check_grads(jax.jit(forward), arguments, order=1, modes=("fwd", "rev"))
 
 
-def test_a_film_of_another_width_is_refused():
+def test_film_style_of_another_width_is_refused():
     with pytest.raises(AssertionError):
         FiLMStyle.identity(HIDDEN + 1).modulate(0, features())

@@ -1,4 +1,4 @@
-"""The FiLM generator and the models of Table 2: exact sizes, the formula by hand, and how it is batched."""
+"""The FiLM generator and the models of Mason 2022 Table 2: exact sizes, the formula in loops, and batching."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def clip(seed: int = 2, *batch: int) -> jax.Array:
 
 
 def slow_convolution(value: np.ndarray, kernel: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """Each frame from the `width` frames around it, zeros beyond the ends."""
+    """Computes each frame from the `width` frames around it, with zeros beyond the ends."""
     half = kernel.shape[0] // 2
     padded = np.pad(value, ((half, half), (0, 0)))
     return np.stack([np.einsum("wi,wio->o", padded[t : t + len(kernel)], kernel) + bias for t in range(len(value))])
 
 
-def test_generator_is_its_formula(float64: None):
-    """Convolution, ReLU, the larger of two frames, twice; then two dense layers (Mason 2022 §4.3), with loops."""
+def test_generator_equals_its_formula(float64: None):
+    """Computes twice convolution, ReLU and max-pooling, then two dense layers (Mason 2022 §4.3), with loops."""
     generator = jax.tree.map(np.asarray, tiny())
     value = np.asarray(clip())
     for layer in (generator.conv1, generator.conv2):
@@ -55,7 +55,7 @@ def test_generator_is_its_formula(float64: None):
 
 
 def test_size_of_the_papers_generator():
-    """Each number is counted: the paper leaves the inputs of the convolutions out of its own count."""
+    """The paper's own count omits the inputs of the convolutions."""
     config = GeneratorConfig(features=300)
     generator = jax.eval_shape(lambda: FiLMGenerator.init(config, key=KEY))
     assert shapes(generator) == {
@@ -72,8 +72,8 @@ def test_size_of_the_papers_generator():
     assert paper_count(config) == 35_668_530
 
 
-def test_dropout_acts_behind_the_first_dense_layer_only():
-    """All of it dropped leaves the last bias, which is what no clip at all would leave."""
+def test_dropout_acts_after_the_first_dense_layer_only():
+    """If everything is dropped, only the last bias remains."""
     generator = tiny()
     film = generator(clip(), dropout=jnp.asarray(1.0), key=KEY)
     left = FiLMStyle.from_vector(generator.dense2.bias)
@@ -84,7 +84,7 @@ def test_dropout_acts_behind_the_first_dense_layer_only():
 
 
 def test_dropout_keeps_or_drops_each_hidden_number(float64: None):
-    """The film is linear in what is dropped: at rate 1/2 it is one of the 2^6 doubled partial sums."""
+    """The output is linear in the dropped numbers: at rate 1/2 it is one of the 2^6 doubled partial sums."""
     fresh = tiny()
     last = replace(fresh.dense2, bias=jnp.zeros_like(fresh.dense2.bias))
     generator = replace(fresh, dense2=last)
@@ -113,7 +113,7 @@ def test_a_batch_is_its_clips_one_by_one(float64: None):
 
 
 def test_a_batch_is_one_convolution_in_each_layer():
-    """Forward two; backward one more for each layer's weights and one for the second layer's input."""
+    """Two forward; backward, three more: for the weights of both layers and the input of the second."""
 
     def batched(generator: FiLMGenerator, clips: jax.Array) -> FiLMStyle:
         return jax.vmap(generator)(clips)
@@ -132,7 +132,7 @@ def test_a_batch_is_one_convolution_in_each_layer():
         assert "stablehlo.while" not in text
 
 
-def test_knows_its_number_of_frames():
+def test_number_of_frames_follows_from_the_parameters():
     assert tiny().clip_frames == TINY.clip_frames
 
 
@@ -172,7 +172,7 @@ def test_messages_of_the_config():
     ],
 )
 def test_counts_of_table_2(name: str, synthesis: int, modulation: int, per_style: int, published: int):
-    """Mason 2022 Table 2, and the true count of the generator beside the printed one."""
+    """Mason 2022 Table 2, and the true count of the generator next to the printed one."""
     count = counts(name)
     assert (count.synthesis, count.modulation, count.per_style) == (synthesis, modulation, per_style)
     assert count.modulation_published == published

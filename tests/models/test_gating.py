@@ -1,4 +1,4 @@
-"""The gating network: coefficients that blend, and what networks with one do."""
+"""Laws of the gating network, and of networks with one."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def phase(seed: int = 2) -> jax.Array:
 
 
 def with_logits(gating: Gating, logits: jax.Array) -> Gating:
-    """The gating network that has these logits whatever its input."""
+    """Returns the gating network with the given logits for any input."""
     last = jax.tree.map(jnp.zeros_like, gating.layers[2])
     return Gating(layers=(*gating.layers[:2], replace(last, biases=logits)))
 
@@ -42,7 +42,7 @@ def small_network(experts: int = EXPERTS) -> Network:
     return jax.tree.map(lambda leaf: 0.5 * leaf, randomise(init_network(config, key=KEY), 3))
 
 
-def test_gate_is_its_formula(float64: None):
+def test_gate_equals_its_formula(float64: None):
     gating = small_gating()
 
     def dense(index: int, value: np.ndarray) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_coefficients_are_positive_with_sum_one():
     np.testing.assert_allclose(rows.sum(axis=1), 1, atol=FLOAT32)
 
 
-def test_equal_logits_blend_all_experts_alike():
+def test_equal_logits_give_equal_coefficients():
     gating = with_logits(small_gating(), jnp.full(EXPERTS, 7.0))
     np.testing.assert_allclose(gate(gating, phase()), np.full(EXPERTS, 1 / EXPERTS), atol=FLOAT32)
 
@@ -107,14 +107,14 @@ def test_rate_zero_is_the_identity():
     np.testing.assert_array_equal(kept, gate(small_gating(), phase()))
 
 
-def test_at_rate_one_only_the_last_biases_are_left():
+def test_dropout_rate_one_leaves_the_last_biases():
     gating = small_gating()
     dropped = gate(gating, phase(), dropout=jnp.asarray(1.0), key=KEY)
     np.testing.assert_allclose(dropped, jax.nn.softmax(gating.layers[2].biases), atol=FLOAT32)
 
 
-def test_the_inputs_are_dropped_as_well():
-    """With layers that pass sums on, the coefficients of one input take two values: kept, or dropped."""
+def test_dropout_acts_on_the_gating_input():
+    """If the layers only add, the coefficients of a single input take two values: kept, or dropped."""
     keys = jax.random.split(KEY, 64)
     gating = init_gating(1, 64, 2, key=KEY)
     wide = jax.vmap(lambda key: gate(gating, jnp.ones(1), dropout=jnp.asarray(0.5), key=key))(keys)
@@ -124,7 +124,7 @@ def test_the_inputs_are_dropped_as_well():
 
 
 def test_masks_of_gating_and_of_layers_are_independent():
-    """The same key may be given to both: the stream of the gating network is none of those of the layers."""
+    """`coefficients` and `forward` may be given the same key: they draw different masks from it."""
     ours = np.asarray(jax.random.key_data(jax.random.fold_in(KEY, 4)))
     theirs = np.asarray(jax.random.key_data(jax.random.split(KEY, 4)))
     assert not (ours == theirs).all(axis=-1).any()
@@ -148,7 +148,7 @@ def test_without_gating_the_coefficients_are_the_spline():
 
 
 def test_parameter_tree_and_initial_weights():
-    """Uniform in ± sqrt(6 / (inputs + outputs)), another rule than that of the blended layers; biases zero."""
+    """Uniform in ± sqrt(6 / (inputs + outputs)), unlike the blended layers; biases zero."""
     gating = init_gating(8, 32, 8, key=KEY)
     assert shapes(gating) == {
         ".layers[0].weights": ((8, 32), "float32"),

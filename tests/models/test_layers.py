@@ -1,4 +1,4 @@
-"""Laws of the blended layers: each equals the formula it stands for, written the slow way."""
+"""Laws of the blended layers: each equals its formula, computed in a direct way."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def inputs(seed: int = 8) -> jax.Array:
 
 
 def test_blended_layer_is_the_network_with_blended_weights(float64: None):
-    """The formulation of every published implementation: blend the weights of each sample, then multiply."""
+    """Published implementations blend the weights of each sample, then multiply."""
     layer = random_layer("full", POINTS, SIZE, 9, RANK)
     assert isinstance(layer, BlendedLayer)
     c = jax.random.normal(jax.random.key(1), (BATCH, POINTS))
@@ -74,7 +74,7 @@ def test_bias_layer_is_a_blended_layer_without_weights(float64: None):
 
 
 def test_dense_layer_is_a_blended_layer_of_equal_experts(float64: None):
-    """What is the same in every expert is not blended, where the coefficients sum to one."""
+    """Blending equal experts changes nothing if the coefficients sum to one."""
     layer = random_layer("dense", POINTS, SIZE, 9, RANK)
     assert isinstance(layer, DenseLayer)
     full = BlendedLayer(weights=jnp.tile(layer.weights, (POINTS, 1, 1)), biases=jnp.tile(layer.biases, (POINTS, 1)))
@@ -120,7 +120,7 @@ def test_parameter_trees():
 
 
 def test_initial_weights_are_uniform_in_the_bounds_of_the_authors():
-    """± sqrt(6 / product of the last two sizes), filled to its edges; a vector counts as a matrix of one row."""
+    """± sqrt(6 / product of the last two sizes), reached nearly; a vector counts as a matrix of one row."""
     key = jax.random.key(0)
     cp, diagonal = CPLayer.init(64, 128, 4, rank=30, key=key), DiagonalLayer.init(512, 512, 4, key=key)
     for weights, fan in (

@@ -1,4 +1,4 @@
-"""The composed forward pass: exact sizes, laws of dropout and adapters, gradients, and how it is batched."""
+"""The composed forward pass: exact sizes, laws of dropout and adapters, gradients, and batching."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pfnn_jax.models.style import Layer, init_style
 from tests.models.helpers import LAYER_KINDS, array_sizes, random_layer, randomise, shapes
 
 FLOAT64 = 1e-12  # three small layers in double precision
-# The mean of n kept-or-dropped numbers at rate r strays by sqrt(r / (1 - r) / n): five of those, at n = 200,000.
+# The mean of n kept-or-dropped numbers at rate r deviates by sqrt(r / (1 - r) / n): five of those, at n = 200,000.
 MEAN_OF_DROPOUT = 5 * (1 / 200_000) ** 0.5
 
 SIZES = NetworkConfig(input_size=5, output_size=7, hidden=6)
@@ -28,7 +28,7 @@ KEY = jax.random.key(3)
 
 
 def small_network(seed: int = 0, rank: int | None = None) -> Network:
-    """A network whose biases are not zero, with weights small enough to leave ELU bent."""
+    """Returns a network with non-zero biases, whose weights are small enough that ELU is not linear."""
     config = NetworkConfig(SIZES.input_size, SIZES.output_size, SIZES.hidden, rank=rank)
     return jax.tree.map(lambda leaf: 0.5 * leaf, randomise(init_network(config, key=KEY), seed))
 
@@ -38,7 +38,7 @@ def adapter_of(kind: str, seed: int = 1) -> Layer:
 
 
 def frame(seed: int = 2) -> tuple[jax.Array, jax.Array]:
-    """(coefficients [K], x [I])"""
+    """Returns (coefficients [K], x [I])."""
     return catmull_rom_basis(jnp.asarray(1.1)), jax.random.normal(jax.random.key(seed), (SIZES.input_size,))
 
 
@@ -60,7 +60,7 @@ def test_size_of_the_papers_network():
 
 
 def test_size_of_the_decomposed_network():
-    """Every layer as a CP decomposition (the aside of Mason 2018 §7.1)."""
+    """Every layer as a CP decomposition (mentioned in Mason 2018 §7.1)."""
     network = init_network(NetworkConfig(234, 400, rank=30), key=KEY)
     assert shapes(network) == {
         ".layers[0].a": ((512, 30), "float32"),
@@ -140,13 +140,13 @@ def test_gradients_of_predict(kind: str | None, float64: None):
     check_grads(predict, arguments, order=1, modes=("fwd", "rev"))
 
 
-def test_gradients_where_elu_bends(float64: None):
-    """All activations exactly zero: ELU has one derivative there, and no branch may give NaN."""
+def test_gradients_near_the_kink_of_elu(float64: None):
+    """All activations exactly zero: ELU is differentiable there, and no branch may give NaN."""
     network = jax.tree.map(jnp.zeros_like, small_network())
     check_grads(forward, (network, None, frame()[0], jnp.zeros(5)), order=1, modes=("fwd", "rev"))
 
 
-def test_gradients_survive_huge_activations():
+def test_gradients_are_finite_for_huge_activations():
     network = jax.tree.map(lambda leaf: 1e4 * leaf, small_network())
     gradient = jax.grad(lambda n: forward(n, None, *frame()).sum())(network)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
@@ -166,7 +166,7 @@ def test_dropout_preserves_the_mean(rate: float):
 
 
 def test_rate_one_drops_everything_with_finite_gradients():
-    """The scale of what is kept is infinite there: neither value nor gradient may see it."""
+    """The scale of what is kept is infinite there: it must not reach the value or the gradient."""
     value, gradient = jax.value_and_grad(lambda x: drop(KEY, jnp.float32(1.0), x).sum())(jnp.ones(100))
     assert value == 0
     np.testing.assert_array_equal(gradient, np.zeros(100))
@@ -176,8 +176,8 @@ def test_gradients_of_drop(float64: None):
     check_grads(lambda x: drop(KEY, jnp.asarray(0.3), x), (frame()[1],), order=2, modes=("fwd", "rev"))
 
 
-def test_the_adapter_draws_a_mask_of_its_own():
-    """Dropping the whole adapter leaves the shared branch untouched, and the other way round."""
+def test_adapter_mask_differs_from_the_layers_masks():
+    """Dropping the whole adapter leaves the shared branch untouched, and vice versa."""
     network, adapter, (coefficients, x) = small_network(), adapter_of("cp"), frame()
     assert isinstance(adapter, CPLayer)
     without_bias = replace(adapter, bias=jnp.zeros(SIZES.hidden))
@@ -215,21 +215,21 @@ def test_messages_of_the_config():
         NetworkConfig(5, 7, num_control_points=3)
 
 
-def test_a_whole_number_is_a_phase():
+def test_integer_phase_equals_float_phase():
     network, (_, x) = small_network(), frame()
     np.testing.assert_array_equal(
         predict(network, None, x, jnp.asarray(2)), predict(network, None, x, jnp.asarray(2.0))
     )
 
 
-# Primes, so that every product of sizes is told from every other.
+# Primes, so that all products of sizes differ.
 BATCH, INPUT, HIDDEN, OUTPUT, POINTS, LIMBS = 101, 31, 37, 41, 5, 3
 
 
 def batch_of(
     kind: AdapterKind | None, rank: int | None, phase_size: int
 ) -> tuple[Callable[..., jax.Array], tuple[object, ...]]:
-    """The loss of a batch of training frames, and its arguments."""
+    """Returns the loss of a batch of training frames, and its arguments."""
     config = NetworkConfig(INPUT, OUTPUT, HIDDEN, POINTS, rank=rank, phase_size=phase_size)
     network = init_network(config, key=KEY)
     style = None if kind is None else init_style(AdapterConfig(kind, rank=7), HIDDEN, POINTS, key=KEY)
@@ -254,7 +254,7 @@ def assert_no_matrix_of_a_sample(kind: AdapterKind | None, rank: int | None, pha
     smallest = BATCH * min(INPUT * HIDDEN, HIDDEN * HIDDEN, HIDDEN * OUTPUT)
     for text in (compiled.as_text(), compiled.compile().as_text()):
         sizes = array_sizes(str(text))
-        assert BATCH * HIDDEN in sizes  # the pattern still reads this compiler's text
+        assert BATCH * HIDDEN in sizes  # the pattern matches this compiler's text
         assert max(sizes) < smallest, max(sizes)
 
 

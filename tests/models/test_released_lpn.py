@@ -17,9 +17,10 @@ from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network, num_parameters, predict
 from pfnn_jax.models.style import mix_styles
 
-# Golden values are float64. What is left is the constant inside the layer norm's root: 1e-8 on variances above 5.
+# Golden values are float64; the constant inside the layer norm's root adds 1e-8 to variances above 5.
 FLOAT64 = 1e-7
-FLOAT32 = 1e-4  # in standard deviations of each output: ten times what single precision does to these networks
+FLOAT32 = 1e-4  # standard deviations of each output: ten times the rounding error in single precision
+
 
 Tree = TypeVar("Tree")
 
@@ -75,13 +76,13 @@ def load(path: Path) -> dict[str, np.ndarray]:
 
 
 def normalised(statistics: tuple[np.ndarray, np.ndarray], values: np.ndarray) -> np.ndarray:
-    """In double precision, as the golden values are."""
+    """Normalises in double precision, like the golden values."""
     mean, std = statistics
     return (values - mean.astype(np.float64)) / std
 
 
 def in_full_precision(tree: Tree) -> Tree:
-    """float64 where that is on; the files hold float32."""
+    """Returns the tree in float64 if it is enabled; the files hold float32."""
     return jax.tree.map(lambda leaf: leaf.astype(float), tree)
 
 
@@ -90,7 +91,7 @@ def styles_of(released: Released, golden: dict[str, np.ndarray]) -> FiLMStyle:
 
 
 def predict_all(released: Released, golden: dict[str, np.ndarray], **options) -> jax.Array:
-    """Normalised outputs [N, 342] in the precision that is on."""
+    """Returns normalised outputs [N, 342] in the enabled precision."""
     network = in_full_precision(released.network)
     x = jnp.asarray(normalised(released.input_statistics, golden["x"]))
     phase = jnp.asarray(normalised(released.phase_statistics, golden["gating_x"]))

@@ -16,7 +16,7 @@ from pfnn_jax.models.spline import catmull_rom_basis, evaluate_spline
 
 FLOAT32 = 2e-6  # a few ulp of a sum of four terms of size one
 FLOAT64 = 1e-12  # the same in double precision, with the rounding of 2π·K
-SEAM = 2e-5  # one turn more costs the phase log2(turns) of its 24 bits
+SEAM = 2e-5  # a phase of several turns loses log2(turns) of its 24 bits
 
 CONTROL_POINTS = (4, 5, 8)
 phases = st.floats(-50.0, 50.0, width=32)
@@ -38,7 +38,7 @@ def mason_2018(alphas: np.ndarray, p: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("num", CONTROL_POINTS)
-def test_agrees_with_the_printed_equation(num: int, float64: None):
+def test_spline_equals_the_published_equation(num: int, float64: None):
     rng = np.random.default_rng(num)
     alphas = rng.normal(size=(num, 3, 2))
     for phase in rng.uniform(-10, 20, size=50):
@@ -58,14 +58,14 @@ def test_at_most_four_neighbours_have_weight(num: int, phase: float):
 
 
 @given(points, phases, st.integers(-3, 3))
-def test_one_turn_more_changes_nothing(num: int, phase: float, turns: int):
+def test_basis_is_periodic(num: int, phase: float, turns: int):
     here = catmull_rom_basis(jnp.float32(phase), num)
     there = catmull_rom_basis(jnp.float32(phase + 2 * math.pi * turns), num)
     np.testing.assert_allclose(here, there, atol=SEAM * (1 + abs(phase) + abs(turns)))
 
 
 @given(points, phases)
-def test_turning_the_points_turns_the_phase(num: int, phase: float):
+def test_rotating_the_control_points_shifts_the_phase(num: int, phase: float):
     step = 2 * math.pi / num
     here = catmull_rom_basis(jnp.float32(phase), num)
     there = catmull_rom_basis(jnp.float32(phase + step), num)
@@ -80,13 +80,13 @@ def test_passes_through_its_control_points(num: int, float64: None):
 
 @pytest.mark.parametrize("num", CONTROL_POINTS)
 def test_derivatives_from_both_sides_agree_at_every_knot(num: int, float64: None):
-    """The spline is C¹: a training signal does not jump where one segment ends."""
+    """The spline is continuously differentiable."""
     derivative = jax.vmap(jax.jacfwd(lambda p: catmull_rom_basis(p, num)))
     knots = 2 * jnp.pi * jnp.arange(float(num)) / num
     before, after = derivative(knots - 1e-9), derivative(knots + 1e-9)
     np.testing.assert_allclose(before, after, atol=1e-7)  # second derivatives are O(K²), times the gap of 2e-9
     central = 0.5 * (np.roll(np.eye(num), 1, axis=1) - np.roll(np.eye(num), -1, axis=1)) * num / (2 * np.pi)
-    np.testing.assert_allclose(after, central, atol=1e-7)  # the tangent of Catmull and Rom: half the neighbours' chord
+    np.testing.assert_allclose(after, central, atol=1e-7)  # Catmull-Rom tangent: half the chord of the neighbours
 
 
 @pytest.mark.parametrize("num", CONTROL_POINTS)
@@ -109,7 +109,7 @@ def test_gradients_at_a_knot(num: int, float64: None):
     )
 
 
-def test_a_whole_number_is_a_phase():
+def test_integer_phase_equals_float_phase():
     np.testing.assert_allclose(catmull_rom_basis(jnp.asarray(1)), catmull_rom_basis(jnp.asarray(1.0)))
 
 

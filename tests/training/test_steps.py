@@ -15,6 +15,7 @@ from jax.test_util import check_grads
 
 from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
 from pfnn_jax.models.dropout import Dropout
+from pfnn_jax.models.layers import style_kinds
 from pfnn_jax.models.network import init_network, predict
 from pfnn_jax.models.style import init_style
 from pfnn_jax.training.data import Batch, Draw
@@ -39,7 +40,7 @@ RATE = 1e-3
 DROPOUT = Dropout(main=jnp.float32(0.3), adapter=jnp.float32(0.5))
 KEY = jax.random.key(7)
 FROZEN = Frozen(KEY)
-KINDS: tuple[AdapterKind, ...] = ("cp", "full", "diagonal", "bias", "dense", "one_hot")
+KINDS = style_kinds()
 
 
 def make_step(dropout: Dropout = DROPOUT):

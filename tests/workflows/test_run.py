@@ -12,6 +12,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.io import checkpoint
 from pfnn_jax.models.config import AdapterConfig, AdapterKind, GeneratorConfig, NetworkConfig
 from pfnn_jax.models.film_generator import FiLMGenerator
+from pfnn_jax.models.layers import style_kinds
 from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import mason2018
@@ -93,9 +94,9 @@ def test_a_run_of_low_rank_networks_rebuilds_itself(tmp_path):
     assert_equal(run.shared, init_network(network, key=jax.random.key(0)))
 
 
-@pytest.mark.parametrize("kind", ["cp", "full", "diagonal", "bias", "dense", "one_hot"])
+@pytest.mark.parametrize("kind", style_kinds())
 def test_styles_of_every_kind_round_trip(tmp_path, kind):
-    path = make_run(tmp_path / "run")
+    path = make_film_run(tmp_path / "run") if kind == "film" else make_run(tmp_path / "run")
     save_style(path, "new style", make_adapter(kind), {"clip": "a.bvh", "error": np.float32(0.5)})
     assert_equal(load_style(load_run(path), "new style"), make_adapter(kind))
     assert list_styles(path) == ("new style",)

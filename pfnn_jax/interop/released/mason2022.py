@@ -171,7 +171,7 @@ def _skeleton(shared: Network, styles: FiLMStyle, normaliser: Normaliser, source
 
     @jax.jit
     def poses(bank: FiLMStyle) -> jax.Array:
-        x, phase = predictor.input_mean, predictor.phase_mean
+        x, phase = predictor.input_mean, predictor.gating_mean
         assert phase is not None
         return jax.vmap(lambda style: evaluate(replace(predictor, style=style), x, phase))(bank)
 
