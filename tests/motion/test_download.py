@@ -26,6 +26,7 @@ GAITS = ("BR", "BW", "FR", "FW", "ID", "SR", "SW", "TR1")
 CUTS = f"STYLE_NAME,{','.join(f'{g}_START,{g}_STOP' for g in GAITS)}\nAngry{',10,90' * 8}\nOld{',10,90' * 8}\n"
 SYMMETRY = "Style Name,Description,Stochastic,Symmetric,Notes\nAngry,,No,Yes,\nOld,,No,No,\n"
 SIZE = 200_000  # bytes of a clip: more than remotezip reads at once for the directory
+COUNTING = threading.Lock()  # several threads serve one site
 MEMBERS = {
     "100STYLE/Frame_Cuts.csv": CUTS,
     "100STYLE/Dataset_List.csv": SYMMETRY,
@@ -91,7 +92,12 @@ class Handler(BaseHTTPRequestHandler):
         if self.site.breaks and len(body) > SIZE // 2:
             body = body[: self.site.breaks.pop(0)]
             self.close_connection = True
-        self.site.sent += self.wfile.write(body)
+        # Counted before each part is written: the client may be done before this thread runs again.
+        for begin in range(0, len(body), 1 << 14):
+            part = body[begin : begin + (1 << 14)]
+            with COUNTING:
+                self.site.sent += len(part)
+            self.wfile.write(part)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Prints nothing."""
@@ -146,8 +152,7 @@ def test_only_the_styles_asked_for_are_fetched(serve, tmp_path):
     site = serve()
     got = download_100style(tmp_path / "out", ["Old"], url=site.url)
     assert files_in(got.folder) == [*TABLES, "Old/Old_FW.bvh"] and got.styles == ("Old",)
-    # The archive has three clips of this size. The server may have sent a part of one more before the client hung up.
-    assert SIZE < site.sent < 3 * SIZE
+    assert SIZE < site.sent < 2 * SIZE  # the archive has three clips of this size
     got = download_100style(tmp_path / "out", ("Angry",), url=site.url)  # added later, tables not fetched again
     assert (got.clips, got.fetched) == (2, 2) and files_in(got.folder) == [*ANGRY, *TABLES, "Old/Old_FW.bvh"]
 
@@ -169,7 +174,7 @@ def test_a_complete_download_fetches_nothing_again(serve, tmp_path):
     download_100style(tmp_path / "out", url=site.url)
     sent = site.sent
     assert download_100style(tmp_path / "out", url=site.url).fetched == 0
-    assert site.sent - sent <= SIZE  # the archive's directory, and what was sent before the client hung up
+    assert site.sent - sent < SIZE  # the archive's directory only
 
 
 def test_a_connection_that_breaks_is_opened_again(serve, tmp_path):
