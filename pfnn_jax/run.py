@@ -22,7 +22,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.checkpoint import fingerprint, load_record, save_record
-from pfnn_jax.io.files import locate, read_note, refuse_existing, replacing, write_json
+from pfnn_jax.io.files import locate, read_note, replacing, write_json
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import Network, init_network, num_parameters
@@ -31,7 +31,16 @@ from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.motion.features.layout import FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, load_normaliser, save_normaliser
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
-from pfnn_jax.run_config import RUN_RULE, STATE_NOTE, RunConfig, check_adapter, check_new_style, load_config, style_note
+from pfnn_jax.run_config import (
+    RUN_RULE,
+    STATE_NOTE,
+    RunConfig,
+    check_adapter,
+    check_new_run,
+    check_new_style,
+    load_config,
+    style_note,
+)
 
 State = TypeVar("State")
 
@@ -72,11 +81,7 @@ def create_run(path: str | Path, config: RunConfig, normaliser: Normaliser, over
         InputError: if the path exists and `overwrite` is not set; if it is not a run directory (which is never
             replaced); if a style's name cannot be a folder's; if the disk is full.
     """
-    path = Path(path)
-    if path.exists() and not _is_empty_folder(path):
-        refuse_existing(path, overwrite)
-        if not (path / "config.json").is_file():
-            raise InputError(path, "output", "exists but is not a run directory", "choose another path")
+    path = check_new_run(path, overwrite)
     for name in config.styles:
         check_style_name(name, path)
     with replacing(path) as new:
@@ -248,7 +253,3 @@ def _abstract_adapter(config: RunConfig, form: AdapterConfig) -> Style:
 
 def _short(digest: object) -> str:
     return str(digest)[:12]
-
-
-def _is_empty_folder(path: Path) -> bool:
-    return path.is_dir() and not any(path.iterdir())

@@ -111,6 +111,27 @@ def save_config(path: str | Path, config: RunConfig) -> None:
     write_json(Path(path) / "config.json", asdict(config))
 
 
+def check_new_run(path: str | Path, overwrite: bool = False) -> Path:
+    """Returns the directory of a run to be written; to be called before long work.
+
+    Raises:
+        InputError: if the path exists and `overwrite` is not set; if it is not a run directory, which is never
+            replaced.
+    """
+    path = Path(path)
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return path
+    is_run = (path / "config.json").is_file()
+    if is_run and not overwrite and not has_shared(path):
+        step, steps = train_progress(path) or (0, None)
+        value = f"unfinished at step {step}" + (f" of {steps}" if steps else "")
+        raise InputError(path, "run", value, "pass resume=True to continue, or overwrite=True to start again")
+    refuse_existing(path, overwrite)
+    if not is_run:
+        raise InputError(path, "output", "exists but is not a run directory", "choose another path")
+    return path
+
+
 def check_new_style(path: str | Path, name: str, overwrite: bool = False) -> Path:
     """Returns the folder of a style to be saved; to be called before long work.
 

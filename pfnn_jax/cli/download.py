@@ -37,7 +37,7 @@ class Download(Command):
         styles = None if self.styles is None else [name.strip() for name in self.styles.split(",")]
         with progress("downloading", in_bytes=True) as report:
             got = download_100style(
-                self.out, styles, url=self.url or ARCHIVE_URL, overwrite=self.overwrite, progress=report
+                self.out, styles, url=self.url or ARCHIVE_URL, overwrite=self.overwrite, progress_callback=report
             )
         print(f"{got.folder}: {got.clips} clips; next: pfnn-jax prepare {got.folder} --kind 100style --out DATASET")
         return asdict(got)

@@ -27,7 +27,8 @@ class Generate(Command):
             default a controller keeps the character to the path and its speed.
         mode: cubic evaluates the network itself; nearest50 and constant50 a table of 50 slices of a global phase, in
             the published loop.
-        foot_ik: hold feet in place while they are in contact.
+        foot_ik: feet are held in place while they are in contact; `--no-foot-ik` leaves them as the network predicts
+            them.
         out: the BVH file, in centimetres.
         overwrite: replace an existing file.
     """
@@ -41,7 +42,7 @@ class Generate(Command):
     seconds: float | None = None
     published_loop: bool = False
     mode: Mode = "cubic"
-    foot_ik: bool = False
+    foot_ik: bool = True
     overwrite: bool = False
 
     def run(self) -> Any:

@@ -56,7 +56,7 @@ class Prepare(Command):
                 self.config,
                 roles_file=self.roles,
                 overwrite=self.overwrite,
-                progress=report,
+                progress_callback=report,
                 workers=self.workers,
             )
         _print_dataset(dataset)

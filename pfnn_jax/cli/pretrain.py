@@ -34,7 +34,10 @@ class Pretrain(Command):
     def run(self) -> Any:
         from pfnn_jax.cli.progress import progress
         from pfnn_jax.motion.datasets.dataset import load_dataset
+        from pfnn_jax.run_config import check_new_run
 
+        if not self.resume:
+            check_new_run(self.out, self.overwrite)
         dataset = load_dataset(self.dataset)
         from pfnn_jax.workflows.pretrain import pretrain_run
 

@@ -1,4 +1,4 @@
-"""Loads styles and mixtures of styles of a run (barycentric weights, combined before modulation: Mason 2022 §5.1).
+"""Loads styles and mixtures of styles of a run (barycentric weights, combined before modulation: Mason 2022 §4.4).
 
 Here the weights are fixed, so a mixture becomes the parameters of one style. A controller, whose weights change from
 frame to frame, mixes with `Style.mix_dynamic`; `models.style` explains why there are two forms.

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.models.layers.film import layer_norm
 from pfnn_jax.models.network import Network, coefficients, forward
-from pfnn_jax.models.style import Normalise, Style
-from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.models.style import Norm, Style
+from pfnn_jax.motion.features.normaliser import Normr
 from pfnn_jax.run import Run
 
 
@@ -52,38 +53,44 @@ def make_predictor(run: Run, style: StyleChoice = None) -> Predictor:
     return assemble_predictor(run.shared, load_choice(run, style), run.normaliser)
 
 
-def assemble_predictor(network: Network, style: Style | None, normaliser: Normaliser) -> Predictor:
+def assemble_predictor(network: Network, style: Style | None, normaliser: Normr) -> Predictor:
     """Returns the predictor of parameters in memory; `style` is None for style-agnostic motion."""
-    records = (normaliser.inputs, normaliser.outputs)
-    if normaliser.phases is not None:
-        records = (*records, normaliser.phases)
-    values = [jnp.asarray(value, jnp.float32) for record in records for value in (record.mean, record.std)]
-    return Predictor(network, style, *values)
+
+    def on_device(values: np.ndarray) -> jax.Array:
+        return jnp.asarray(values, jnp.float32)
+
+    gating = normaliser.phases
+    return Predictor(
+        network=network,
+        style=style,
+        input_mean=on_device(normaliser.inputs.mean),
+        input_std=on_device(normaliser.inputs.std),
+        output_mean=on_device(normaliser.outputs.mean),
+        output_std=on_device(normaliser.outputs.std),
+        gating_mean=None if gating is None else on_device(gating.mean),
+        gating_std=None if gating is None else on_device(gating.std),
+    )
 
 
-def evaluate(
-    predictor: Predictor, x: jax.Array, gating_input: jax.Array, *, normalise: Normalise = layer_norm
-) -> jax.Array:
-    """Evaluates one frame (Mason 2018 Eq. 1 and 4, Mason 2022 Eq. 2 to 4); use `vmap` for many.
+def evaluate(predictor: Predictor, x: jax.Array, gating_input: jax.Array, *, norm: Norm = layer_norm) -> jax.Array:
+    """Evaluates one frame (Mason 2018 Eq. 1 and 4, Mason 2022 Eq. 3 and 4); use `vmap` for many.
 
     Args:
         predictor: the network.
         x: [Dx] input in layout units.
         gating_input: [] radians for the exact spline, or the gating input [G] in layout units.
-        normalise: layer norm of a FiLM style: `layer_norm`, or `layer_norm_sample` as in the authors' training.
+        norm: layer norm of a FiLM style: `layer_norm`, or `layer_norm_sample` as in the authors' training.
 
     Returns:
         [Dy] output in layout units.
     """
     if predictor.gating_mean is not None and predictor.gating_std is not None:
         gating_input = (gating_input - predictor.gating_mean) / predictor.gating_std
-    return evaluate_at(predictor, x, coefficients(predictor.network, gating_input), normalise=normalise)
+    return evaluate_at(predictor, x, coefficients(predictor.network, gating_input), norm=norm)
 
 
-def evaluate_at(
-    predictor: Predictor, x: jax.Array, blending: jax.Array, *, normalise: Normalise = layer_norm
-) -> jax.Array:
+def evaluate_at(predictor: Predictor, x: jax.Array, blending: jax.Array, *, norm: Norm = layer_norm) -> jax.Array:
     """Evaluates one frame at given blending coefficients [K]: x [Dx] -> [Dy], both in layout units."""
     normalised = (x - predictor.input_mean) / predictor.input_std
-    y = forward(predictor.network, predictor.style, blending, normalised, normalise=normalise)
+    y = forward(predictor.network, predictor.style, blending, normalised, norm=norm)
     return y * predictor.output_std + predictor.output_mean

@@ -305,7 +305,7 @@ def _in_chunks(call: Callable[..., jax.Array], arrays: tuple[np.ndarray, ...]) -
 
 @partial(jax.jit, static_argnames="layer_norm")
 def _evaluate_rows(predictor: Predictor, x: jax.Array, gating_input: jax.Array, *, layer_norm: LayerNorm) -> jax.Array:
-    return jax.vmap(partial(evaluate, predictor, normalise=NORMS[layer_norm]))(x, gating_input)
+    return jax.vmap(partial(evaluate, predictor, norm=NORMS[layer_norm]))(x, gating_input)
 
 
 @partial(jax.jit, static_argnames="layer_norm")
@@ -320,6 +320,6 @@ def _evaluate_films(
     layer_norm: LayerNorm,
 ) -> jax.Array:
     def one(style: Style, x: jax.Array, gating_input: jax.Array) -> jax.Array:
-        return evaluate(replace(predictor, style=style), x, gating_input, normalise=NORMS[layer_norm])
+        return evaluate(replace(predictor, style=style), x, gating_input, norm=NORMS[layer_norm])
 
     return jax.vmap(one)(mix_rows(bank, indices, weights), x, gating_input)

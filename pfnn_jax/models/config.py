@@ -9,7 +9,7 @@ from pfnn_jax.errors import check_at_least
 from pfnn_jax.models.layers import style_kinds
 
 POOLING = 4
-"""By what the FiLM generator divides the number of frames: it pools twice, two frames into one."""
+"""Factor by which the FiLM generator reduces the number of frames: it pools twice, two frames into one."""
 
 if TYPE_CHECKING:
     AdapterKind: TypeAlias = str

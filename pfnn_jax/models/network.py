@@ -16,7 +16,7 @@ from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.layers.film import layer_norm
 from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.spline import catmull_rom_basis
-from pfnn_jax.models.style import Drop, Normalise, Style
+from pfnn_jax.models.style import Drop, Norm, Style
 
 NetworkLayer: TypeAlias = BlendedLayer | CPLayer
 
@@ -103,18 +103,19 @@ def forward(
     *,
     dropout: Dropout | None = None,
     key: jax.Array | None = None,
-    normalise: Normalise = layer_norm,
+    norm: Norm = layer_norm,
 ) -> jax.Array:
     """Evaluates the network for one frame (Mason 2018 Eq. 4; with FiLM, Mason 2022 Eq. 3 and 4).
 
     Args:
         network: shared parameters.
-        style: parameters of a style, which acts through its hooks (see `Style`), or None for style-agnostic motion.
+        style: parameters of a style, which acts through its hooks (see `Style`), or None for none. A network
+            trained with FiLM always needs one: it carries the layer norm.
         coefficients: [K] blending coefficients.
         x: [I] normalised input.
         dropout: drop probabilities in training, or None at run time.
         key: random key, needed with `dropout`. A residual or one-hot style has its own mask.
-        normalise: [H] -> [H], used with FiLM only: `layer_norm` or `layer_norm_sample`.
+        norm: [H] -> [H], used with FiLM only: `layer_norm` or `layer_norm_sample`.
 
     Returns:
         [O] normalised output.
@@ -127,10 +128,10 @@ def forward(
     drop_first, drop_second, drop_third, drop_style = _masks(dropout, key)
     first, second, third = network.layers
 
-    f = style.first(first(coefficients, drop_first(x)), coefficients, x, drop_style)
-    hidden = jax.nn.elu(style.modulate(0, f, normalise))
-    f = style.second(second(coefficients, drop_second(hidden)), coefficients, hidden, drop_style)
-    hidden = jax.nn.elu(style.modulate(1, f, normalise))
+    f = style.after_first(first(coefficients, drop_first(x)), coefficients, x, drop_style)
+    hidden = jax.nn.elu(style.modulate(0, f, norm))
+    f = style.after_second(second(coefficients, drop_second(hidden)), coefficients, hidden, drop_style)
+    hidden = jax.nn.elu(style.modulate(1, f, norm))
     return third(coefficients, drop_third(hidden))
 
 
@@ -140,18 +141,6 @@ def _masks(dropout: Dropout | None, key: jax.Array | None) -> list[Drop]:
         return [lambda value: value] * _NUM_MASKS
     rates = (dropout.main, dropout.main, dropout.main, dropout.adapter)
     return [partial(drop, k, rate) for k, rate in zip(jax.random.split(key, _NUM_MASKS), rates, strict=True)]
-
-
-def predict(
-    network: Network, style: Style | None, x: jax.Array, gating_input: jax.Array, *, normalise: Normalise = layer_norm
-) -> jax.Array:
-    """Evaluates the network at a phase or gating input: x [I] normalised -> [O] normalised.
-
-    Args:
-        network, style, x, normalise: as in `forward`.
-        gating_input: as in `coefficients`.
-    """
-    return forward(network, style, coefficients(network, gating_input), x, normalise=normalise)
 
 
 def num_parameters(tree: Any) -> int:

@@ -1,10 +1,11 @@
 """What a style is: where it acts on the shared network, and how several styles are mixed.
 
-A network computes `third(act(second(act(first(x)))))`. A style acts at three places, the hooks `first`, `second` and
-`modulate` of `Style`, each of which changes nothing by default. A residual adapter is a `Layer` whose output is added
-to the second layer's (Mason 2018 Eq. 4), a one-hot style shifts the first layer, and FiLM modulates both hidden layers.
+A network computes `third(act(second(act(first(x)))))`. A style acts at three places, the hooks `after_first`,
+`after_second` and `modulate` of `Style`, each of which changes nothing by default. A residual adapter is a `Layer`
+whose output is added to the second layer's (Mason 2018 Eq. 4), a one-hot style shifts the first layer, and FiLM
+modulates both hidden layers.
 
-Mixing by barycentric weights (Mason 2022 §5.1) means that a mixture adds the weighted sum of what its styles add.
+Mixing by barycentric weights (Mason 2022 §4.4) means that a mixture adds the weighted sum of what its styles add.
 There are two forms of it, which compute the same function:
 
 - `Style.mix` returns one style of the same kind. It suits weights that stay fixed: a mixture then costs as much as one
@@ -31,7 +32,7 @@ from pfnn_jax.models.layers import register_style, style_class
 Tree = TypeVar("Tree")
 StyleBank = TypeVar("StyleBank", bound="Style")
 Drop: TypeAlias = Callable[[jax.Array], jax.Array]
-Normalise: TypeAlias = Callable[[jax.Array], jax.Array]
+Norm: TypeAlias = Callable[[jax.Array], jax.Array]
 Affine: TypeAlias = tuple[Any, Any]
 """Weights [O, I] (a scalar zero where there are none) and biases [O], of NumPy or JAX."""
 
@@ -72,7 +73,7 @@ class Style:
         """The configuration that `init_style` makes such a style from."""
         return AdapterConfig(kind=self.kind)
 
-    def first(self, f: jax.Array, coefficients: jax.Array, x: jax.Array, drop: Drop) -> jax.Array:
+    def after_first(self, f: jax.Array, coefficients: jax.Array, x: jax.Array, drop: Drop) -> jax.Array:
         """Returns the first layer's output with the style.
 
         Args:
@@ -83,11 +84,17 @@ class Style:
         """
         return f
 
-    def second(self, f: jax.Array, coefficients: jax.Array, hidden: jax.Array, drop: Drop) -> jax.Array:
-        """Returns the second layer's output with the style; arguments as in `first`, with `hidden` [H] the input."""
+    def after_second(self, f: jax.Array, coefficients: jax.Array, hidden: jax.Array, drop: Drop) -> jax.Array:
+        """Returns the second layer's output with the style.
+
+        Args:
+            f: [H] output of the network's second layer, before any activation.
+            coefficients, drop: as in `after_first`.
+            hidden: [H] input of that layer, without dropout.
+        """
         return f
 
-    def modulate(self, index: int, f: jax.Array, normalise: Normalise) -> jax.Array:
+    def modulate(self, index: int, f: jax.Array, norm: Norm) -> jax.Array:
         """Returns what enters the activation of hidden layer `index` (0 or 1), from that layer's output f [H]."""
         return f
 
@@ -137,7 +144,7 @@ class Layer(Style):
         """
         raise NotImplementedError
 
-    def second(self, f: jax.Array, coefficients: jax.Array, hidden: jax.Array, drop: Drop) -> jax.Array:
+    def after_second(self, f: jax.Array, coefficients: jax.Array, hidden: jax.Array, drop: Drop) -> jax.Array:
         return f + self(coefficients, drop(hidden))
 
     def affine_terms(self, coefficients: Any) -> Mapping[int, Affine]:

@@ -25,7 +25,7 @@ from pfnn_jax.run import (
     save_style,
     save_train_state,
 )
-from pfnn_jax.run_config import RunConfig, has_shared, load_config, save_config, train_progress
+from pfnn_jax.run_config import RunConfig, load_config, save_config, train_progress
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Rows
 from pfnn_jax.training.log import append_metrics, rewind_metrics
@@ -75,8 +75,6 @@ def pretrain_run(
     if resume:
         _check_resumable(out, run_config)
     else:
-        if not overwrite:
-            _refuse_unfinished(out)
         create_run(out, run_config, dataset.normaliser, overwrite)
     rows = Rows.from_dataset(dataset, max_bytes=config.device_bytes)
     state = init_state(config, dataset.layout, len(dataset.styles))
@@ -122,14 +120,6 @@ def _check_rows(dataset: Dataset, config: PretrainConfig) -> None:
         raise InputError(
             dataset.path, f"rows of style {style}", rows, f"must be at least batch_size {config.batch_size}"
         )
-
-
-def _refuse_unfinished(out: Path) -> None:
-    """Refuses to replace a run that can be resumed, which `overwrite=True` alone may do."""
-    if (out / "config.json").is_file() and not has_shared(out):
-        step, steps = train_progress(out) or (0, None)
-        value = f"unfinished at step {step}" + (f" of {steps}" if steps else "")
-        raise InputError(out, "run", value, "pass resume=True to continue, or overwrite=True to start again")
 
 
 def _check_resumable(out: Path, wanted: RunConfig) -> None:

@@ -16,7 +16,7 @@ from pfnn_jax.control.loop.rollout import Frames, follow_path, locked_rollout, r
 from pfnn_jax.control.loop.state import ROOT, initial_state, place_state, standing_state
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, network_input, published_step, steer
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
-from pfnn_jax.models.network import init_network, predict
+from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.paths import circle, figure_eight, mirror_path, resample_path, straight
 from tests.control.walkers import (
@@ -29,6 +29,7 @@ from tests.control.walkers import (
     sway,
     true_walk,
 )
+from tests.models.helpers import predict
 
 # Two hundred float32 steps are summed, over some metres.
 DRIFT = 2e-4

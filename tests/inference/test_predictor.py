@@ -8,13 +8,14 @@ from jax.test_util import check_grads
 
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
-from pfnn_jax.models.network import init_network, predict
+from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_to_json
 from pfnn_jax.run import create_run, load_run, save_shared, save_style
 from pfnn_jax.run_config import RunConfig
+from tests.models.helpers import predict
 from tests.raising import assert_refused
 
 FLOAT32 = 1e-5  # a few ulp over sums of some tens of terms

@@ -10,7 +10,9 @@ import numpy as np
 
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.layers import style_class, style_kinds
-from pfnn_jax.models.style import Layer, Style, init_bank, init_style
+from pfnn_jax.models.layers.film import layer_norm
+from pfnn_jax.models.network import Network, coefficients, forward
+from pfnn_jax.models.style import Layer, Norm, Style, init_bank, init_style
 
 Tree = TypeVar("Tree")
 
@@ -54,3 +56,10 @@ def array_sizes(text: str) -> set[int]:
     """Returns the numbers of elements of all arrays in StableHLO (`tensor<2x3xf32>`) or HLO (`f32[2,3]`) text."""
     found = re.findall(r"tensor<((?:\d+x)+)[a-z]", text) + re.findall(r"\b[a-z]+\d+\[([\d,]+)\]", text)
     return {int(np.prod([int(size) for size in re.findall(r"\d+", shape)])) for shape in found}
+
+
+def predict(
+    network: Network, style: Style | None, x: jax.Array, gating_input: jax.Array, norm: Norm = layer_norm
+) -> jax.Array:
+    """Returns the output [O] of a network for the input x [I] and a phase or gating input, all normalised."""
+    return forward(network, style, coefficients(network, gating_input), x, norm=norm)

@@ -100,13 +100,13 @@ def test_forward_with_film_is_equation_3(normalise, float64: None):
     hidden = jax.nn.elu(film.scale[0] * normalise(first(c, x)) + film.shift[0])
     hidden = jax.nn.elu(film.scale[1] * normalise(second(c, hidden)) + film.shift[1])
     expected = third(c, hidden)
-    np.testing.assert_allclose(forward(network, film, c, x, normalise=normalise), expected, atol=FLOAT64)
+    np.testing.assert_allclose(forward(network, film, c, x, norm=norm), expected, atol=FLOAT64)
 
 
 def test_no_film_means_no_normalisation():
     network, (c, x) = small_network(), frame()
     plain = forward(network, None, c, x)
-    np.testing.assert_array_equal(forward(network, None, c, x, normalise=layer_norm_sample), plain)
+    np.testing.assert_array_equal(forward(network, None, c, x, norm=layer_norm_sample), plain)
     assert (forward(network, FiLMStyle.identity(HIDDEN), c, x) != plain).all()
 
 

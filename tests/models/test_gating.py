@@ -12,9 +12,9 @@ from jax.test_util import check_grads
 
 from pfnn_jax.models.config import NetworkConfig
 from pfnn_jax.models.gating import Gating, gate, init_gating
-from pfnn_jax.models.network import Dropout, Network, coefficients, config_of, forward, init_network, predict
+from pfnn_jax.models.network import Dropout, Network, coefficients, config_of, forward, init_network
 from pfnn_jax.models.spline import catmull_rom_basis
-from tests.models.helpers import randomise, shapes
+from tests.models.helpers import predict, randomise, shapes
 
 FLOAT64 = 1e-12  # a softmax over a few small layers in double precision
 FLOAT32 = 1e-6  # the same in single precision

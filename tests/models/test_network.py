@@ -14,10 +14,10 @@ from jax.test_util import check_grads
 from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
 from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.layers.full import BlendedLayer
-from pfnn_jax.models.network import Dropout, Network, coefficients, drop, forward, init_network, num_parameters, predict
+from pfnn_jax.models.network import Dropout, Network, coefficients, drop, forward, init_network, num_parameters
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.models.style import Layer, init_style
-from tests.models.helpers import LAYER_KINDS, array_sizes, random_layer, randomise, shapes
+from tests.models.helpers import LAYER_KINDS, array_sizes, predict, random_layer, randomise, shapes
 
 FLOAT64 = 1e-12  # three small layers in double precision
 # The mean of n kept-or-dropped numbers at rate r deviates by sqrt(r / (1 - r) / n): five of those, at n = 200,000.

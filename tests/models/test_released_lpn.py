@@ -14,8 +14,9 @@ from pfnn_jax.models.gating import Gating, gate
 from pfnn_jax.models.layers.dense import DenseLayer
 from pfnn_jax.models.layers.film import FiLMStyle, layer_norm_sample
 from pfnn_jax.models.layers.full import BlendedLayer
-from pfnn_jax.models.network import Network, num_parameters, predict
+from pfnn_jax.models.network import Network, num_parameters
 from pfnn_jax.models.style import mix_styles
+from tests.models.helpers import predict
 
 # Golden values are float64; the constant inside the layer norm's root adds 1e-8 to variances above 5.
 FLOAT64 = 1e-7
@@ -129,7 +130,7 @@ def test_predict(released: Released, reference: Path, float64: None):
 def test_predict_with_the_statistics_of_training(released: Released, reference: Path, float64: None):
     golden = load(reference / "lpn_golden_dev.npz")
     expected = normalised(released.output_statistics, golden["y_train_ln"])
-    actual = predict_all(released, golden, normalise=layer_norm_sample)
+    actual = predict_all(released, golden, norm=layer_norm_sample)
     np.testing.assert_allclose(actual, expected, atol=FLOAT64)
 
 

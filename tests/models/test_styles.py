@@ -218,9 +218,9 @@ def test_dropout_of_a_style_acts_on_its_own_input():
 
     drop: Drop = drop_all
     f, c, one_hot = hidden_frame(), coefficients(), random_style("one_hot", POINTS, HIDDEN, RANK)
-    np.testing.assert_array_equal(one_hot.first(f, c, frame(), drop), f)
+    np.testing.assert_array_equal(one_hot.after_first(f, c, frame(), drop), f)
     full = random_layer("full", POINTS, HIDDEN, HIDDEN, RANK)
-    np.testing.assert_allclose(full.second(f, c, f, drop), f + full(c, jnp.zeros(HIDDEN)), rtol=1e-6)
+    np.testing.assert_allclose(full.after_second(f, c, f, drop), f + full(c, jnp.zeros(HIDDEN)), rtol=1e-6)
 
 
 # Facts of single kinds, from the papers.

@@ -152,7 +152,7 @@ def test_a_style_without_usable_clips_is_refused(takes, tmp_path):
 def test_a_real_folder_is_prepared_with_progress(mocap, tmp_path):
     files = list_clips(mocap / "bandai-namco-2")[::30]
     seen = []
-    dataset = prepare(files, tmp_path / "set", PrepareConfig(), progress=lambda *event: seen.append(event))
+    dataset = prepare(files, tmp_path / "set", PrepareConfig(), progress_callback=lambda *event: seen.append(event))
     assert dataset.layout.input_size == 174 and len(dataset.styles) == 7 and not dataset.skipped
     assert [event[:2] for event in seen] == [(i + 1, len(files)) for i in range(len(files))]
     for style in dataset.styles:

@@ -133,7 +133,7 @@ def files_in(folder: Path) -> list[str]:
 
 def test_a_whole_download_is_read_as_100style(serve, tmp_path):
     site, seen = serve(), []
-    got = download_100style(tmp_path / "new" / "out", url=site.url, progress=lambda *event: seen.append(event))
+    got = download_100style(tmp_path / "new" / "out", url=site.url, progress_callback=lambda *event: seen.append(event))
     assert (got.styles, got.clips, got.fetched) == (("Angry", "Old"), 3, 5)
     assert files_in(got.folder) == [*ANGRY, *TABLES, "Old/Old_FW.bvh"]
     assert (got.folder / "Old" / "Old_FW.bvh").read_text() == "3" * SIZE
@@ -179,7 +179,7 @@ def test_a_complete_download_fetches_nothing_again(serve, tmp_path):
 
 def test_a_connection_that_breaks_is_opened_again(serve, tmp_path):
     site, seen = serve(breaks=[1000, 100_000]), []
-    got = download_100style(tmp_path / "out", url=site.url, progress=lambda *event: seen.append(event))
+    got = download_100style(tmp_path / "out", url=site.url, progress_callback=lambda *event: seen.append(event))
     assert got.fetched == 5 and seen[-1][0] == seen[-1][1]
     assert all(done <= total for done, total, _ in seen)
 
@@ -192,7 +192,7 @@ def test_an_interrupted_download_resumes_with_the_files_that_are_missing(serve, 
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        download_100style(out, url=site.url, progress=interrupt)
+        download_100style(out, url=site.url, progress_callback=interrupt)
     assert files_in(out) == ["Angry/Angry_FW.bvh", *TABLES]
     written = (out / "Angry" / "Angry_FW.bvh").stat().st_mtime_ns
     assert download_100style(out, url=site.url).fetched == 2

@@ -251,7 +251,7 @@ def test_two_processes_started_by_a_script_without_a_guard_change_no_byte(takes,
 INTERRUPTED = """
 import os, signal, sys
 from pfnn_jax.motion.datasets.preparation import prepare
-prepare(sys.argv[1], sys.argv[2], progress=lambda *event: os.kill(os.getpid(), signal.SIGKILL))
+prepare(sys.argv[1], sys.argv[2], progress_callback=lambda *event: os.kill(os.getpid(), signal.SIGKILL))
 """
 
 

@@ -8,7 +8,7 @@ The loop of Holden 2017, Mason 2018 (§5.1) and Mason 2022, a pure function of o
 3. the network predicts y_i, and
 4. `advance` places the joints and advances root, phase and trajectory to frame i+1.
 
-The state is in metres, seconds and radians in the world. Only steps 2 and 4 depend on the layout; they have two frame
+The state is in metres, seconds and radians in the world. Steps 2 and 4 differ between layouts: they have two frame
 rules, `rule_2017` and, for next-frame layouts, `rule_2022`.
 """
 
@@ -46,8 +46,8 @@ class LoopConfig:
         jog_speed: metres per second from which the gait is jog (only `pfnn2017` reads gaits other than stand).
         trajectory_rate, phase_rate: shares of the predicted trajectory and local phases, see `rule_2022`
             (next-frame layouts only).
-        steering: smallest share of the angle between its facing and its target on a followed path by which a
-            character is turned, see `pursuit`. Below 1 it keeps the sway of its style.
+        steering: on a followed path, the least share of the angle between facing and target by which the commanded
+            facing turns, see `pursuit`. Below 1 a character keeps the sway of its style.
         command_gain: factor on commanded velocities, for a network that was steered in other units than metres per
             second.
     """

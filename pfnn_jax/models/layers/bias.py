@@ -16,7 +16,7 @@ from pfnn_jax.models.style import Affine, Layer
 class BiasLayer(Layer):
     """A blended bias that ignores its input: `y = Σ_k c_k b_k`.
 
-    It starts at zero, where it is the identity as an adapter, and its gradient does not vanish there.
+    It starts at zero, where as an adapter it leaves the network unchanged, and its gradient does not vanish there.
     """
 
     biases: jax.Array  # [K, H]

@@ -32,8 +32,8 @@ class CPLayer(Layer):
     def init(cls, inputs: int, outputs: int, num_experts: int, *, rank: int = 30, key: jax.Array) -> Self:
         """Returns a layer of rank R with all three factors uniform.
 
-        The uniform D is the authors' choice. D = 0 would start at the identity, but with factors this small its
-        gradient is so weak that the layer barely trains at the paper's learning rate of 1e-4.
+        The uniform D is the authors' choice. D = 0 would leave the network unchanged at the start, but with factors
+        this small its gradient is so weak that the layer barely trains at the paper's learning rate of 1e-4.
         """
         key_a, key_b, key_d = jax.random.split(key, 3)
         return cls(

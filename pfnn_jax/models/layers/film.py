@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.models.style import Normalise, Style
+from pfnn_jax.models.style import Norm, Style
 
 # Added to the variance, so that a vector without variance is normalised to zero with a finite gradient. The trained
 # networks' standard deviations before normalisation are 3 to 25: there it changes nothing that float32 can represent.
@@ -60,11 +60,11 @@ class FiLMStyle(Style):
         """Returns the parameters [4H] in the authors' order: scale 1, shift 1, scale 2, shift 2."""
         return jnp.stack([self.scale, self.shift], axis=1).reshape(-1)
 
-    def modulate(self, index: int, f: jax.Array, normalise: Normalise = layer_norm) -> jax.Array:
-        """Returns the argument [H] of the ELU in Mason 2022 Eq. 3: γ ∘ normalise(f) + β."""
+    def modulate(self, index: int, f: jax.Array, norm: Norm = layer_norm) -> jax.Array:
+        """Returns the argument [H] of the ELU in Mason 2022 Eq. 3: γ ∘ norm(f) + β."""
         chex.assert_rank(f, 1)
         chex.assert_shape([self.scale, self.shift], (2, f.shape[0]))
-        return self.scale[index] * normalise(f) + self.shift[index]
+        return self.scale[index] * norm(f) + self.shift[index]
 
     def named_arrays(self) -> dict[str, jax.Array]:
         return {"film": self.to_vector()}

@@ -28,7 +28,7 @@ class OneHot(Style):
     def init(cls, inputs: int, outputs: int, num_experts: int, *, rank: int = 30, key: jax.Array) -> Self:
         return cls(shift=BiasLayer.init(inputs, outputs, num_experts, key=key))
 
-    def first(self, f: jax.Array, coefficients: jax.Array, x: jax.Array, drop: Drop) -> jax.Array:
+    def after_first(self, f: jax.Array, coefficients: jax.Array, x: jax.Array, drop: Drop) -> jax.Array:
         return f + drop(jnp.ones((), f.dtype)) * self.shift(coefficients, x)
 
     def at(self, coefficients: jax.Array) -> Self:

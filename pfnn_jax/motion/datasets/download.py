@@ -75,7 +75,7 @@ def download_100style(
     *,
     url: str = ARCHIVE_URL,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress_callback: Progress | None = None,
 ) -> Downloaded:
     """Downloads 100STYLE, or some of its styles.
 
@@ -87,7 +87,7 @@ def download_100style(
         styles: names of the styles to download, such as `("Old", "Zombie")`; None for all of them.
         url: address of the archive, for copies elsewhere. The server must support range requests.
         overwrite: whether to replace files that exist with other content.
-        progress: called while files are fetched.
+        progress_callback: called while files are fetched.
 
     Raises:
         InputError: for an unknown style; if the server cannot be reached, does not support range requests or breaks
@@ -103,7 +103,7 @@ def download_100style(
             complete |= {name for name in chosen.keys() - complete if _is_complete(out / name, chosen[name], overwrite)}
             missing = {name: info for name, info in chosen.items() if name not in complete}
             _check_space(out, sum(info.file_size for info in missing.values()))
-            report = _Report(progress, chosen, complete)
+            report = _Report(progress_callback, chosen, complete)
             name = ""
             try:
                 for name, info in missing.items():
@@ -234,15 +234,15 @@ def _check_space(out: Path, size: int) -> None:
 class _Report:
     """Adds up bytes for a progress callback."""
 
-    def __init__(self, progress: Progress | None, chosen: dict[str, zipfile.ZipInfo], complete: set[str]):
-        self._progress = progress
+    def __init__(self, callback: Progress | None, chosen: dict[str, zipfile.ZipInfo], complete: set[str]):
+        self._callback = callback
         self._total = sum(info.file_size for info in chosen.values())
         self._done = sum(info.file_size for name, info in chosen.items() if name in complete)
 
     def add(self, size: int, name: str) -> None:
         self._done += size
-        if self._progress is not None:
-            self._progress(self._done, self._total, name)
+        if self._callback is not None:
+            self._callback(self._done, self._total, name)
 
 
 def _fetch(archive: RemoteZip, info: zipfile.ZipInfo, target: Path, report: _Report) -> None:

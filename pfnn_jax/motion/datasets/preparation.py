@@ -87,7 +87,7 @@ def prepare(
     *,
     roles_file: str | Path | None = None,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress_callback: Progress | None = None,
     workers: int | None = None,
 ) -> Dataset:
     """Computes the features of many clips and writes them to a folder.
@@ -105,7 +105,7 @@ def prepare(
         config: layout, mirroring, statistics, splits; the default `PrepareConfig` if None.
         roles_file: JSON file that names the joints' roles.
         overwrite: whether to replace an existing folder.
-        progress: called with (clips done, number of clips, name) after each clip.
+        progress_callback: called with (clips done, number of clips, name) after each clip.
         workers: number of processes; None for one per processor (at most 8) if there is much to read.
 
     Raises:
@@ -121,7 +121,7 @@ def prepare(
     try:
         with replacing(out) as work:
             work.mkdir()
-            _write_dataset(sources, work, config, roles_file, progress, workers)
+            _write_dataset(sources, work, config, roles_file, progress_callback, workers)
     except OSError as error:
         raise InputError(out, "folder", failure(error), "must be writable, with space for the dataset") from error
     return load_dataset(out)
@@ -148,7 +148,7 @@ def _write_dataset(
     folder: Path,
     config: PrepareConfig,
     roles_file: Path | None,
-    progress: Progress | None,
+    progress_callback: Progress | None,
     workers: int | None,
 ) -> None:
     """Writes a dataset into an existing empty folder; `dataset.json` comes last."""
@@ -160,8 +160,8 @@ def _write_dataset(
                 for clip in clips:
                     writer.add(clip)
                     done += 1
-                    if progress is not None:
-                        progress(done, len(sources), Path(clip.name).name)
+                    if progress_callback is not None:
+                        progress_callback(done, len(sources), Path(clip.name).name)
             writer.end_style(style)
     writer.finish()
 

@@ -327,7 +327,7 @@ def pfnn2017(num_joints: int = 31) -> FrameLayout:
 
 
 def mason2022(num_joints: int = 25, ends: tuple[int, ...] | None = None) -> FrameLayout:
-    """Returns the layout of Mason et al. 2022 (section 4.2): 48 + 12J inputs and 42 + 12J outputs.
+    """Returns the layout of Mason et al. 2022 (section 3.2): 48 + 12J inputs and 42 + 12J outputs.
 
     For 25 joints these are 348 and 342.
 
