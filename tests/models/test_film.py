@@ -100,7 +100,7 @@ def test_forward_with_film_is_equation_3(normalise, float64: None):
     hidden = jax.nn.elu(film.scale[0] * normalise(first(c, x)) + film.shift[0])
     hidden = jax.nn.elu(film.scale[1] * normalise(second(c, hidden)) + film.shift[1])
     expected = third(c, hidden)
-    np.testing.assert_allclose(forward(network, film, c, x, norm=norm), expected, atol=FLOAT64)
+    np.testing.assert_allclose(forward(network, film, c, x, norm=normalise), expected, atol=FLOAT64)
 
 
 def test_no_film_means_no_normalisation():
