@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,11 +13,16 @@ from hypothesis import settings
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
+MAX_MAPS = 15_000
+"""Blocks of memory that a test process may keep mapped from one module to the next."""
+
 # Read by JAX when it is first imported, so that tests of `motion` need not import it: broadcasting between arrays of
 # different rank is an error unless written out.
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
-# Tests compile much and compute little: without LLVM's optimisations they take half the time.
+# Tests compile much and compute little: without LLVM's optimisations they take half the time, and with XLA's older
+# emitters, without threads, again two thirds.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1")
 # What one worker or an earlier run has compiled is read from disk: a second run takes a third of the time.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().parents[1] / ".jax_cache"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
@@ -32,6 +40,20 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
         if jax.default_backend() == "cpu":
             pytest.skip("JAX finds no accelerator on this machine")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def release_compiled_functions() -> Iterator[None]:
+    """Drops compiled functions after a test module where the process holds many.
+
+    Each maps several blocks of memory, of which Linux allows a process 65,530 by default; one that needs more dies in
+    the compiler.
+    """
+    yield
+    jax, maps = sys.modules.get("jax"), Path("/proc/self/maps")
+    if jax and maps.exists() and len(maps.read_text().splitlines()) > MAX_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 def _folder(variable: str, default: Path) -> Path:

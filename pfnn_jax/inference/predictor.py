@@ -12,7 +12,7 @@ from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.models.layers.film import layer_norm
 from pfnn_jax.models.network import Network, coefficients, forward
 from pfnn_jax.models.style import Norm, Style
-from pfnn_jax.motion.features.normaliser import Normr
+from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.run import Run
 
 
@@ -53,7 +53,7 @@ def make_predictor(run: Run, style: StyleChoice = None) -> Predictor:
     return assemble_predictor(run.shared, load_choice(run, style), run.normaliser)
 
 
-def assemble_predictor(network: Network, style: Style | None, normaliser: Normr) -> Predictor:
+def assemble_predictor(network: Network, style: Style | None, normaliser: Normaliser) -> Predictor:
     """Returns the predictor of parameters in memory; `style` is None for style-agnostic motion."""
 
     def on_device(values: np.ndarray) -> jax.Array:
