@@ -16,7 +16,7 @@ from jax.test_util import check_grads
 from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
 from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.layers import style_kinds
-from pfnn_jax.models.network import init_network, predict
+from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style
 from pfnn_jax.training.data import Batch, Draw
 from pfnn_jax.training.loop import TrainState, scan_steps
@@ -31,7 +31,7 @@ from pfnn_jax.training.steps import (
     predict_batch,
     pretrain_loss,
 )
-from tests.models.helpers import randomise
+from tests.models.helpers import predict, randomise
 from tests.training.toy import HIDDEN, assert_bitwise, on_host, take, toy_data, toy_network, toy_rows, toy_style
 
 FLOAT32 = 1e-5  # a few ulp over sums of 16 products
