@@ -210,7 +210,7 @@ def _fit_orthogonal(bones: np.ndarray, likely: np.ndarray) -> np.ndarray:
 def _fit_plane(bones: np.ndarray, likely: np.ndarray) -> np.ndarray:
     """Returns the reflection across a plane that maps the bones best.
 
-    Its normal is the direction that the bones reverse, else of those that they leave open the one that `likely` reverses.
+    Its normal is the direction that the bones reverse or, of those that they leave open, that `likely` reverses.
     """
     strength, axes = np.linalg.eigh(bones + bones.T)
     normal = axes[:, 0]

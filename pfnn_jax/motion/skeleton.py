@@ -79,9 +79,13 @@ def need_roles(skeleton: Skeleton, source: str | Path = "skeleton") -> Roles:
     """Returns the skeleton's roles.
 
     Raises:
-        InputError: if the roles were not found when the skeleton was read.
+        InputError: if the roles were not found when the skeleton was read, with the reason where the pose of zero
+            rotations shows it.
     """
     if skeleton.roles is None:
+        from pfnn_jax.motion.roles import find_roles  # which imports this module
+
+        find_roles(skeleton, source=source)
         rule = "hips, shoulders and feet must be found, or named in a roles file"
         raise InputError(source, "skeleton", f"joints {', '.join(skeleton.names)}", rule)
     return skeleton.roles

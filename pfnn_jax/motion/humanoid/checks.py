@@ -158,7 +158,7 @@ def _check_sides(body: Body, finding: Finding) -> None:
 
 
 def _on_all_fours(body: Body) -> str:
-    """Returns why the body goes on four legs, or an empty text: its trunk lies, and its hands are as low as its feet."""
+    """Returns why the body goes on four legs, or an empty text: its trunk lies, with hands as low as feet."""
     hips, shoulders = body.middle("thigh"), body.middle("upper_arm")
     feet, hands = body.middle("foot", "shin"), body.middle("hand", "lower_arm")
     if shoulders is None or feet is None or hands is None or hips is None:

@@ -72,6 +72,15 @@ def find_humanoid(
     return _by_geometry(skeleton, tree, limbs, chosen, positions, source)
 
 
+def need_humanoid(skeleton: Skeleton, source: str | Path = "skeleton") -> HumanoidMap:
+    """Returns the skeleton's humanoid map; one that was read without it is searched in its pose of zero rotations.
+
+    Raises:
+        InputError: if it has none, with the reason.
+    """
+    return skeleton.humanoid if skeleton.humanoid is not None else find_humanoid(skeleton, source=source)
+
+
 def _positions(skeleton: Skeleton, poses: Poses) -> np.ndarray:
     """Returns the poses [N, J, 3]."""
     if poses is None:
