@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.humanoid.checks import Body, Finding, check_geometry
+from pfnn_jax.motion.humanoid.checks import Body, Finding, check_geometry, stands
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.measured import measured_limbs
 from pfnn_jax.motion.humanoid.named import detached_foot, named_limbs, named_trunk
@@ -115,7 +115,7 @@ def _override(limbs: dict[str, int], chosen: Chosen, tree: JointTree) -> dict[st
             if first is None or last is None or first == last or not tree.is_above(first, last):
                 continue
             between = tree.down(first, last)[:-1]
-            if between and middle not in between:
+            if between and middle not in between and f"{side}_{lower}" not in chosen:
                 limbs[f"{side}_{lower}"] = between[(len(between) - 1) // 2]
     return {bone: joint for bone, joint in limbs.items() if bone not in ("hips", "head")}
 
@@ -123,23 +123,30 @@ def _override(limbs: dict[str, int], chosen: Chosen, tree: JointTree) -> dict[st
 def _by_geometry(
     skeleton: Skeleton, tree: JointTree, limbs: dict[str, int], chosen: Chosen, poses: np.ndarray, source: str | Path
 ) -> HumanoidMap:
-    """Returns the map of a skeleton whose legs are not named, with the first axis up that gives one.
+    """Returns the map of a skeleton whose legs are not named, with the first axis up with which it stands.
 
     Raises:
         InputError: as the first axis up does.
     """
     helpers = [label.helper for label in read_names(skeleton.names)]
+    arms = {bone: joint for bone, joint in limbs.items() if _has(limbs, "upper_arm")}
+    lying: HumanoidMap | None = None
     refusal: InputError | None = None
     for up in UP_AXES:
         finding = Finding()
-        stood = poses @ up.T
-        measured = measured_limbs(tree, stood, helpers)
-        joined = _override({**measured, **{k: v for k, v in limbs.items() if _has(limbs, "upper_arm")}}, chosen, tree)
         finding.decide("limbs found by their lengths and places, not by names", BY_GEOMETRY)
+        stood = poses @ up.T
+        measured = _override({**measured_limbs(tree, stood, helpers), **arms}, chosen, tree)
         try:
-            return _complete(skeleton, tree, joined, chosen, stood, finding, source)
+            found = _complete(skeleton, tree, measured, chosen, stood, finding, source, by_geometry=True)
         except InputError as error:
             refusal = refusal or error
+            continue
+        if stands(Body(found.joints(), read_names(skeleton.names), tree, stood)):
+            return found
+        lying = lying or found
+    if refusal is None and lying is not None:
+        return lying
     assert refusal is not None
     raise refusal
 
@@ -152,6 +159,8 @@ def _complete(
     poses: np.ndarray,
     finding: Finding,
     source: str | Path,
+    *,
+    by_geometry: bool = False,
 ) -> HumanoidMap:
     """Adds hips, spine, neck and head to limbs, and confirms the map by geometry."""
     missing = [f"{side}_{part}" for side in SIDES for part in ("thigh", "shin") if f"{side}_{part}" not in limbs]
@@ -159,7 +168,8 @@ def _complete(
         rule = f"must have a joint for {', '.join(missing)}; name it in a file of overrides (--roles)"
         raise InputError(source, "skeleton", f"joints {listed(skeleton.names)}", rule)
     names = skeleton.names
-    ends = frozenset(joint for joint, site in skeleton.end_sites if not site.any())
+    sites = [joint for joint, site in skeleton.end_sites if not site.any()]
+    ends = frozenset(sites if len(sites) < len(skeleton.end_sites) else ())  # where all are zero they say nothing
     trunk = Trunk(tree, read_names(names), named_trunk(names), poses[0], limbs, ends)
     head = chosen["head"] if "head" in chosen else find_head(trunk)
     assert not isinstance(head, tuple)
@@ -171,7 +181,7 @@ def _complete(
     found: dict[str, Any] = {"hips": hips, "spine": spine, "neck": neck, "head": head, **parts}
     _require_chains(names, tree, found, source)
     insist = all(isinstance(chosen.get(f"{side}_thigh"), int) for side in SIDES)
-    body = Body(found, trunk.labels, tree, poses)
+    body = Body(found, trunk.labels, tree, poses, by_geometry)
     check_geometry(body, finding, source, rest=rest_pose(skeleton), insist=insist)
     return HumanoidMap(**found, confidence=finding.confidence, explanation=tuple(finding.lines))
 
