@@ -36,11 +36,9 @@ LIMB_WORDS: dict[str, dict[str, float]] = {
 
 HIPS_WORDS = frozenset("hips pelvis hip".split())
 HEAD_WORDS = frozenset("head skull".split())
-NECK_WORDS = frozenset("neck necktwist c".split())
-SPINE_WORDS = frozenset(
-    "spine chest abdomen ab torso waist back belly tummy body ribs ribcage thorax stomach t l".split()
-)
-"""Words of joints without a side, with or without lower and upper; c, t and l are vertebrae, which have a number."""
+NECK_WORDS = frozenset("neck necktwist".split())
+SPINE_WORDS = frozenset("spine chest abdomen ab torso waist back belly tummy body ribs ribcage thorax stomach".split())
+"""Words of joints without a side, with or without lower and upper."""
 
 
 def limb_points(name: JointName) -> dict[str, float]:
@@ -54,6 +52,6 @@ def trunk_part(name: JointName) -> str:
         return ""
     word = re.sub(r"^(lower|upper)|(lower|upper)$", "", name.part)
     for part, words in (("hips", HIPS_WORDS), ("head", HEAD_WORDS), ("neck", NECK_WORDS), ("spine", SPINE_WORDS)):
-        if word in words and (len(word) > 1 or name.numbers):
+        if word in words:
             return part
     return ""

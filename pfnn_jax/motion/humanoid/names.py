@@ -33,6 +33,10 @@ HELPER_PARTS = ("twist", "pole", "target", "control", "helper", "rigmesh", "effe
 """Words, and parts of words, of joints that help to animate, to skin or to end a bone."""
 
 
+VERTEBRA = re.compile(r"l[1-5]|t([1-9]|1[0-2])|c[1-7]")
+"""Names of vertebrae, as in captures by Xsens, which have several."""
+
+
 @dataclass(frozen=True)
 class JointName:
     """What the name of a joint says.
@@ -105,9 +109,12 @@ def _read(name: str, words: list[str], whole: set[str]) -> JointName:
     joined = "".join(words)
     helper = name.startswith("__") or any(word in HELPER_WORDS for word in words)
     helper = helper or any(part in joined for part in HELPER_PARTS)
-    helper = helper and "necktwist" not in joined  # the neck itself of Character Creator
+    if "necktwist" in joined and not any(word.startswith("neck") and "twist" not in word for word in whole):
+        helper = False  # the neck itself of Character Creator
     side, rest = _split_side(words, whole)
     part = "".join(word for word in rest if not word.isdigit() and word not in FILLER)
+    if VERTEBRA.fullmatch(joined) and len([word for word in whole if VERTEBRA.fullmatch(word)]) > 2:
+        part = "neck" if part == "c" else "spine"
     return JointName(side, part, tuple(int(word) for word in rest if word.isdigit()), helper)
 
 
