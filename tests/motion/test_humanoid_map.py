@@ -20,6 +20,12 @@ from tests.motion.rigs import bvh_skeleton, character, crab, quadruped, tree, wi
 from tests.motion.skeletons import body
 from tests.raising import assert_refused
 
+CRAWLING = (
+    "Hips Spine0 Neck Head LeftShoulder LeftArm LeftForeArm LeftHand RightShoulder RightArm RightForeArm RightHand "
+    "LeftUpLeg LeftLeg LeftFoot LeftToeBase RightUpLeg RightLeg RightFoot RightToeBase"
+)
+"""Joints of a quadruped in the places of the body's."""
+
 CLEAR = 0.9
 """Confidence of a map on which names and geometry agree."""
 
@@ -214,13 +220,22 @@ def test_a_user_may_insist_that_an_animal_is_a_humanoid():
 
 def test_a_person_on_all_fours_is_a_person():
     """Who crawls through a whole clip still stands in the pose of zero rotations."""
-    skeleton = body()
-    crawling = rest_pose(quadruped(0.5, 0.6, named=True))
-    own = {name: joint for joint, name in enumerate(quadruped(0.5, 0.6, named=True).names)}
-    wanted = "Hips Spine0 Neck Head LeftShoulder LeftArm LeftForeArm LeftHand RightShoulder RightArm RightForeArm"
-    wanted += " RightHand LeftUpLeg LeftLeg LeftFoot LeftToeBase RightUpLeg RightLeg RightFoot RightToeBase"
-    found = find_humanoid(skeleton, poses=crawling[[own[name] for name in wanted.split()]][None])
-    assert any("animal" in line for line in found.explanation) and found.confidence <= 0.5
+    animal = quadruped(0.5, 0.6, named=True)
+    crawling = rest_pose(animal)[[animal.names.index(name) for name in CRAWLING.split()]]
+    found = find_humanoid(body(), poses=crawling[None])
+    assert found.confidence > CLEAR
+    # without names the poses are all there is
+    assert_refused(lambda: find_humanoid(without_names(body()), poses=crawling[None]), rule_mentions="humanoid")
+
+
+def test_an_animal_without_a_rest_pose_is_refused():
+    animal = quadruped(0.5, 0.6, named=True)
+    poses = rest_pose(animal)[None]
+    flat = np.zeros_like(animal.offsets)
+    flat[1:, 0] = np.linalg.norm(animal.offsets[1:], axis=1) * [
+        -1 if n.startswith("R") else 1 for n in animal.names[1:]
+    ]
+    assert_refused(lambda: find_humanoid(replace(animal, offsets=flat), poses=poses), rule_mentions="humanoid")
 
 
 @pytest.mark.parametrize("missing", ["r_thigh", "l_thigh"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,12 @@ NO_LENGTH = 1e-3
 DOUBT = 0.8
 """Factor of the confidence for a doubt."""
 
+NO_POSE = 0.5
+"""Factor of the confidence where geometry cannot confirm the map, as the pose is that of no body."""
+
+DOUBTFUL = "doubtful: "
+"""Beginning of the lines that say what is doubtful."""
+
 
 @dataclass
 class Finding:
@@ -56,6 +62,11 @@ class Finding:
     lines: list[str] = field(default_factory=list)
     confidence: float = 1.0
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether anything is doubtful."""
+        return any(line.startswith(DOUBTFUL) for line in self.lines)
+
     def decide(self, line: str, factor: float = 1.0) -> None:
         """Adds a line, and multiplies the confidence by a factor."""
         self.lines.append(line)
@@ -63,7 +74,7 @@ class Finding:
 
     def doubt(self, line: str, factor: float = DOUBT) -> None:
         """Adds a doubt, and multiplies the confidence by a factor."""
-        self.decide(f"doubtful: {line}", factor)
+        self.decide(f"{DOUBTFUL}{line}", factor)
 
 
 @dataclass(frozen=True)
@@ -108,33 +119,29 @@ class Body:
         return None
 
 
-def check_geometry(body: Body, finding: Finding, source: str | Path, *, rest: np.ndarray, insist: bool = False) -> None:
+def check_geometry(body: Body, finding: Finding, source: str | Path, *, insist: bool = False) -> None:
     """Adds what geometry doubts to a finding.
 
     Args:
         body: the map to check.
         finding: gets lines and factors of the confidence.
         source: file to name in messages.
-        rest: [J, 3] positions with all rotations zero: who crawls in a clip may stand there.
         insist: whether a user named both thighs, so that a strange body is doubted only.
 
     Raises:
         InputError: if the body is not a human one.
     """
     if _is_no_pose(body):
-        finding.doubt("the pose is not that of a body, so geometry cannot confirm the names", 0.5)
+        finding.doubt("the pose is not that of a body, so geometry cannot confirm the names", NO_POSE)
         return
     _check_lengths(body, finding)
     _check_sides(body, finding)
     reasons = [reason for reason in (_on_all_fours(body), _many_legs(body)) if reason]
-    if not reasons:
-        return
-    standing = replace(body, poses=rest[None])
-    if insist or not (_is_no_pose(standing) or _on_all_fours(standing) or _many_legs(standing)):
+    if reasons and insist:
         finding.doubt(f"{' and '.join(reasons)}, as in an animal", 0.5)
-        return
-    rule = "this may not be a humanoid; if it is one, name left_thigh and right_thigh in a file of overrides (--roles)"
-    raise InputError(source, "skeleton", " and ".join(reasons), rule)
+    elif reasons:
+        rule = "this may not be a humanoid; if it is, name left_thigh and right_thigh in a file of overrides (--roles)"
+        raise InputError(source, "skeleton", " and ".join(reasons), rule)
 
 
 def stands(body: Body) -> bool:
