@@ -136,8 +136,8 @@ def rig(text: str):
             if bone != part:
                 place = (place[0], place[1] - 0.02, place[2] + 0.03)
             places[name] = place
-            offset = tuple(np.subtract(place, places[parent]) if parent else np.zeros(3))
-            rows.append((name, parent, offset))
+            x, y, z = np.subtract(place, places[parent] if parent else place).tolist()
+            rows.append((name, parent, (x, y, z)))
     return tree(rows), found | chains
 
 
