@@ -71,7 +71,8 @@ def _insert(skeleton: Skeleton, roles: Roles, sites: dict[int, int], order: np.n
     )
     moved = _move(roles, place)
     moved = replace(moved, left_hand=moved.left_hand + 1, right_hand=moved.right_hand + 1)
-    return Skeleton(tuple(names), np.array(parents), np.array(offsets), ends, np.array(mirror), moved)
+    humanoid = None if skeleton.humanoid is None else skeleton.humanoid.move(lambda joint: int(place[joint]))
+    return Skeleton(tuple(names), np.array(parents), np.array(offsets), ends, np.array(mirror), moved, humanoid)
 
 
 def _move(roles: Roles, place: np.ndarray) -> Roles:
