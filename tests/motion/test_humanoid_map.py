@@ -10,8 +10,9 @@ import pytest
 
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.humanoid.find import find_humanoid, need_humanoid
-from pfnn_jax.motion.humanoid.map import BONES, HumanoidMap, map_from_json, map_to_json
+from pfnn_jax.motion.humanoid.map import BONES, LEG, HumanoidMap, map_from_json, map_to_json
 from pfnn_jax.motion.humanoid.names import plain_names, read_names
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_axis_angle
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, rest_pose, skeleton_from_json, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
@@ -60,6 +61,25 @@ def test_a_skeleton_without_names_is_mapped_by_geometry(characters):
     assert found.names(tuple(map(str, order))) == NO_NAMES
     assert 0.5 < found.confidence < CLEAR
     assert any("not by names" in line for line in found.explanation)
+
+
+def test_of_two_chains_like_legs_the_one_that_moves_is_taken():
+    """A rig without names has stiff copies of its legs under the root, which reach lower."""
+    adult = body()
+    legs = np.arange(12, 20)
+    parents = np.concatenate((adult.parents, [0 if adult.parents[j] == 0 else adult.parents[j] + 8 for j in legs]))
+    offsets = np.concatenate((adult.offsets, adult.offsets[legs] - [0.0, 0.01, 0.0]))
+    names = tuple(f"k{joint}" for joint in range(28))
+    skeleton = Skeleton(names, parents, offsets, (), np.arange(28))
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (20, 28, 1))
+    swing = np.sin(np.arange(20) / 3)
+    for thigh, sign in ((12, 1), (16, -1)):
+        rotations[:, thigh] = quat_from_axis_angle([1.0, 0.0, 0.0], 0.3 * sign * swing)
+        rotations[:, thigh + 1] = quat_from_axis_angle([1.0, 0.0, 0.0], 0.8 * np.abs(swing))
+    poses = forward_kinematics(skeleton, np.zeros((20, 3)), rotations)[0]
+    found = find_humanoid(skeleton, poses=poses)
+    assert found.limb("left", LEG) == (12, 13, 14, 15) and found.limb("right", LEG) == (16, 17, 18, 19)
+    assert find_humanoid(skeleton, poses=poses[:1]).left_thigh != 12  # one pose cannot tell
 
 
 @pytest.mark.parametrize("name", ["vrm0_cryptovoxels", "vrm0_godette", "vrm1_example"])

@@ -34,6 +34,9 @@ HANDS_AT_FEET = 0.65
 LIKE_A_LEG = 0.6
 """Share of a leg's reach from which another limb counts as a leg, if it ends as low as the feet."""
 
+CONTROL = 0.1
+"""Share of a leg's length from a joint of the body within which a chain ends that is a control of that joint."""
+
 LOOSE_WORDS = ("skirt", "dress", "cloth", "coat", "cape", "hair", "tail", "string", "ribbon", "belt", "strap", "wing")
 """Words for joints of clothes and hair, which may hang as low as the feet."""
 
@@ -235,7 +238,8 @@ def _many_legs(body: Body) -> str:
         if not (is_low or body.by_geometry):
             continue
         limb = _own_limb(body, tip, mapped)
-        if limb and _reach(pose, limb) >= LIKE_A_LEG * length:
+        beside = np.linalg.norm(pose[list(mapped)] - pose[tip], axis=1).min() < CONTROL * length
+        if limb and not beside and _reach(pose, limb) >= LIKE_A_LEG * length:
             more[limb[0]] = more.get(limb[0], False) or is_low
     if sum(more.values()) >= 2:
         return f"{sum(more.values())} more limbs reach as low as the feet"
