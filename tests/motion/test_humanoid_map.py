@@ -13,7 +13,7 @@ from pfnn_jax.motion.humanoid.find import find_humanoid, need_humanoid
 from pfnn_jax.motion.humanoid.map import BONES, LEG, HumanoidMap, map_from_json, map_to_json
 from pfnn_jax.motion.humanoid.names import plain_names, read_names
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_axis_angle
-from pfnn_jax.motion.roles import assign_roles
+from pfnn_jax.motion.roles import assign_roles, leg_length
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, rest_pose, skeleton_from_json, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from tests.motion.expected_maps import CHARACTERS, MOCAP, NO_NAMES
@@ -82,6 +82,16 @@ def test_of_two_chains_like_legs_the_one_that_moves_is_taken():
     assert find_humanoid(skeleton, poses=poses[:1]).left_thigh != 12  # one pose cannot tell
 
 
+def test_feet_that_hang_under_the_root_are_found(characters):
+    skeleton, poses, _ = character(characters, "quaternius_platformer")
+    found = assign_roles(skeleton, poses=poses)
+    roles, humanoid = need_roles(found), need_humanoid(found)
+    assert any("Foot.L is not under the leg" in line for line in humanoid.explanation)
+    assert found.mirror[roles.left_foot[0]] == roles.right_foot[0]
+    distance = np.linalg.norm(poses[0, roles.left_foot[0]] - poses[0, roles.left_hip])
+    assert leg_length(found, roles) == pytest.approx(distance)
+
+
 @pytest.mark.parametrize("name", ["vrm0_cryptovoxels", "vrm0_godette", "vrm1_example"])
 def test_a_vrm_humanoid_overrides_to_the_same_map(characters, name):
     skeleton, poses, _ = character(characters, name)
@@ -106,6 +116,13 @@ def test_a_skeleton_rooted_at_the_headset_keeps_its_head(mocap):
     # a body without arms has a map but not all roles
     assert clip.skeleton.roles is None
     assert_refused(lambda: need_roles(clip.skeleton), place="skeleton", rule_mentions="left_shoulder")
+
+
+def test_a_joint_above_the_hips_can_be_named(mocap, tmp_path):
+    (tmp_path / "roles.json").write_text('{"head": "HMD", "neck": ["Neck", "Head"]}')
+    clip = read_bvh(mocap / "field" / "slimevr_head_root.bvh", roles_file=tmp_path / "roles.json")
+    named = need_humanoid(clip.skeleton).names(clip.skeleton.names)
+    assert (named["head"], named["neck"], named["spine"]) == ("HMD", ["Neck", "Head"], ["Waist", "Chest"])
 
 
 def test_roles_are_a_view_of_the_map():

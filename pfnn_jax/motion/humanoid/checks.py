@@ -210,13 +210,14 @@ def _on_all_fours(body: Body) -> str:
     if trunk is None or feet is None or hands is None or hips is None:
         return ""
     legs = hips - feet
-    length = np.linalg.norm(legs, axis=1)
-    cosine = np.einsum("nc,nc->n", legs, trunk) / np.maximum(length * np.linalg.norm(trunk, axis=1), 1e-9)
-    bent = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    depth = np.einsum("nc,nc->n", legs, hips - hands) / np.maximum(length, 1e-9) ** 2
-    if LYING[0] < bent.min() < LYING[1] and depth.min() > HANDS_AT_FEET:
-        return f"the trunk lies at {bent.min():.0f}° to the legs and the hands are as low as the feet"
-    return ""
+    size = np.maximum(np.einsum("nc,nc->n", legs, legs), 1e-18)
+    if (np.einsum("nc,nc->n", legs, hips - hands) / size).min() <= HANDS_AT_FEET:
+        return ""
+    cosine = np.einsum("nc,nc->n", legs, trunk) / np.maximum(np.sqrt(size) * np.linalg.norm(trunk, axis=1), 1e-9)
+    lying = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).min())
+    if not LYING[0] < lying < LYING[1]:
+        return ""
+    return f"the trunk lies at {lying:.0f}° to the legs and the hands are as low as the feet"
 
 
 def _many_legs(body: Body) -> str:
