@@ -52,7 +52,6 @@ def describe_skeleton(clip: Any) -> dict[str, Any]:
     up, facing = ("", "") if kind == "none" else rest_axes(skeleton, humanoid)
     own = np.arange(skeleton.num_joints)
     names = skeleton.names
-    leg = leg_reach(skeleton, humanoid)
     return {
         "file": clip.source,
         "joints": skeleton.num_joints,
@@ -61,7 +60,7 @@ def describe_skeleton(clip: Any) -> dict[str, Any]:
         "rest_pose": kind,
         "up": up,
         "facing": facing,
-        "leg_metres": float(leg),
+        "leg_metres": leg_reach(skeleton, humanoid),
         "pairs": [[names[j], names[k]] for j, k in enumerate(skeleton.mirror) if j < k],
         "midline": [names[j] for j in own[skeleton.mirror == own]],
         "confidence": round(humanoid.confidence, 3),
