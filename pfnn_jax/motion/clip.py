@@ -9,6 +9,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.kinematics import quat_multiply, quat_slerp, quat_to_matrix
+from pfnn_jax.motion.reading import Reading
 from pfnn_jax.motion.skeleton import Skeleton
 
 ON_FRAME = 1e-6  # of a frame: a new frame this close to an old one takes its values exactly
@@ -30,6 +31,7 @@ class MotionClip:
         content: what the character does, such as `walk`.
         mirrored: whether left and right have been exchanged.
         source: file that the clip was read from, for messages.
+        reading: how that file was read; None if the clip comes from no file.
     """
 
     skeleton: Skeleton
@@ -40,11 +42,17 @@ class MotionClip:
     content: str = ""
     mirrored: bool = False
     source: str = ""
+    reading: Reading | None = None
 
     @property
     def num_frames(self) -> int:
         """T."""
         return len(self.root_positions)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed about the clip's file and may be wrong, and what was repaired; one line each."""
+        return () if self.reading is None else self.reading.notes
 
 
 def cut(clip: MotionClip, start: int, stop: int) -> MotionClip:

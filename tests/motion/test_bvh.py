@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import CENTIMETRE, CMU, INCH, METRE, MILLIMETRE, read_bvh, write_bvh
+from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw
+from pfnn_jax.motion.length_unit import CENTIMETRE, CMU, INCH, METRE, MILLIMETRE
 from pfnn_jax.motion.skeleton import need_roles
 from tests.motion.skeletons import body_clip, bvh_text, random_clip
 from tests.raising import assert_refused

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import CENTIMETRE, CMU
 from pfnn_jax.motion.clip import swap_sides
 from pfnn_jax.motion.datasets.style100 import CUTS, GAITS, STYLE_GAIT, read_lines, read_tables
+from pfnn_jax.motion.length_unit import CENTIMETRE, CMU
 
 # Mason et al. 2018, few-shot styles not mirrored, then the asymmetric styles of 100STYLE
 ASYMMETRIC = frozenset(
