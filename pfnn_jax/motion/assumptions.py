@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.clip import MotionClip, cut
 from pfnn_jax.motion.jumps import check_speed, longest_part
 from pfnn_jax.motion.length_unit import POSSIBLE_LEG, USUAL_LEG, guess_unit, unit_name
-from pfnn_jax.motion.reading import ReadOptions
+from pfnn_jax.motion.reading import Axis, ReadOptions
 from pfnn_jax.motion.skeleton import Roles
 from pfnn_jax.motion.travel import rebuild_travel, walks_on_the_spot
 from pfnn_jax.motion.up_axis import find_up
@@ -45,7 +45,7 @@ def decide_unit(leg: float, is_leg: bool, options: ReadOptions, path: str | Path
     return unit, note
 
 
-def decide_up(positions: np.ndarray, roles: Roles | None, options: ReadOptions) -> tuple[str, str]:
+def decide_up(positions: np.ndarray, roles: Roles | None, options: ReadOptions) -> tuple[Axis, str]:
     """Returns the axis of a file that points up, and a note unless the body stands along Y.
 
     Args:
@@ -84,9 +84,7 @@ def repair(clip: MotionClip, options: ReadOptions) -> MotionClip:
             clip, reading=clip.reading.noting(f"{note.split(':')[0]}: kept, as a .phase file labels the clip")
         )
     elif note:
-        reading = replace(clip.reading, first_frame=clip.reading.first_frame + start).noting(note)
-        positions, rotations = clip.root_positions[start:stop], clip.rotations[start:stop]
-        clip = replace(clip, root_positions=positions, rotations=rotations, reading=reading)
+        clip = cut(replace(clip, reading=clip.reading.noting(note)), start, stop)
     check_speed(clip)
     if options.travel == "rebuild" or (options.travel == "auto" and walks_on_the_spot(clip)):
         clip, note = rebuild_travel(clip)

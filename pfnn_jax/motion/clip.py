@@ -64,7 +64,10 @@ def cut(clip: MotionClip, start: int, stop: int) -> MotionClip:
     if not 0 <= start < stop <= clip.num_frames:
         rule = f"must lie within the clip's {clip.num_frames} frames and contain at least one"
         raise InputError(clip.source or "clip", "cut", f"frames {start} to {stop}", rule)
-    return replace(clip, root_positions=clip.root_positions[start:stop], rotations=clip.rotations[start:stop])
+    positions, rotations, reading = clip.root_positions[start:stop], clip.rotations[start:stop], clip.reading
+    if reading is not None and clip.fps == reading.fps:  # frames are the file's own
+        reading = replace(reading, first_frame=reading.first_frame + start)
+    return replace(clip, root_positions=positions, rotations=rotations, reading=reading)
 
 
 def resample(clip: MotionClip, fps: float) -> MotionClip:

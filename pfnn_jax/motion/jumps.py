@@ -51,8 +51,9 @@ def longest_part(clip: MotionClip) -> tuple[int, int, str]:
     if stop - start < MIN_FRAMES:
         rule = f"at least {MIN_FRAMES} successive frames must be without a jump: check `--unit` and `--source-fps`"
         raise InputError(clip.source or "clip", "frames", f"{len(jumps)} jumps in {clip.num_frames} frames", rule)
-    where = ", ".join(str(jump + 1) for jump in jumps[:3]) + (", ..." if len(jumps) > 3 else "")
-    return start, stop, f"the body jumps at frame {where}: only frames {start} to {stop - 1} are used"
+    first = 0 if clip.reading is None else clip.reading.first_frame  # the note counts the file's frames
+    where = ", ".join(str(first + jump + 1) for jump in jumps[:3]) + (", ..." if len(jumps) > 3 else "")
+    return start, stop, f"the body jumps at frame {where}: only frames {first + start} to {first + stop - 1} are used"
 
 
 def check_speed(clip: MotionClip) -> None:

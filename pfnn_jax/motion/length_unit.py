@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import numpy as np
-
 METRE, DECIMETRE, CENTIMETRE, MILLIMETRE, INCH, FOOT, CMU = 1.0, 0.1, 0.01, 0.001, 0.0254, 0.3048, 0.056444
 
 UnitName = Literal["metre", "decimetre", "centimetre", "millimetre", "inch", "foot", "CMU"]
@@ -76,4 +74,5 @@ def _log_density(log_leg: float) -> float:
         math.log(share / spread) - 0.5 * ((log_leg - math.log(median)) / spread) ** 2
         for share, median, spread in PEOPLE
     ]
-    return float(np.logaddexp(*terms))
+    most = max(terms)
+    return most + math.log(sum(math.exp(term - most) for term in terms))

@@ -6,14 +6,15 @@ and what it states may be wrong. `assumptions` decides.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.length_unit import UNITS, UnitName
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 Up = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 """An axis, or `auto` to find it."""
@@ -21,7 +22,7 @@ Up = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Travel = Literal["auto", "keep", "rebuild"]
 """What to do with a walk on the spot."""
 
-AXES = ("x", "y", "z", "-x", "-y", "-z")
+AXES: tuple[Axis, ...] = ("x", "y", "z", "-x", "-y", "-z")
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Reading:
     """
 
     unit: float
-    up: str
+    up: Axis
     fps: float
     frames_in_file: int
     first_frame: int = 0
@@ -90,7 +91,7 @@ def check_options(options: ReadOptions, path: str | Path) -> None:
         ("unit", options.metres, "metres"),
         ("source_fps", options.source_fps, "frames per second"),
     ):
-        if value is not None and not (np.isfinite(value) and value > 0):
+        if value is not None and not (math.isfinite(value) and value > 0):
             raise InputError(path, place, value, f"must be a positive, finite number of {what}")
     for place, choice, allowed in (
         ("up", options.up, ("auto", *AXES)),

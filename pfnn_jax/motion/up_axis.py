@@ -8,11 +8,12 @@ import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
+from pfnn_jax.motion.reading import AXES, Axis
 from pfnn_jax.motion.skeleton import Roles
 
 HALF = np.sqrt(0.5)
 
-TURNS: dict[str, np.ndarray] = {
+TURNS: dict[Axis, np.ndarray] = {
     "x": np.array([HALF, 0.0, 0.0, HALF]),
     "y": np.array([1.0, 0.0, 0.0, 0.0]),
     "z": np.array([HALF, -HALF, 0.0, 0.0]),
@@ -29,7 +30,7 @@ BENDING = 0.5
 """... and in nine tenths of the poses."""
 
 
-def find_up(positions: np.ndarray, roles: Roles) -> tuple[str, bool]:
+def find_up(positions: np.ndarray, roles: Roles) -> tuple[Axis, bool]:
     """Finds the axis along which a body stands.
 
     Y is kept unless the body stands along another axis: people also crouch, crawl and lie.
@@ -49,10 +50,10 @@ def find_up(positions: np.ndarray, roles: Roles) -> tuple[str, bool]:
     stands = abs(middle[axis]) > STANDING and np.percentile(sign * shares[:, axis], 10) > BENDING
     if not stands:
         return "y", bool(middle[1] > BENDING)
-    return ("" if sign > 0 else "-") + "xyz"[axis], True
+    return (AXES[axis] if sign > 0 else AXES[axis + 3]), True
 
 
-def stand_up(clip: MotionClip, up: str) -> MotionClip:
+def stand_up(clip: MotionClip, up: Axis) -> MotionClip:
     """Returns the clip with `up` turned to +Y; a clip with Y up is returned unchanged.
 
     Args:

@@ -82,6 +82,19 @@ def cut_phase(labels: PhaseLabels, start: int, stop: int) -> PhaseLabels:
     return PhaseLabels(labels.phase[start:stop], labels.labelled[start:stop], right, left)
 
 
+def pad_phase(labels: PhaseLabels, start: int, num_frames: int) -> PhaseLabels:
+    """Returns labels for all frames of a file, of which frame `start` is the first that `labels` has.
+
+    Args:
+        labels: of some successive frames.
+        start: index in the file of the first of them.
+        num_frames: of the file; the others have no label.
+    """
+    after = num_frames - start - labels.num_frames
+    phase, labelled = (np.pad(values, (start, after)) for values in (labels.phase, labels.labelled))
+    return PhaseLabels(phase, labelled, labels.contacts_right + start, labels.contacts_left + start)
+
+
 def read_phase(path: Path, num_frames: int | None = None) -> PhaseLabels:
     """Reads a `.phase` file: one number in cycles [0, 1] for each frame of the BVH file, where 1 equals 0.
 
