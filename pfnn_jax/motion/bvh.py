@@ -341,6 +341,22 @@ def _frames_error(path: Path, numbers: str, first_line: int, frames: int, column
     return InputError(path, f"line {last}", f"{rows} frames", f"must be {frames} or more, as `Frames:` says")
 
 
+def read_skeleton(path: str | Path) -> Skeleton:
+    """Reads the joints of a BVH file and their OFFSETs, in the file's unit and without its motion.
+
+    Joints above the hips are left out, and no roles are found.
+
+    Raises:
+        InputError: if the hierarchy is malformed, naming the line.
+    """
+    path = Path(path)
+    joints = _parse_hierarchy(path, re.split(r"(?m)^[ \t]*MOTION\b", _read_text(path), maxsplit=1)[0])
+    kept = joints[_first_kept(joints) :]
+    names, parents, end_sites = _tree(kept)
+    offsets = np.array([np.zeros(3), *(joint.offset for joint in kept[1:])])
+    return Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
+
+
 def read_bvh(
     path: str | Path,
     *,
@@ -393,7 +409,7 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     path = Path(path)
     check_options(options, path)
     text = parse_bvh(path, need_rate=options.source_fps is None)
-    names, parents, positions, rotations, end_sites = _fold(text.joints, *_channels(text.joints, text.values))
+    names, parents, end_sites, positions, rotations = _fold(text.joints, *_channels(text.joints, text.values))
     offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
 
@@ -469,22 +485,32 @@ def _all_zero(values: np.ndarray, columns: list[int], joint: BvhJoint) -> bool:
 
 
 def _fold(joints: list[BvhJoint], positions: np.ndarray, rotations: np.ndarray):
-    """Merges the joints above the hips into joint 0; returns names, parents, positions, rotations and end sites."""
-    first = 0
-    while joints[first].num_children == 1 and not joints[first].end_sites and not _is_body_name(joints[first].name):
-        first += 1  # the only child follows its parent
-    if joints[first].num_children < 2 and not is_hips_name(joints[first].name):
-        first = 0  # a chain without hips is kept whole
+    """Merges the joints above the hips into joint 0; returns names, parents, end sites, positions, rotations."""
+    first = _first_kept(joints)
     position, rotation = positions[:, 0], rotations[:, 0]
     for joint in range(1, first + 1):
         position = position + quat_rotate(rotation, positions[:, joint])
         rotation = quat_multiply(rotation, rotations[:, joint])
     positions, rotations = positions[:, first:].copy(), rotations[:, first:].copy()
     positions[:, 0], rotations[:, 0] = position, rotation
-    kept = joints[first:]
-    parents = np.array([-1] + [joint.parent - first for joint in kept[1:]])
+    return *_tree(joints[first:]), positions, rotations
+
+
+def _first_kept(joints: list[BvhJoint]) -> int:
+    """Returns the index of the joint that becomes joint 0."""
+    first = 0
+    while joints[first].num_children == 1 and not joints[first].end_sites and not _is_body_name(joints[first].name):
+        first += 1  # the only child follows its parent
+    if joints[first].num_children < 2 and not is_hips_name(joints[first].name):
+        first = 0  # a chain without hips is kept whole
+    return first
+
+
+def _tree(kept: list[BvhJoint]) -> tuple[tuple[str, ...], np.ndarray, tuple[tuple[int, np.ndarray], ...]]:
+    """Returns names, parents and end sites of joints of which the first becomes joint 0."""
+    parents = np.array([-1] + [joint.parent - kept[0].parent - 1 for joint in kept[1:]])
     end_sites = tuple((index, site) for index, joint in enumerate(kept) for site in joint.end_sites)
-    return tuple(joint.name for joint in kept), parents, positions, rotations, end_sites
+    return tuple(joint.name for joint in kept), parents, end_sites
 
 
 def _is_body_name(name: str) -> bool:

@@ -20,6 +20,7 @@ from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features
+from pfnn_jax.motion.joint_order import match_joints
 from pfnn_jax.motion.skeleton import check_same_topology
 from pfnn_jax.run import Run, load_generator, load_run, save_style
 from pfnn_jax.run_config import check_adapter, check_new_style
@@ -174,6 +175,9 @@ def clip_parts(labelled: LabelledClip, run: Run, mirror: bool) -> list[Features]
         InputError: if its skeleton is not the run's, or it has no usable frames.
     """
     labelled = match_hands(labelled, run.layout)
+    clip = match_joints(labelled.clip, run.skeleton.names)
+    if clip is not labelled.clip:
+        labelled = replace(labelled, clip=clip, world=None)
     check_same_topology(run.skeleton, labelled.clip.skeleton, labelled.clip.source)
     return labelled_features(labelled, run.layout, mirror)
 
