@@ -13,8 +13,9 @@ import pytest
 from pfnn_jax.cli import main
 from pfnn_jax.cli.command_line import load_command
 from pfnn_jax.motion.bvh import write_bvh
+from pfnn_jax.motion.reading import Axis
 from pfnn_jax.motion.synthetic.walks import synthesise
-from tests.motion.test_field_files import tipped
+from tests.motion.skeletons import tipped
 
 READING = ("prepare", "few-shot", "evaluate", "label-phase", "plot-phase", "render")
 
@@ -23,7 +24,7 @@ def run(*words) -> None:
     main([str(word) for word in words])
 
 
-def walk(folder: Path, name: str = "walk", up: str = "y") -> Path:
+def walk(folder: Path, name: str = "walk", up: Axis = "y") -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     clip, _ = synthesise("neutral", np.zeros(200), np.full(200, 1.2))
     write_bvh(folder / f"{name}.bvh", tipped(clip, up))
