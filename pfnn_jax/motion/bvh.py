@@ -38,7 +38,7 @@ LIMIT = 1e7  # far above any length or angle of a person, far below where square
 CHANNELS = {f"{axis}{kind}": f"{kind[0]}{axis}" for axis in "XYZ" for kind in ("POSITION", "ROTATION")}
 LONGEST_FRAME, SHORTEST_FRAME = 1.0, 1e-5  # seconds
 STRETCH = 0.02  # share of the longest limb by which bones may vary and still count as rigid
-NO_OFFSET = 1e-3  # share of OFFSET's length up to which position channels count as zero
+NO_OFFSET = 1e-4  # share of OFFSET's length up to which position channels count as zero
 NUM_POSES = 30  # enough to tell left from right in a walk or a run
 RATE_STEP = 2e-4  # relative; printed frame times have few decimals: 0.008333 means 120 fps
 
