@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from pfnn_jax.motion.humanoid.map import SIDES
 from pfnn_jax.motion.humanoid.measured import COINCIDENT, body_size
 from pfnn_jax.motion.humanoid.names import JointName
 from pfnn_jax.motion.humanoid.tree import JointTree
@@ -20,7 +22,7 @@ class Trunk:
         tree: of J joints.
         labels: [J] what the joints' names say.
         named: [J] `hips`, `spine`, `neck`, `head` or an empty text, by names.
-        pose: [J, 3] positions, Y up.
+        pose: [J, 3] positions.
         limbs: bone -> joint of the limbs.
         dead_ends: leaves that only end a bone.
     """
@@ -32,10 +34,21 @@ class Trunk:
     limbs: dict[str, int]
     dead_ends: frozenset[int] = frozenset()
 
+    @functools.cached_property
+    def gap(self) -> float:
+        """The distance up to which two joints are at one place."""
+        return COINCIDENT * body_size(self.pose)
+
     @property
     def thighs(self) -> tuple[int, int]:
         """Both upper legs."""
         return self.limbs["left_thigh"], self.limbs["right_thigh"]
+
+    @property
+    def up(self) -> np.ndarray:
+        """The direction [3] from the feet, or the shins without feet, to the thighs."""
+        ends = [self.limbs.get(f"{side}_foot", self.limbs[f"{side}_shin"]) for side in SIDES]
+        return self.pose[list(self.thighs)].mean(axis=0) - self.pose[ends].mean(axis=0)
 
     @property
     def chest(self) -> int | None:
@@ -67,7 +80,7 @@ def _highest_tip(trunk: Trunk) -> int | None:
     chest = trunk.chest
     under = [j for j in tips if chest is not None and tree.is_above(chest, j)]
     tips = [j for j in under or tips if j not in tree.above(trunk.thighs[0])]
-    return max(tips, key=lambda joint: trunk.pose[joint, 1]) if tips else None
+    return max(tips, key=lambda joint: float(trunk.pose[joint] @ trunk.up)) if tips else None
 
 
 def _end_of_chain(trunk: Trunk, start: int, tip: int) -> int:
@@ -78,7 +91,7 @@ def _end_of_chain(trunk: Trunk, start: int, tip: int) -> int:
         if len(children) > 1:
             return joint
     kept = [joint for joint in chain if not trunk.labels[joint].helper and joint not in trunk.dead_ends] or chain[:1]
-    gap = COINCIDENT * body_size(trunk.pose)
+    gap = trunk.gap
     while len(kept) > 1 and np.linalg.norm(trunk.pose[kept[-1]] - trunk.pose[kept[-2]]) <= gap:
         kept.pop()
     return kept[-1]
@@ -129,7 +142,7 @@ def _way(tree: JointTree, hips: int, end: int) -> list[int]:
 
 def _apart(trunk: Trunk, path: list[int], hips: int, head: int | None) -> set[int]:
     """Returns the joints of a path that are neither helpers nor duplicates at the place of another joint."""
-    gap = COINCIDENT * body_size(trunk.pose)
+    gap = trunk.gap
     kept: list[int] = []
     for joint in path:
         at_head = head is not None and np.linalg.norm(trunk.pose[joint] - trunk.pose[head]) <= gap

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pfnn_jax.motion.skeleton import Roles, Skeleton
+from pfnn_jax.motion.roles import assign_roles
+from pfnn_jax.motion.skeleton import Skeleton
 
 THIGH, SHIN = 0.42, 0.41
 """Lengths of the upper and lower leg in metres."""
@@ -60,37 +61,20 @@ def _end_sites(names: tuple[str, ...]) -> tuple[tuple[int, np.ndarray], ...]:
     return tuple(sites)
 
 
-def _partner(name: str) -> str:
-    if name.startswith("Left"):
-        return "Right" + name.removeprefix("Left")
-    return "Left" + name.removeprefix("Right") if name.startswith("Right") else name
-
-
 def synthetic_skeleton() -> Skeleton:
     """Returns the skeleton of every procedural walker.
 
     Returns:
-        Skeleton of 21 joints in a T pose that faces +Z, with left at +X, with roles and mirror.
+        Skeleton of 21 joints in a T pose that faces +Z, with left at +X, with humanoid map, roles and mirror.
     """
     rows = _rows()
     names = tuple(row[0] for row in rows)
     index = {name: joint for joint, name in enumerate(names)}
-    return Skeleton(
+    skeleton = Skeleton(
         names=names,
         parents=np.array([index.get(row[1], -1) for row in rows]),
         offsets=np.stack([row[2] for row in rows]),
         end_sites=_end_sites(names),
-        mirror=np.array([index[_partner(name)] for name in names]),
-        roles=Roles(
-            hips=index["Hips"],
-            left_hip=index["LeftUpLeg"],
-            right_hip=index["RightUpLeg"],
-            left_shoulder=index["LeftArm"],
-            right_shoulder=index["RightArm"],
-            left_foot=(index["LeftFoot"], index["LeftToeBase"]),
-            right_foot=(index["RightFoot"], index["RightToeBase"]),
-            left_hand=index["LeftHand"],
-            right_hand=index["RightHand"],
-            head=index["Head"],
-        ),
+        mirror=np.arange(len(names)),
     )
+    return assign_roles(skeleton, source="procedural walker")
