@@ -9,6 +9,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.kinematics import quat_slerp
+from pfnn_jax.motion.reading import Reading
 from pfnn_jax.motion.reflection import WORLD_REFLECTION, WORLD_TURN, frame_reflections, reflect_rotations
 from pfnn_jax.motion.skeleton import Skeleton
 
@@ -28,6 +29,7 @@ class MotionClip:
         content: what the character does, such as `walk`.
         mirrored: whether left and right have been exchanged.
         source: file that the clip was read from, for messages.
+        reading: how that file was read; None if the clip comes from no file.
     """
 
     skeleton: Skeleton
@@ -38,11 +40,17 @@ class MotionClip:
     content: str = ""
     mirrored: bool = False
     source: str = ""
+    reading: Reading | None = None
 
     @property
     def num_frames(self) -> int:
         """T."""
         return len(self.root_positions)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed about the clip's file and may be wrong, and what was repaired; one line each."""
+        return () if self.reading is None else self.reading.notes
 
 
 def cut(clip: MotionClip, start: int, stop: int) -> MotionClip:
@@ -54,7 +62,10 @@ def cut(clip: MotionClip, start: int, stop: int) -> MotionClip:
     if not 0 <= start < stop <= clip.num_frames:
         rule = f"must lie within the clip's {clip.num_frames} frames and contain at least one"
         raise InputError(clip.source or "clip", "cut", f"frames {start} to {stop}", rule)
-    return replace(clip, root_positions=clip.root_positions[start:stop], rotations=clip.rotations[start:stop])
+    positions, rotations, reading = clip.root_positions[start:stop], clip.rotations[start:stop], clip.reading
+    if reading is not None and clip.fps == reading.fps:  # frames are the file's own
+        reading = replace(reading, first_frame=reading.first_frame + start)
+    return replace(clip, root_positions=positions, rotations=rotations, reading=reading)
 
 
 def resample(clip: MotionClip, fps: float) -> MotionClip:

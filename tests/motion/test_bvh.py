@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import CENTIMETRE, CMU, INCH, METRE, MILLIMETRE, read_bvh, write_bvh
+from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw
+from pfnn_jax.motion.length_unit import CENTIMETRE, CMU, INCH, METRE, MILLIMETRE
 from pfnn_jax.motion.skeleton import need_roles
 from tests.motion.skeletons import body_clip, bvh_text, random_clip
 from tests.raising import assert_refused
@@ -54,6 +55,7 @@ def bvh_files(draw):
             above.append(parents[above[-1]])
         parents.append(draw(st.sampled_from(above)))
     numbers = st.floats(-1e3, 1e3).map(lambda value: round(value, 6))
+    far_from_zero = numbers.filter(lambda value: abs(value) >= 1)  # zero positions leave OFFSET as it is
     joints, columns, frames = [], [], draw(st.integers(1, 3))
     for joint in range(count):
         kinds = [f"{axis}rotation" for axis in "XYZ"][: draw(st.sampled_from([3, 3, 3, 2, 1, 0]))]
@@ -64,7 +66,9 @@ def bvh_files(draw):
         joints.append((f"Hips {joint}" if joint else "Hips", parents[joint], offset, " ".join(channels)))
         for channel in channels:
             still = joint > 0 and channel.endswith("position")  # bones are rigid
-            values = [draw(numbers)] * frames if still else draw(st.lists(numbers, min_size=frames, max_size=frames))
+            values = (
+                [draw(far_from_zero)] * frames if still else draw(st.lists(numbers, min_size=frames, max_size=frames))
+            )
             columns.append(values)
     rows = np.array(columns).T
     text = bvh_text(joints, rows)
@@ -151,7 +155,6 @@ def test_every_truncation_is_refused(tmp_path, cut):
     ("old", "new", "place", "value"),
     [
         ("HIERARCHY", "HIERARCHIES", "line 1", "HIERARCHIES"),
-        ("End Site\n{\nOFFSET 0 0 0.1\n}\n", "", "line 10", "joint Leg without End Site"),
         ("OFFSET 0 -1 0", "OFFSET 0 -1", "line 9", "CHANNELS"),
         ("OFFSET 0 -1 0", "OFFSET 0 nan 0", "line 8", "nan"),
         ("OFFSET 0 -1 0\n", "", "line 13", "joint Leg without OFFSET"),
@@ -165,7 +168,6 @@ def test_every_truncation_is_refused(tmp_path, cut):
         ("Frames: 2", "Frames: 0", "line 17", "Frames: 0"),
         ("Frames: 2", "Frames: two", "line 17", "Frames: two"),
         ("Frames: 2", "Frames: 3", "line 20", "2 frames"),
-        ("Frames: 2", "Frames: 1", "line 20", "2 frames"),
         ("Time: 0.0333333", "Time: 0", "line 18", "Frame Time: 0"),
         ("Time: 0.0333333", "Time: -0.01", "line 18", "Frame Time: -0.01"),
         ("Time: 0.0333333", "Time: nan", "line 18", "Frame Time: nan"),

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.datasets.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.datasets.sources import ClipFile
@@ -21,6 +22,7 @@ from pfnn_jax.motion.features.encode import Features, clip_features, select_rows
 from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Moments, moments_of
 from pfnn_jax.motion.hands import extend_hands
+from pfnn_jax.motion.joint_order import match_joints
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import clip_local_phases, end_effectors, fit_axes, mirror_local_phases
 from pfnn_jax.motion.labels.phase import mirror_phase
@@ -52,6 +54,7 @@ class ClipGroup:
         seed: determines where those shares lie.
         roles_file: JSON file that names the joints' roles.
         hands: whether to add the ends of the hands as joints if the layout has them.
+        joint_names: of the data set's skeleton; clips with the same joints in another order are brought to this one.
     """
 
     sources: tuple[Source, ...]
@@ -62,6 +65,7 @@ class ClipGroup:
     seed: int
     roles_file: Path | None = None
     hands: bool = True
+    joint_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +102,23 @@ class ClipRows:
 
 @dataclass(frozen=True, eq=False)
 class PreparedClip:
-    """The result for one source: the rows of the clip and of its mirror image, or the reason why it is skipped."""
+    """The result for one source: the rows of the clip and of its mirror image, or why there are none.
+
+    Attributes:
+        style: name of the clip's style.
+        name: of its file.
+        images: the clip and, if wanted, its mirror image.
+        skipped: why a valid clip cannot be used.
+        note: what is odd about the clip.
+        bad: what is wrong with its file.
+    """
 
     style: str
     name: str
     images: tuple[ClipRows, ...] = ()
     skipped: str = ""
     note: str = ""
+    bad: InputError | None = None
 
 
 def style_of(source: Source) -> str:
@@ -176,8 +190,7 @@ def labelled_features(labelled: LabelledClip, layout: FrameLayout, mirror: bool 
 def prepare_group(group: ClipGroup) -> list[PreparedClip]:
     """Computes the rows of every clip of a group, in the group's order.
 
-    Raises:
-        InputError: for bad files. Clips that cannot be used raise nothing: `PreparedClip.skipped` gives the reason.
+    Clips that cannot be used and bad files raise nothing: `PreparedClip` says what is wrong with them.
     """
     loaded = [_load(source, group) for source in group.sources]
     usable = [labelled for labelled in loaded if isinstance(labelled, LabelledClip)]
@@ -188,10 +201,10 @@ def prepare_group(group: ClipGroup) -> list[PreparedClip]:
     ]
 
 
-def _load(source: Source, group: ClipGroup) -> LabelledClip | str:
-    """Returns the labelled clip, or the reason why it is skipped."""
+def _load(source: Source, group: ClipGroup) -> LabelledClip | str | InputError:
+    """Returns the labelled clip, the reason why it is skipped, or what is wrong with its file."""
     layout = LAYOUTS[group.layout](1)
-    fit = extend_hands if group.hands and layout.next_frame else _unchanged
+    fit = partial(_fit_group, names=group.joint_names, hands=group.hands and layout.next_frame)
     if layout.next_frame and content_of(source) == IDLE:
         return "an idle clip; the layout is for locomotion"
     try:
@@ -201,6 +214,8 @@ def _load(source: Source, group: ClipGroup) -> LabelledClip | str:
         return _fitted(source, fit)
     except NoGaitError as error:
         return f"{error.value}; {error.rule}"
+    except InputError as error:
+        return error
 
 
 def _load_labelled(clip_file: ClipFile, layout: FrameLayout, roles_file: str | Path | None, fit: Fit) -> LabelledClip:
@@ -213,8 +228,10 @@ def _fit_joints(clip: MotionClip, layout: FrameLayout) -> MotionClip:
     return extend_hands(clip) if needs_hands else clip
 
 
-def _unchanged(clip: MotionClip) -> MotionClip:
-    return clip
+def _fit_group(clip: MotionClip, names: tuple[str, ...], hands: bool) -> MotionClip:
+    """Returns the clip with the joints in the group's order and, with `hands`, with hand ends as joints."""
+    clip = match_joints(clip, names)
+    return extend_hands(clip) if hands else clip
 
 
 def _fitted(labelled: LabelledClip, fit: Fit) -> LabelledClip:
@@ -234,15 +251,21 @@ def _local_phases(clips: Sequence[LabelledClip], layout: FrameLayout) -> list[np
     return [clip_local_phases(end, axes=axes) for end in ends]
 
 
-def _prepare(source: Source, labelled: LabelledClip | str, group: ClipGroup, phases: np.ndarray | None) -> PreparedClip:
+def _prepare(
+    source: Source, labelled: LabelledClip | str | InputError, group: ClipGroup, phases: np.ndarray | None
+) -> PreparedClip:
     style, name = style_of(source), name_of(source)
     if isinstance(labelled, str):
         return PreparedClip(style, name, skipped=labelled)
+    if isinstance(labelled, InputError):
+        return PreparedClip(style, name, bad=labelled)
     layout = layout_for(group.layout, labelled.clip.skeleton)
     try:
         images = _images(labelled, layout, group.mirror and labelled.symmetric, phases)
     except NoGaitError as error:
         return PreparedClip(style, name, skipped=f"{error.value}; {error.rule}")
+    except InputError as error:
+        return PreparedClip(style, name, bad=error)
     split_of = _split_of_frames(images[0][1].frames, labelled.clip, name, group)
     rows = [_clip_rows(image, features, split_of, name, layout) for image, features in images]
     return PreparedClip(style, name, tuple(rows), note=labelled.note)
@@ -287,4 +310,6 @@ def _clip_rows(clip: MotionClip, features: Features, split_of: np.ndarray, name:
         "mirrored": clip.mirrored,
         "frames": clip.num_frames,
     }
+    if clip.reading is not None:
+        entry["reading"] = clip.reading.to_json()
     return ClipRows(entry, clip.skeleton, layout, splits, tuple(moments_of(array) for array in arrays))

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
-from pfnn_jax.errors import InputError, check_field, check_not_negative, check_one_of
+from pfnn_jax.errors import BadFilesError, InputError, check_field, check_not_negative, check_one_of
 from pfnn_jax.io.files import failure, refuse_existing, replacing
 from pfnn_jax.io.npy import NpyWriter
+from pfnn_jax.motion.bvh import read_skeleton
 from pfnn_jax.motion.datasets.clip_rows import (
     ClipGroup,
     ClipRows,
@@ -29,6 +30,7 @@ from pfnn_jax.motion.datasets.clip_rows import (
 )
 from pfnn_jax.motion.datasets.dataset import FORMAT, Dataset, load_dataset, split_folder
 from pfnn_jax.motion.datasets.labelled import LabelledClip
+from pfnn_jax.motion.datasets.shared_unit import share_units
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.datasets.splits import SPLITS, WINDOW_ROWS
 from pfnn_jax.motion.datasets.workers import default_workers, map_in_order
@@ -87,6 +89,7 @@ def prepare(
     *,
     roles_file: str | Path | None = None,
     overwrite: bool = False,
+    skip_bad: bool = False,
     progress_callback: Progress | None = None,
     workers: int | None = None,
 ) -> Dataset:
@@ -105,23 +108,27 @@ def prepare(
         config: layout, mirroring, statistics, splits; the default `PrepareConfig` if None.
         roles_file: JSON file that names the joints' roles.
         overwrite: whether to replace an existing folder.
+        skip_bad: whether to leave out bad files and name them in `dataset.json`; otherwise all of them are refused
+            together.
         progress_callback: called with (clips done, number of clips, name) after each clip.
         workers: number of processes; None for one per processor (at most 8) if there is much to read.
 
     Raises:
         InputError: for no clips or something else than clips, no workers, a style without usable clips, skeletons that
-            differ, bad files, an existing folder, or one that cannot be written.
+            differ, bad files (`BadFilesError` for several), an existing folder, or one that cannot be written.
     """
     out, config = Path(out), config or PrepareConfig()
     refuse_existing(out, overwrite)
-    sources = _as_sources(clips, out)
+    sources = _share_units(_as_sources(clips, out))
     if workers is not None and workers < 1:
         raise InputError(out, "workers", workers, "must be at least 1")
     roles_file = None if roles_file is None else Path(roles_file)
     try:
         with replacing(out) as work:
             work.mkdir()
-            _write_dataset(sources, work, config, roles_file, progress_callback, workers)
+            writer = _DatasetWriter(work, config, skip_bad)
+            _write_dataset(sources, writer, roles_file, progress_callback, workers)
+            writer.finish(out)
     except OSError as error:
         raise InputError(out, "folder", failure(error), "must be writable, with space for the dataset") from error
     return load_dataset(out)
@@ -143,17 +150,32 @@ def _as_sources(clips: str | Path | Iterable[Source], out: Path) -> list[Source]
     return sources
 
 
+def _share_units(sources: list[Source]) -> list[Source]:
+    files = [source for source in sources if isinstance(source, ClipFile)]
+    shared = iter(share_units(files))
+    return [next(shared) if isinstance(source, ClipFile) else source for source in sources]
+
+
+def _joint_names(sources: Sequence[Source]) -> tuple[str, ...]:
+    """Returns the names of the joints of the first source that can be read, whose order the others take."""
+    for source in sources:
+        if isinstance(source, LabelledClip):
+            return source.clip.skeleton.names
+        with suppress(InputError):
+            return read_skeleton(source.path).names
+    return ()
+
+
 def _write_dataset(
     sources: Sequence[Source],
-    folder: Path,
-    config: PrepareConfig,
+    writer: _DatasetWriter,
     roles_file: Path | None,
     progress_callback: Progress | None,
     workers: int | None,
 ) -> None:
-    """Writes a dataset into an existing empty folder; `dataset.json` comes last."""
-    groups = _groups(sources, config, roles_file)
-    writer, done = _DatasetWriter(folder, config), 0
+    """Writes the rows of all styles."""
+    groups = _groups(sources, writer.config, roles_file)
+    done = 0
     with closing(_prepared(groups, _num_workers(sources, workers))) as prepared:
         for style, clips in groupby(prepared, key=lambda clip: clip.style):
             with closing(writer):
@@ -163,7 +185,6 @@ def _write_dataset(
                     if progress_callback is not None:
                         progress_callback(done, len(sources), Path(clip.name).name)
             writer.end_style(style)
-    writer.finish()
 
 
 def _groups(sources: Sequence[Source], config: PrepareConfig, roles_file: Path | None) -> list[ClipGroup]:
@@ -182,9 +203,11 @@ def _groups(sources: Sequence[Source], config: PrepareConfig, roles_file: Path |
 
     hands = layout.next_frame and all(map(has_hand_ends, sources))
     shares = config.validation, config.test
+    ordered = sorted(sources, key=place)
+    names = _joint_names(ordered)
     return [
-        ClipGroup(tuple(members), config.layout, config.mirror, *shares, config.seed, roles_file, hands)
-        for _, members in groupby(sorted(sources, key=place), key=key)
+        ClipGroup(tuple(members), config.layout, config.mirror, *shares, config.seed, roles_file, hands, names)
+        for _, members in groupby(ordered, key=key)
     ]
 
 
@@ -204,8 +227,9 @@ def _prepared(groups: list[ClipGroup], workers: int) -> Generator[PreparedClip, 
 class _DatasetWriter:
     """Writes styles one after another and collects what `dataset.json` and the normaliser need."""
 
-    def __init__(self, folder: Path, config: PrepareConfig):
-        self.folder, self.config = folder, config
+    def __init__(self, folder: Path, config: PrepareConfig, skip_bad: bool):
+        self.folder, self.config, self.skip_bad = folder, config, skip_bad
+        self.bad: list[InputError] = []
         self.skeleton: Skeleton | None = None
         self.layout: FrameLayout | None = None
         self.clips: list[dict[str, Any]] = []
@@ -222,6 +246,16 @@ class _DatasetWriter:
             self.notes.append({"file": clip.name, "style": clip.style, "note": clip.note})
         if clip.skipped:
             self.skipped.append({"file": clip.name, "style": clip.style, "reason": clip.skipped})
+        try:
+            if clip.bad is not None:
+                raise clip.bad
+            self._write(clip)
+        except InputError as error:
+            self.bad.append(error)
+            reason = f"{error.place}: {error.value}; {error.rule}"
+            self.skipped.append({"file": clip.name, "style": clip.style, "reason": reason})
+
+    def _write(self, clip: PreparedClip) -> None:
         for image in clip.images:
             layout = self._check_skeleton(image, clip.name)
             if self.style_writer is None:
@@ -240,8 +274,10 @@ class _DatasetWriter:
         """Counts the rows of a style.
 
         Raises:
-            InputError: if it has none.
+            InputError: if it has none, unless bad files are going to be refused.
         """
+        if self.style_writer is None and self.bad and not self.skip_bad:
+            return
         if self.style_writer is None:
             skipped = [entry for entry in self.skipped if entry["style"] == style]
             value = f"no usable clips ({len(skipped)} skipped)"
@@ -261,8 +297,17 @@ class _DatasetWriter:
             raise InputError(name, "hands and toes", f"joints {image.layout.ends}", rule)
         return self.layout
 
-    def finish(self) -> None:
-        """Fits the normaliser to the training rows and writes `dataset.json` last."""
+    def finish(self, out: Path) -> None:
+        """Fits the normaliser to the training rows and writes `dataset.json` last.
+
+        Args:
+            out: folder of the dataset, for messages.
+
+        Raises:
+            InputError: if there were bad files that may not be skipped.
+        """
+        if self.bad and not self.skip_bad:
+            _refuse(self.bad, out)
         assert self.skeleton is not None and self.layout is not None
         x, y, *phase = (moments.rows() for moments in self.moments)
         grouped = self.config.grouped_std
@@ -282,6 +327,14 @@ class _DatasetWriter:
             "versions": {"pfnn_jax": version("pfnn-jax"), "numpy": version("numpy")},
         }
         (self.folder / "dataset.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+
+def _refuse(errors: Sequence[InputError], out: Path) -> NoReturn:
+    """Refuses bad files: the only one, or all of them together."""
+    distinct = tuple({str(error): error for error in errors}.values())
+    if len(distinct) == 1:
+        raise distinct[0]
+    raise BadFilesError(out, distinct, "correct or remove them, or pass `skip_bad=True` to leave them out")
 
 
 class _StyleWriter:
