@@ -48,6 +48,8 @@ class Skeleton:
         end_sites: (joint index, offset [3] in metres) of every End Site.
         mirror: [J] index of each joint's left-right partner, its own index on the midline.
         roles: of the joints, or None if they were not found.
+        reference: [J, 4] world rotations of the joints in a T pose that faces +Z, where the zero pose does not show
+            it (see `retargeting.reference`); else None.
     """
 
     names: tuple[str, ...]
@@ -56,6 +58,7 @@ class Skeleton:
     end_sites: tuple[tuple[int, np.ndarray], ...]
     mirror: np.ndarray
     roles: Roles | None = None
+    reference: np.ndarray | None = None
 
     @property
     def num_joints(self) -> int:

@@ -1,0 +1,40 @@
+"""Distributes the bending of a chain of joints, such as a spine, over a chain of another length."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pfnn_jax.motion.kinematics import quat_slerp
+
+
+def resample_chain(turns: np.ndarray, count: int) -> np.ndarray:
+    """Returns the rotations of the joints of a chain with another number of joints.
+
+    Each joint of the shorter chain has a counterpart in the longer one, spread evenly and the last with the last; both
+    turn alike. The other joints of a longer chain are interpolated between counterparts along the shorter arc, so that
+    a longer chain holds all that a shorter one does, and the way back is exact.
+
+    Args:
+        turns: [T, 1 + n, 4] world rotations from the reference pose, of the joint that carries the chain and of its n
+            joints.
+        count: joints m of the other chain.
+
+    Returns:
+        [T, m, 4].
+    """
+    last = turns.shape[1] - 1
+    if last == 0 or count == 0:
+        return np.repeat(turns[:, :1], count, axis=1)
+    if count <= last:
+        return turns[:, _counterparts(count, last)[1:]]
+    places = np.interp(np.arange(1, count + 1), _counterparts(last, count), np.arange(last + 1))
+    before = np.minimum(places.astype(int), last - 1)
+    share = places - before
+    between = quat_slerp(turns[:, before], turns[:, before + 1], share)
+    exact = np.rint(places).astype(int)
+    return np.where((share % 1.0 == 0)[:, None], turns[:, exact], between)
+
+
+def _counterparts(shorter: int, longer: int) -> np.ndarray:
+    """Returns the joints [1 + n] of the longer chain that are the counterparts of 0, 1 ... n in the shorter one."""
+    return np.floor(np.arange(shorter + 1) * longer / shorter + 0.5).astype(int)
