@@ -1,4 +1,4 @@
-"""The bones of a human body in a skeleton: which joint bears each, where it points in a T pose, and how long legs are."""
+"""The parts of a human body in a skeleton: the joint that turns each, and where its bone points in a T pose."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import numpy as np
 from pfnn_jax.motion.kinematics import quat_slerp
 
 
-def resample_chain(turns: np.ndarray, count: int) -> np.ndarray:
+def resample_chain(turns: np.ndarray, count: int, *, lower: bool = False) -> np.ndarray:
     """Returns the rotations of the joints of a chain with another number of joints.
 
     Each joint of the shorter chain has a counterpart in the longer one, spread evenly and the last with the last; both
@@ -18,6 +18,7 @@ def resample_chain(turns: np.ndarray, count: int) -> np.ndarray:
         turns: [T, 1 + n, 4] world rotations from the reference pose, of the joint that carries the chain and of its n
             joints.
         count: joints m of the other chain.
+        lower: whether, of two joints that are equally near, the lower is the counterpart; necks bend most at the base.
 
     Returns:
         [T, m, 4].
@@ -26,8 +27,8 @@ def resample_chain(turns: np.ndarray, count: int) -> np.ndarray:
     if last == 0 or count == 0:
         return np.repeat(turns[:, :1], count, axis=1)
     if count <= last:
-        return turns[:, _counterparts(count, last)[1:]]
-    places = np.interp(np.arange(1, count + 1), _counterparts(last, count), np.arange(last + 1))
+        return turns[:, _counterparts(count, last, lower)[1:]]
+    places = np.interp(np.arange(1, count + 1), _counterparts(last, count, lower), np.arange(last + 1))
     before = np.minimum(places.astype(int), last - 1)
     share = places - before
     between = quat_slerp(turns[:, before], turns[:, before + 1], share)
@@ -35,6 +36,7 @@ def resample_chain(turns: np.ndarray, count: int) -> np.ndarray:
     return np.where((share % 1.0 == 0)[:, None], turns[:, exact], between)
 
 
-def _counterparts(shorter: int, longer: int) -> np.ndarray:
+def _counterparts(shorter: int, longer: int, lower: bool) -> np.ndarray:
     """Returns the joints [1 + n] of the longer chain that are the counterparts of 0, 1 ... n in the shorter one."""
-    return np.floor(np.arange(shorter + 1) * longer / shorter + 0.5).astype(int)
+    places = np.arange(shorter + 1) * longer / shorter
+    return (np.ceil(places - 0.5) if lower else np.floor(places + 0.5)).astype(int)

@@ -1,4 +1,4 @@
-"""Puts feet where the source's feet are: ankle targets, and legs of two bones that reach them."""
+"""Puts feet where the source's feet are: where ankles must be, and toes that stay above the floor."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfnn_jax.motion.humanoid.map import HumanoidMap
-from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_axis_angle, quat_multiply, quat_rotate
 from pfnn_jax.motion.retargeting.body import FORWARD, SIDES, UP, leg_length_of, limb
 from pfnn_jax.motion.roles import rest_pose
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.two_bone import SOFT, bend
 
 SOLE_SHARE = 0.09
 """Height of an ankle above the ground in leg lengths, in a skeleton whose feet have neither toes nor ends."""
@@ -49,6 +48,17 @@ def flat_foot(skeleton: Skeleton, body: HumanoidMap, reference: np.ndarray, side
     points = [point for point in points if np.linalg.norm(point) > 0]
     height = -min((float(point[1]) for point in points), default=-SOLE_SHARE * leg_length_of(skeleton, body))
     return FlatFoot(bone, height)
+
+
+def sole_heights(positions: np.ndarray, body: HumanoidMap, feet: list[FlatFoot]) -> np.ndarray:
+    """Returns the height [T] in metres of the lower sole, as toe joints and ankles of positions [T, J, 3] show it."""
+    heights = []
+    for side, flat in zip(SIDES, feet, strict=True):
+        foot, toe = limb(body, side, "foot", "toe")
+        heights.append(positions[:, foot, 1] - flat.height)
+        if toe is not None and flat.toe is not None:
+            heights.append(positions[:, toe, 1] - flat.height - flat.toe[1])
+    return np.min(heights, axis=0)
 
 
 def _end(skeleton: Skeleton, joint: int, site: np.ndarray) -> np.ndarray:
@@ -90,57 +100,51 @@ def ankle_targets(
     return places + on_toe * (flat - quat_rotate(turns, excess))
 
 
-def lower_to_reach(
-    body: HumanoidMap, skeleton: Skeleton, hips: np.ndarray, world: np.ndarray, targets: np.ndarray
-) -> np.ndarray:
-    """Returns how far the hips must sink [T] in metres for both ankles to reach their targets.
-
-    A leg may be as straight as its rotations make it, or as `two_bone.SOFT` allows.
-
-    Args:
-        body: map of the skeleton.
-        skeleton: J joints.
-        hips: [T, 3] metres.
-        world: [T, J, 4] world rotations.
-        targets: [T, 2, 3] metres of the left and the right ankle.
-    """
-    sink = np.zeros(len(hips))
-    for number, side in enumerate(SIDES):
-        top, knee, ankle = _leg(body, skeleton, hips, world, side)
-        longest = np.linalg.norm(knee - top, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
-        reach = np.maximum(SOFT * longest, np.linalg.norm(ankle - top, axis=-1))
-        above = top - targets[:, number]
-        allowed = np.sqrt(np.maximum(reach**2 - above[:, 0] ** 2 - above[:, 2] ** 2, 0.0))
-        sink = np.maximum(sink, np.where(allowed > 0, above[:, 1] - allowed, 0.0))
-    return sink
-
-
-def _leg(
-    body: HumanoidMap, skeleton: Skeleton, hips: np.ndarray, world: np.ndarray, side: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the positions [T, 3] of hip joint, knee and ankle."""
-    rest = rest_pose(skeleton)
-    thigh, shin, foot = limb(body, side, "thigh", "shin", "foot")
-    top = hips + quat_rotate(world[:, body.hips], rest[thigh] - rest[body.hips])
-    knee = top + quat_rotate(world[:, thigh], rest[shin] - rest[thigh])
-    return top, knee, knee + quat_rotate(world[:, shin], rest[foot] - rest[shin])
-
-
-def reach_with_legs(
-    body: HumanoidMap, skeleton: Skeleton, hips: np.ndarray, world: np.ndarray, forward: np.ndarray, targets: np.ndarray
+def lift_toes(
+    body: HumanoidMap,
+    skeleton: Skeleton,
+    reference: np.ndarray,
+    world: np.ndarray,
+    ankles: np.ndarray,
+    floor: np.ndarray,
 ) -> None:
-    """Turns thighs and shins in place so that the ankles reach their targets; the feet keep their rotations.
+    """Bends toes up in place where their ends would be below the floor, which the source's toes do not show.
+
+    A skeleton whose toes end in the toe joint turns them with the foot; the target's may be ten centimetres long.
 
     Args:
         body: map of the skeleton.
         skeleton: J joints.
-        hips: [T, 3] metres.
+        reference: [J, 4] its reference pose.
         world: [T, J, 4] world rotations, changed in place.
-        forward: [T, 3] direction in which straight knees bend.
-        targets: [T, 2, 3] metres of the left and the right ankle.
+        ankles: [T, 2, 3] metres of the left and the right ankle.
+        floor: [T] metres.
     """
+    rest = rest_pose(skeleton)
     for number, side in enumerate(SIDES):
-        thigh, shin = limb(body, side, "thigh", "shin")
-        over, under, _ = bend(*_leg(body, skeleton, hips, world, side), targets[:, number], forward)
-        world[:, thigh] = quat_multiply(over, world[:, thigh])
-        world[:, shin] = quat_multiply(over, quat_multiply(under, world[:, shin]))
+        foot, toe = limb(body, side, "foot", "toe")
+        ends = [site for joint, site in skeleton.end_sites if joint == toe and np.linalg.norm(site) > 0]
+        if toe is None or not ends:
+            continue
+        flat = flat_foot(skeleton, body, reference, side)
+        assert flat.toe is not None
+        base = ankles[:, number] + quat_rotate(world[:, foot], rest[toe] - rest[foot])
+        end = max(ends, key=lambda site: float(np.linalg.norm(site)))
+        lowest = floor + flat.height + flat.toe[1] + quat_rotate(reference[toe], end)[1] - base[:, 1]
+        # a turn about the axis to the right raises what points forward
+        axis = quat_rotate(world[:, foot], quat_rotate(quat_conjugate(reference[foot]), np.array([-1.0, 0.0, 0.0])))
+        angle = _angle_to_height(quat_rotate(world[:, toe], end), axis, lowest)
+        world[:, toe] = quat_multiply(quat_from_axis_angle(axis, angle), world[:, toe])
+
+
+def _angle_to_height(bones: np.ndarray, axis: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Returns the angles [T] about unit axes [T, 3] that raise bones [T, 3] to a height [T], 0 where they reach it."""
+    across = np.sum(bones * axis, axis=-1)
+    ahead = bones - across[:, None] * axis
+    upwards = np.cross(axis, ahead)  # where a quarter turn takes it
+    # the height after a turn by a is across * axis + ahead cos a + upwards sin a
+    radius = np.hypot(ahead[:, 1], upwards[:, 1])
+    now = np.arctan2(ahead[:, 1], upwards[:, 1])
+    wanted = (height - across * axis[:, 1]) / np.maximum(radius, 1e-9)
+    turned = np.arcsin(np.clip(wanted, -1.0, 1.0)) - now
+    return np.where((bones[:, 1] < height) & (radius > 1e-9), turned, 0.0)

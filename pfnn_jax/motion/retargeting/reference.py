@@ -33,7 +33,6 @@ from pfnn_jax.motion.retargeting.body import (
     FORWARD,
     MIN_LENGTH,
     SIDES,
-    UP,
     Part,
     bone_of,
     leg_length_of,
@@ -142,7 +141,7 @@ def _shoulders(rest: np.ndarray, body: HumanoidMap) -> np.ndarray:
 
 
 def _axes(left: np.ndarray, up: np.ndarray, shortest: float) -> np.ndarray | None:
-    """Returns orthonormal columns [3, 3]: `left`, `up` made perpendicular to it, and forward; None if there are none."""
+    """Returns orthonormal columns [3, 3]: left, up made perpendicular to it, and forward; None if undefined."""
     if np.linalg.norm(left) < shortest:
         return None
     x = left / np.linalg.norm(left)
@@ -266,7 +265,7 @@ def _foot_pitch(positions: np.ndarray, body: HumanoidMap, side: str) -> float:
 
 
 def _carry(skeleton: Skeleton, turns: dict[int, np.ndarray]) -> np.ndarray:
-    """Returns rotations [J, 4] in which joints without one of their own turn with their parents; a root, with the hips."""
+    """Returns rotations [J, 4]: joints without one of their own turn with their parents, a root with the hips."""
     first = next(iter(turns.values()))
     rotations = np.tile(first, (skeleton.num_joints, 1))
     for joint in range(skeleton.num_joints):

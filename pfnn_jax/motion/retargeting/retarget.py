@@ -13,14 +13,19 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.filters import moving_minimum
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_multiply, quat_rotate
 from pfnn_jax.motion.retargeting.body import FORWARD, SIDES, UP, leg_length_of, limb, neck_chain, torso_chain
 from pfnn_jax.motion.retargeting.chains import resample_chain
-from pfnn_jax.motion.retargeting.feet import ankle_targets, flat_foot, lower_to_reach, reach_with_legs
+from pfnn_jax.motion.retargeting.feet import ankle_targets, flat_foot, lift_toes, sole_heights
+from pfnn_jax.motion.retargeting.legs import leg_extension, place_legs
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
 from pfnn_jax.motion.roles import rest_pose
 from pfnn_jax.motion.skeleton import Skeleton
+
+STANCE_SECONDS = 1.0
+"""Within any such time one foot of a person who walks or runs stands."""
 
 ALIKE = 1e-6  # of the longest bone: offsets that differ by less are equal
 
@@ -40,9 +45,7 @@ class Retargeted:
     summary: str
 
 
-def retarget(
-    clip: MotionClip, target: Skeleton, *, source_map: HumanoidMap, target_map: HumanoidMap
-) -> Retargeted:
+def retarget(clip: MotionClip, target: Skeleton, *, source_map: HumanoidMap, target_map: HumanoidMap) -> Retargeted:
     """Puts a clip onto another skeleton.
 
     Bones keep their directions and hips, chest, head, hands and feet their orientations, measured from the reference
@@ -64,7 +67,9 @@ def retarget(
     """
     lengths = [leg_length_of(clip.skeleton, source_map), leg_length_of(target, target_map)]
     if not min(lengths) > 0:
-        raise InputError(clip.source or "clip", "skeleton", "a leg of no length", "hips, knees and ankles must be apart")
+        raise InputError(
+            clip.source or "clip", "skeleton", "a leg of no length", "hips, knees and ankles must be apart"
+        )
     scale = lengths[1] / lengths[0]
     if same_bones(clip.skeleton, target, scale):
         moved = replace(clip, skeleton=target, root_positions=scale * clip.root_positions)
@@ -98,7 +103,9 @@ def _retarget(
         for side in SIDES
     ]
     ankles = [
-        ankle_targets(positions[:, limb(source_map, side, "foot")[0]], turns[limb(target_map, side, "foot")[0]], scale, *pair)
+        ankle_targets(
+            positions[:, limb(source_map, side, "foot")[0]], turns[limb(target_map, side, "foot")[0]], scale, *pair
+        )
         for side, pair in zip(SIDES, feet, strict=True)
     ]
     raised = UP * np.mean([other.height - scale * own.height for own, other in feet])
@@ -106,11 +113,17 @@ def _retarget(
     hips = scale * middle + raised - quat_rotate(moved[:, target_map.hips], _middle_of_legs(target, target_map))
     forward = quat_rotate(turns[target_map.hips], FORWARD)
     targets = np.stack(ankles, axis=1)
-    hips = hips - lower_to_reach(target_map, target, hips, moved, targets)[:, None] * UP
-    reach_with_legs(target_map, target, hips, moved, forward, targets)
+    hips = place_legs(target_map, target, hips, moved, forward, targets, leg_extension(positions, source_map))
+    floor = moving_minimum(sole_heights(positions, source_map, [own for own, _ in feet]), _window(clip.fps))
+    lift_toes(target_map, target, references[1], moved, targets, scale * floor)
     local = _fill(target, target_map, moved, set(turns))
     at_origin, _ = forward_kinematics(target, np.zeros((clip.num_frames, 3)), local)
     return replace(clip, skeleton=target, root_positions=hips - at_origin[:, target_map.hips], rotations=local)
+
+
+def _window(fps: float) -> int:
+    """Returns the odd number of frames around each within which a foot stands."""
+    return 2 * int(np.ceil(STANCE_SECONDS * fps / 2)) + 1
 
 
 def _source_reference(clip: MotionClip, body: HumanoidMap) -> np.ndarray:
@@ -139,9 +152,10 @@ def _part_turns(
     every = quat_multiply(world, quat_conjugate(reference))
     turns = {target.hips: every[:, source.hips]}
     torso, neck = torso_chain(source), neck_chain(source)
-    _share(turns, every[:, list(torso)], target.spine)
     chest = torso[-1]
-    _share(turns, every[:, [chest, *neck]], neck_chain(target))
+    _share(turns, target.spine, resample_chain(every[:, list(torso)], len(target.spine)))
+    above = neck_chain(target)
+    _share(turns, above, resample_chain(every[:, [chest, *neck]], len(above), lower=True))
     for side in SIDES:
         own = limb(source, side, "clavicle", "upper_arm", "lower_arm", "hand")
         arm = limb(target, side, "clavicle", "upper_arm", "lower_arm", "hand")
@@ -151,9 +165,8 @@ def _part_turns(
     return turns
 
 
-def _share(turns: dict[int, np.ndarray], chain: np.ndarray, joints: tuple[int, ...]) -> None:
-    """Adds the joints of a spine or neck, with the bending of a chain [T, 1 + n, 4] of the source."""
-    shared = resample_chain(chain, len(joints))
+def _share(turns: dict[int, np.ndarray], joints: tuple[int, ...], shared: np.ndarray) -> None:
+    """Adds the rotations [T, n, 4] of the n joints of a spine or neck."""
     turns.update({joint: shared[:, number] for number, joint in enumerate(joints)})
 
 

@@ -1,0 +1,127 @@
+"""Brings ankles to their targets: hips as high as legs as straight as the source's need, then two-bone legs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pfnn_jax.motion.humanoid.map import HumanoidMap
+from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
+from pfnn_jax.motion.retargeting.body import SIDES, UP, limb
+from pfnn_jax.motion.roles import rest_pose
+from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.two_bone import SOFT, bend
+
+STRAIGHTNESS = 0.02
+"""Difference in relative length by which the straighter leg decides the hips' height e times as much as the other."""
+
+MOST_RAISED = 0.05
+"""Share of the leg length by which matching the straightness of legs may move the hips up or down."""
+
+
+def leg_extension(positions: np.ndarray, body: HumanoidMap) -> np.ndarray:
+    """Returns the distance from hip to ankle over the length of the leg [T, 2], left and right.
+
+    Args:
+        positions: [T, J, 3] metres.
+        body: humanoid map of the J joints.
+    """
+    return np.stack([_extension(*(positions[:, joint] for joint in _joints(body, side))) for side in SIDES], axis=-1)
+
+
+def place_legs(
+    body: HumanoidMap,
+    skeleton: Skeleton,
+    hips: np.ndarray,
+    world: np.ndarray,
+    forward: np.ndarray,
+    targets: np.ndarray,
+    extension: np.ndarray,
+) -> np.ndarray:
+    """Brings both ankles to their targets by thighs, shins and the height of the hips; feet keep their rotations.
+
+    Args:
+        body: map of the skeleton.
+        skeleton: J joints.
+        hips: [T, 3] metres.
+        world: [T, J, 4] world rotations; those of thighs and shins are changed in place.
+        forward: [T, 3] direction in which straight knees bend.
+        targets: [T, 2, 3] metres of the left and the right ankle.
+        extension: [T, 2] of the source's legs, as `leg_extension` returns it.
+
+    Returns:
+        Positions [T, 3] of the hips.
+    """
+    hips = hips + _match_extension(body, skeleton, hips, world, targets, extension)[:, None] * UP
+    hips = hips - _excess_height(body, skeleton, hips, world, targets)[:, None] * UP
+    for number, side in enumerate(SIDES):
+        thigh, shin, _ = _joints(body, side)
+        over, under, _ = bend(*_leg(body, skeleton, hips, world, side), targets[:, number], forward)
+        world[:, thigh] = quat_multiply(over, world[:, thigh])
+        world[:, shin] = quat_multiply(over, quat_multiply(under, world[:, shin]))
+    return hips
+
+
+def _match_extension(
+    body: HumanoidMap,
+    skeleton: Skeleton,
+    hips: np.ndarray,
+    world: np.ndarray,
+    targets: np.ndarray,
+    extension: np.ndarray,
+) -> np.ndarray:
+    """Returns how far the hips must rise [T] in metres for the straighter leg to be as straight as the source's.
+
+    Without this a straight leg would bend by ten degrees where both legs of one skeleton differ by a centimetre.
+    """
+    rises = []
+    for number, side in enumerate(SIDES):
+        top, knee, ankle = _leg(body, skeleton, hips, world, side)
+        longest = np.linalg.norm(knee - top, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
+        above = top - targets[:, number]
+        across = above[:, 0] ** 2 + above[:, 2] ** 2
+        squared = (extension[:, number] * longest) ** 2
+        # a leg that lies says nothing about the height of the hips
+        steep = np.clip(1.0 - across / np.maximum(squared, 1e-12), 0.0, 1.0)
+        rise = np.sqrt(np.maximum(squared - across, 0.0)) - above[:, 1]
+        rises.append(steep * np.clip(rise, -MOST_RAISED * longest, MOST_RAISED * longest))
+    left = 1.0 / (1.0 + np.exp(np.clip((extension[:, 1] - extension[:, 0]) / STRAIGHTNESS, -50.0, 50.0)))
+    return left * rises[0] + (1.0 - left) * rises[1]
+
+
+def _excess_height(
+    body: HumanoidMap, skeleton: Skeleton, hips: np.ndarray, world: np.ndarray, targets: np.ndarray
+) -> np.ndarray:
+    """Returns how far the hips must sink [T] in metres for both ankles to reach their targets.
+
+    A leg may be as straight as its rotations make it, or as `two_bone.SOFT` allows.
+    """
+    sink = np.zeros(len(hips))
+    for number, side in enumerate(SIDES):
+        top, knee, ankle = _leg(body, skeleton, hips, world, side)
+        longest = np.linalg.norm(knee - top, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
+        reach = np.maximum(SOFT * longest, np.linalg.norm(ankle - top, axis=-1))
+        above = top - targets[:, number]
+        allowed = np.sqrt(np.maximum(reach**2 - above[:, 0] ** 2 - above[:, 2] ** 2, 0.0))
+        sink = np.maximum(sink, np.where(allowed > 0, above[:, 1] - allowed, 0.0))
+    return sink
+
+
+def _joints(body: HumanoidMap, side: str) -> tuple[int, int, int]:
+    thigh, shin, foot = limb(body, side, "thigh", "shin", "foot")
+    return thigh, shin, foot
+
+
+def _extension(top: np.ndarray, knee: np.ndarray, ankle: np.ndarray) -> np.ndarray:
+    longest = np.linalg.norm(knee - top, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
+    return np.linalg.norm(ankle - top, axis=-1) / np.maximum(longest, 1e-12)
+
+
+def _leg(
+    body: HumanoidMap, skeleton: Skeleton, hips: np.ndarray, world: np.ndarray, side: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the positions [T, 3] of hip joint, knee and ankle."""
+    rest = rest_pose(skeleton)
+    thigh, shin, foot = _joints(body, side)
+    top = hips + quat_rotate(world[:, body.hips], rest[thigh] - rest[body.hips])
+    knee = top + quat_rotate(world[:, thigh], rest[shin] - rest[thigh])
+    return top, knee, knee + quat_rotate(world[:, shin], rest[foot] - rest[shin])
