@@ -26,7 +26,7 @@ from pfnn_jax.motion.kinematics import (
     quat_rotate,
     quat_to_euler,
 )
-from pfnn_jax.motion.roles import assign_roles, find_roles, is_hips_name, leg_length, longest_chain
+from pfnn_jax.motion.roles import assign_roles, find_roles, is_hips_name, is_upper_body_name, leg_length, longest_chain
 from pfnn_jax.motion.skeleton import Skeleton
 
 LIMIT = 1e7  # far above any length or angle of a person, far below where squares overflow
@@ -378,7 +378,7 @@ def _channels(joints: list[BvhJoint], values: np.ndarray) -> tuple[np.ndarray, n
 def _fold(joints: list[BvhJoint], positions: np.ndarray, rotations: np.ndarray):
     """Merges the joints above the hips into joint 0; returns names, parents, positions, rotations and end sites."""
     first = 0
-    while joints[first].num_children == 1 and not joints[first].end_sites and not is_hips_name(joints[first].name):
+    while joints[first].num_children == 1 and not joints[first].end_sites and not _is_body_name(joints[first].name):
         first += 1  # the only child follows its parent
     if joints[first].num_children < 2 and not is_hips_name(joints[first].name):
         first = 0  # a chain without hips is kept whole
@@ -392,6 +392,11 @@ def _fold(joints: list[BvhJoint], positions: np.ndarray, rotations: np.ndarray):
     parents = np.array([-1] + [joint.parent - first for joint in kept[1:]])
     end_sites = tuple((index, site) for index, joint in enumerate(kept) for site in joint.end_sites)
     return tuple(joint.name for joint in kept), parents, positions, rotations, end_sites
+
+
+def _is_body_name(name: str) -> bool:
+    """Returns whether a joint plays a part of the body: a headset's skeleton is rooted at the head, above the spine."""
+    return is_hips_name(name) or is_upper_body_name(name)
 
 
 def _rest_offsets(positions: np.ndarray) -> np.ndarray:

@@ -71,7 +71,22 @@ def _insert(skeleton: Skeleton, roles: Roles, sites: dict[int, int], order: np.n
     )
     moved = _move(roles, place)
     moved = replace(moved, left_hand=moved.left_hand + 1, right_hand=moved.right_hand + 1)
-    return Skeleton(tuple(names), np.array(parents), np.array(offsets), ends, np.array(mirror), moved)
+    return Skeleton(
+        names=tuple(names),
+        parents=np.array(parents),
+        offsets=np.array(offsets),
+        end_sites=ends,
+        mirror=np.array(mirror),
+        roles=moved,
+        humanoid=None if skeleton.humanoid is None else skeleton.humanoid.move(lambda joint: int(place[joint])),
+        reference=None if skeleton.reference is None else _with_tips(skeleton.reference, order),
+    )
+
+
+def _with_tips(rotations: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Returns world rotations [J + 2, 4] in which each new joint turns with the hand before it."""
+    rows = np.where(order >= 0, order, np.roll(order, 1))
+    return rotations[rows]
 
 
 def _move(roles: Roles, place: np.ndarray) -> Roles:

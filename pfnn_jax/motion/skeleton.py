@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.motion.humanoid.map import HumanoidMap, map_from_json, map_to_json
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,9 @@ class Skeleton:
         offsets: [J, 3] metres, from the parent's origin in the parent's frame.
         end_sites: (joint index, offset [3] in metres) of every End Site.
         mirror: [J] index of each joint's left-right partner, its own index on the midline.
-        roles: of the joints, or None if they were not found.
+        roles: of the joints, or None if they were not found: a view of `humanoid`, except that `extend_hands` moves the
+            hands to their tips.
+        humanoid: the humanoid map, or None if it was not found.
         reference: [J, 4] world rotations of the joints in a T pose that faces +Z, where the zero pose does not show
             it (see `retargeting.reference`); else None.
     """
@@ -58,12 +61,21 @@ class Skeleton:
     end_sites: tuple[tuple[int, np.ndarray], ...]
     mirror: np.ndarray
     roles: Roles | None = None
+    humanoid: HumanoidMap | None = None
     reference: np.ndarray | None = None
 
     @property
     def num_joints(self) -> int:
         """J."""
         return len(self.names)
+
+
+def rest_pose(skeleton: Skeleton) -> np.ndarray:
+    """Returns joint positions [J, 3] with all rotations zero."""
+    pose = np.zeros((skeleton.num_joints, 3))
+    for joint in range(1, skeleton.num_joints):
+        pose[joint] = pose[skeleton.parents[joint]] + skeleton.offsets[joint]
+    return pose
 
 
 def need_roles(skeleton: Skeleton, source: str | Path = "skeleton") -> Roles:
@@ -109,11 +121,13 @@ def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
         "end_sites": [[int(joint), np.asarray(offset, np.float64).tolist()] for joint, offset in skeleton.end_sites],
         "mirror": [int(m) for m in skeleton.mirror],
         "roles": None if skeleton.roles is None else {k: _plain(v) for k, v in asdict(skeleton.roles).items()},
+        "humanoid": None if skeleton.humanoid is None else map_to_json(skeleton.humanoid),
+        "reference": None if skeleton.reference is None else np.asarray(skeleton.reference, np.float64).tolist(),
     }
 
 
 def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton") -> Skeleton:
-    """Returns the skeleton that `skeleton_to_json` described.
+    """Returns the skeleton that `skeleton_to_json` described; files of earlier versions have no humanoid map.
 
     Args:
         data: as `skeleton_to_json` returns it.
@@ -130,7 +144,7 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         if len(data[key]) != joints:
             rule = f"must have one for each of {joints} joints"
             raise InputError(source, f"skeleton.{key}", f"{len(data[key])} entries", rule)
-    roles = data["roles"]
+    roles, humanoid, reference = data["roles"], data.get("humanoid"), data.get("reference")
     return Skeleton(
         names=tuple(data["names"]),
         parents=np.array(data["parents"], np.int64),
@@ -138,6 +152,8 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         end_sites=tuple((int(joint), np.array(offset, np.float64)) for joint, offset in data["end_sites"]),
         mirror=np.array(data["mirror"], np.int64),
         roles=None if roles is None else _roles(roles),
+        humanoid=None if humanoid is None else map_from_json(humanoid),
+        reference=None if reference is None else np.array(reference, np.float64).reshape(joints, 4),
     )
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pfnn_jax.motion.humanoid.map import HumanoidMap
-from pfnn_jax.motion.roles import rest_pose
-from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.humanoid.find import find_humanoid
+from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
+from pfnn_jax.motion.roles import chain_up
+from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 UP, FORWARD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 SIDES = {"left": 1.0, "right": -1.0}
@@ -39,6 +42,26 @@ class Part:
     direction: np.ndarray
 
 
+def humanoid_of(skeleton: Skeleton, source: str | Path = "skeleton") -> HumanoidMap:
+    """Returns the humanoid map of a skeleton, found by names and rest geometry if none is stored in it.
+
+    Args:
+        skeleton: the joints.
+        source: file to name in messages.
+
+    Raises:
+        InputError: if it has none, no ankles, or feet that do not descend from their legs.
+    """
+    body = skeleton.humanoid or find_humanoid(skeleton, source=source)
+    for side in SIDES:
+        shin, foot = limb(body, side, "shin", "foot")
+        if foot is None or shin not in chain_up(skeleton.parents, foot):
+            found = f"{side} leg {skeleton.names[shin]}"
+            rule = "must have an ankle below the knee, or name it in a file of overrides (--roles)"
+            raise InputError(source, "skeleton", found, rule)
+    return body
+
+
 def torso_chain(body: HumanoidMap) -> tuple[int, ...]:
     """Returns the joints from the hips to the chest, the last joint below neck and arms."""
     return (body.hips, *body.spine)
@@ -51,7 +74,7 @@ def neck_chain(body: HumanoidMap) -> tuple[int, ...]:
 
 def limb(body: HumanoidMap, side: str, *names: str) -> tuple[Any, ...]:
     """Returns the joints of these parts of one side: an index each, or None where the skeleton has none."""
-    return tuple(getattr(body, f"{side}_{name}") for name in names)
+    return body.limb(side, names)
 
 
 def parts_of(body: HumanoidMap) -> Iterator[Part]:
@@ -64,18 +87,20 @@ def parts_of(body: HumanoidMap) -> Iterator[Part]:
         yield Part(name, joint, trunk[number - 1] if number else -1, below, UP)
     for side, sign in SIDES.items():
         outward = np.array([sign, 0.0, 0.0])
-        clavicle, *arm = limb(body, side, "clavicle", "upper_arm", "lower_arm", "hand")
-        chain = [joint for joint in (clavicle, *arm) if joint is not None]
-        names = ["clavicle"] * (clavicle is not None) + ["upper_arm", "lower_arm", "hand"]
-        yield from _chain(side, names, chain, torso_chain(body)[-1], [outward] * 4)
-        leg = [joint for joint in limb(body, side, "thigh", "shin", "foot", "toe") if joint is not None]
-        yield from _chain(side, ["thigh", "shin", "foot", "toe"], leg, body.hips, [-UP, -UP, FORWARD, FORWARD])
+        yield from _limb_parts(body, side, ARM, torso_chain(body)[-1], [outward] * 4)
+        yield from _limb_parts(body, side, LEG, body.hips, [-UP, -UP, FORWARD, FORWARD])
 
 
-def _chain(side: str, names: list[str], joints: list[int], above: int, directions: list[np.ndarray]) -> Iterator[Part]:
-    for number, joint in enumerate(joints):
-        below = joints[number + 1] if number + 1 < len(joints) else None
-        yield Part(f"{side}_{names[number]}", joint, joints[number - 1] if number else above, below, directions[number])
+def _limb_parts(
+    body: HumanoidMap, side: str, names: tuple[str, ...], above: int, directions: list[np.ndarray]
+) -> Iterator[Part]:
+    """Yields those parts of an arm or leg that the skeleton has, from the body outwards."""
+    chain = [(*row, joint) for *row, joint in zip(names, directions, body.limb(side, names), strict=True)]
+    chain = [row for row in chain if row[-1] is not None]
+    for number, (name, direction, joint) in enumerate(chain):
+        below = chain[number + 1][-1] if number + 1 < len(chain) else None
+        yield Part(f"{side}_{name}", joint, above, below, direction)
+        above = joint
 
 
 def bone_of(skeleton: Skeleton, part: Part) -> np.ndarray:

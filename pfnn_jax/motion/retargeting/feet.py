@@ -9,8 +9,7 @@ import numpy as np
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_axis_angle, quat_multiply, quat_rotate
 from pfnn_jax.motion.retargeting.body import FORWARD, SIDES, UP, leg_length_of, limb
-from pfnn_jax.motion.roles import rest_pose
-from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 SOLE_SHARE = 0.09
 """Height of an ankle above the ground in leg lengths, in a skeleton whose feet have neither toes nor ends."""

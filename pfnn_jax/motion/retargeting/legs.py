@@ -7,8 +7,7 @@ import numpy as np
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
 from pfnn_jax.motion.retargeting.body import SIDES, UP, limb
-from pfnn_jax.motion.roles import rest_pose
-from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 from pfnn_jax.motion.two_bone import SOFT, bend
 
 STRAIGHTNESS = 0.02

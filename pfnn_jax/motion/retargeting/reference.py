@@ -41,8 +41,7 @@ from pfnn_jax.motion.retargeting.body import (
     parts_of,
     torso_chain,
 )
-from pfnn_jax.motion.roles import rest_pose
-from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 UPRIGHT = np.cos(np.radians(40.0))
 """Cosine of the angle to the vertical within which thighs, shins and spine of a standing person lie."""
@@ -122,7 +121,7 @@ def stands(skeleton: Skeleton, body: HumanoidMap) -> bool:
         if np.any(-leg[:, 1] < UPRIGHT * np.linalg.norm(leg, axis=-1)):
             return False
         foot, toe = limb(body, side, "foot", "toe")
-        if toe is not None and rest[toe, 2] - rest[foot, 2] < -MIN_LENGTH:
+        if foot is not None and toe is not None and rest[toe, 2] - rest[foot, 2] < -MIN_LENGTH:
             return False  # left and right are exchanged, or it is no stance
     spine = _shoulders(rest, body) - rest[body.hips]
     return bool(spine[1] >= UPRIGHT * np.linalg.norm(spine))
@@ -137,7 +136,10 @@ def _zero_frame(skeleton: Skeleton, body: HumanoidMap) -> np.ndarray | None:
 
 
 def _shoulders(rest: np.ndarray, body: HumanoidMap) -> np.ndarray:
-    return (rest[body.left_upper_arm] + rest[body.right_upper_arm]) / 2
+    """Returns the point [3] between the shoulders; without arms the base of neck or head, or the chest."""
+    if body.left_upper_arm is not None and body.right_upper_arm is not None:
+        return (rest[body.left_upper_arm] + rest[body.right_upper_arm]) / 2
+    return rest[(*neck_chain(body), *torso_chain(body)[::-1])[0]]
 
 
 def _axes(left: np.ndarray, up: np.ndarray, shortest: float) -> np.ndarray | None:

@@ -14,15 +14,23 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import moving_minimum
-from pfnn_jax.motion.humanoid.map import HumanoidMap
+from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_multiply, quat_rotate
-from pfnn_jax.motion.retargeting.body import FORWARD, SIDES, UP, leg_length_of, limb, neck_chain, torso_chain
+from pfnn_jax.motion.retargeting.body import (
+    FORWARD,
+    SIDES,
+    UP,
+    humanoid_of,
+    leg_length_of,
+    limb,
+    neck_chain,
+    torso_chain,
+)
 from pfnn_jax.motion.retargeting.chains import resample_chain
 from pfnn_jax.motion.retargeting.feet import ankle_targets, flat_foot, lift_toes, sole_heights
 from pfnn_jax.motion.retargeting.legs import leg_extension, place_legs
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
-from pfnn_jax.motion.roles import rest_pose
-from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 STANCE_SECONDS = 1.0
 """Within any such time one foot of a person who walks or runs stands."""
@@ -45,7 +53,13 @@ class Retargeted:
     summary: str
 
 
-def retarget(clip: MotionClip, target: Skeleton, *, source_map: HumanoidMap, target_map: HumanoidMap) -> Retargeted:
+def retarget(
+    clip: MotionClip,
+    target: Skeleton,
+    *,
+    source_map: HumanoidMap | None = None,
+    target_map: HumanoidMap | None = None,
+) -> Retargeted:
     """Puts a clip onto another skeleton.
 
     Bones keep their directions and hips, chest, head, hands and feet their orientations, measured from the reference
@@ -57,14 +71,16 @@ def retarget(clip: MotionClip, target: Skeleton, *, source_map: HumanoidMap, tar
     Args:
         clip: T frames on J joints.
         target: the skeleton to put it onto, of K joints.
-        source_map, target_map: the humanoid maps of both skeletons.
+        source_map, target_map: the humanoid maps of both skeletons; by default their own.
 
     Returns:
         The clip on the target, the scale and a summary.
 
     Raises:
-        InputError: if a leg of either skeleton has no length.
+        InputError: if either skeleton has no humanoid map, no ankles, or a leg without length.
     """
+    source_map = humanoid_of(clip.skeleton, clip.source or "clip") if source_map is None else source_map
+    target_map = humanoid_of(target) if target_map is None else target_map
     lengths = [leg_length_of(clip.skeleton, source_map), leg_length_of(target, target_map)]
     if not min(lengths) > 0:
         raise InputError(
@@ -157,11 +173,8 @@ def _part_turns(
     above = neck_chain(target)
     _share(turns, above, resample_chain(every[:, [chest, *neck]], len(above), lower=True))
     for side in SIDES:
-        own = limb(source, side, "clavicle", "upper_arm", "lower_arm", "hand")
-        arm = limb(target, side, "clavicle", "upper_arm", "lower_arm", "hand")
-        _follow(turns, every, own, arm, chest)
-        parts = ("thigh", "shin", "foot", "toe")
-        _follow(turns, every, limb(source, side, *parts), limb(target, side, *parts), source.hips)
+        _follow(turns, every, source.limb(side, ARM), target.limb(side, ARM), chest)
+        _follow(turns, every, source.limb(side, LEG), target.limb(side, LEG), source.hips)
     return turns
 
 

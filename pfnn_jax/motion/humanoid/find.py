@@ -1,0 +1,189 @@
+"""Finds the humanoid map of a skeleton by names, geometry and a user's overrides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.humanoid.checks import Finding, check_geometry
+from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
+from pfnn_jax.motion.humanoid.measured import measured_limbs
+from pfnn_jax.motion.humanoid.named import detached_foot, named_limbs, named_trunk
+from pfnn_jax.motion.humanoid.names import read_names
+from pfnn_jax.motion.humanoid.overrides import Chosen, choose_joints, listed
+from pfnn_jax.motion.humanoid.tree import JointTree, joint_tree
+from pfnn_jax.motion.humanoid.trunk import Trunk, find_head, find_hips, find_spine
+from pfnn_jax.motion.skeleton import Skeleton, rest_pose
+
+Poses = np.ndarray | Callable[[], np.ndarray] | None
+
+UP_AXES = (
+    np.eye(3),
+    np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),  # Z up
+    np.diag([-1.0, -1, 1]),  # Y down
+    np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),  # Z down
+    np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),  # X up
+    np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),  # X down
+)
+"""Rotations that turn each axis of a file upwards, in the order in which they are tried."""
+
+BY_GEOMETRY = 0.85
+"""Factor of the confidence where limbs are found by geometry alone."""
+
+
+def find_humanoid(
+    skeleton: Skeleton,
+    *,
+    poses: Poses = None,
+    overrides: Mapping[str, Any] | None = None,
+    source: str | Path = "skeleton",
+) -> HumanoidMap:
+    """Finds which joint of a skeleton plays which part of a human body.
+
+    Names of all common conventions are read without namespaces and what exporters add; limbs without such names are
+    found by their bones and places. Geometry then confirms the map: order of the joints, equal lengths of left and
+    right, the side to which the toes point, and whether this is a human at all.
+
+    Args:
+        skeleton: the joints; its own map, roles and mirror are ignored.
+        poses: [N, J, 3] joint positions of some poses in any unit, or a function that returns them. None uses the pose
+            of zero rotations.
+        overrides: bone, role or VRM bone -> joint name; see `choose_joints`. What it does not name is found.
+        source: file to name in messages.
+
+    Returns:
+        The map, with its confidence and explanation.
+
+    Raises:
+        InputError: if legs or hips are missing, if the joints do not lie on chains, if the skeleton is not that of a
+            human, or if an override names an unknown bone or joint or contradicts another.
+    """
+    tree = joint_tree(tuple(map(int, skeleton.parents)))
+    chosen = choose_joints(overrides or {}, skeleton.names, source)
+    positions = _positions(skeleton, poses)
+    finding = Finding()
+    limbs = _named_limbs(skeleton.names, tree, chosen, finding)
+    if _has(limbs, "shin"):
+        return _complete(skeleton, tree, limbs, chosen, positions, finding, source)
+    return _by_geometry(skeleton, tree, limbs, chosen, positions, source)
+
+
+def _positions(skeleton: Skeleton, poses: Poses) -> np.ndarray:
+    """Returns the poses [N, J, 3]."""
+    if poses is None:
+        return rest_pose(skeleton)[None]
+    return np.asarray(poses() if callable(poses) else poses, float)
+
+
+def _has(limbs: Mapping[str, Any], part: str) -> bool:
+    """Returns whether both sides have a part."""
+    return all(f"{side}_{part}" in limbs for side in SIDES)
+
+
+def _named_limbs(names: tuple[str, ...], tree: JointTree, chosen: Chosen, finding: Finding) -> dict[str, int]:
+    """Returns the limbs that names and overrides give, with feet that are not under their leg."""
+    limbs = dict(named_limbs(names, tree.parents))
+    for side in SIDES:
+        leg = {limbs[f"{side}_{part}"] for part in LEG if f"{side}_{part}" in limbs}
+        if leg and f"{side}_foot" not in limbs and (foot := detached_foot(names, side, leg)) is not None:
+            limbs[f"{side}_foot"] = foot
+            finding.decide(f"the {side} foot {names[foot]} is not under the leg")
+    return _override(limbs, chosen, tree)
+
+
+def _override(limbs: dict[str, int], chosen: Chosen, tree: JointTree) -> dict[str, int]:
+    """Returns limbs with the chosen joints, and the middle joint of a limb whose ends alone are chosen."""
+    limbs = {bone: joint for bone, joint in limbs.items() if bone not in chosen}
+    limbs |= {bone: joint for bone, joint in chosen.items() if isinstance(joint, int)}
+    for side in SIDES:
+        for upper, lower, end in (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand")):
+            first, last = limbs.get(f"{side}_{upper}"), limbs.get(f"{side}_{end}")
+            middle = limbs.get(f"{side}_{lower}")
+            if first is None or last is None or first == last or not tree.is_above(first, last):
+                continue
+            between = tree.down(first, last)[:-1]
+            if between and middle not in between:
+                limbs[f"{side}_{lower}"] = between[(len(between) - 1) // 2]
+    return {bone: joint for bone, joint in limbs.items() if bone not in ("hips", "head")}
+
+
+def _by_geometry(
+    skeleton: Skeleton, tree: JointTree, limbs: dict[str, int], chosen: Chosen, poses: np.ndarray, source: str | Path
+) -> HumanoidMap:
+    """Returns the map of a skeleton whose legs are not named, with the first axis up that gives one.
+
+    Raises:
+        InputError: as the first axis up does.
+    """
+    helpers = [label.helper for label in read_names(skeleton.names)]
+    refusal: InputError | None = None
+    for up in UP_AXES:
+        finding = Finding()
+        stood = poses @ up.T
+        measured = measured_limbs(tree, stood, helpers)
+        joined = _override({**measured, **{k: v for k, v in limbs.items() if _has(limbs, "upper_arm")}}, chosen, tree)
+        finding.decide("limbs found by their lengths and places, not by names", BY_GEOMETRY)
+        try:
+            return _complete(skeleton, tree, joined, chosen, stood, finding, source)
+        except InputError as error:
+            refusal = refusal or error
+    assert refusal is not None
+    raise refusal
+
+
+def _complete(
+    skeleton: Skeleton,
+    tree: JointTree,
+    limbs: dict[str, int],
+    chosen: Chosen,
+    poses: np.ndarray,
+    finding: Finding,
+    source: str | Path,
+) -> HumanoidMap:
+    """Adds hips, spine, neck and head to limbs, and confirms the map by geometry."""
+    missing = [f"{side}_{part}" for side in SIDES for part in ("thigh", "shin") if f"{side}_{part}" not in limbs]
+    if missing:
+        rule = f"must have a joint for {', '.join(missing)}; name it in a file of overrides (--roles)"
+        raise InputError(source, "skeleton", f"joints {listed(skeleton.names)}", rule)
+    names = skeleton.names
+    ends = frozenset(joint for joint, site in skeleton.end_sites if not site.any())
+    trunk = Trunk(tree, read_names(names), named_trunk(names), poses[0], limbs, ends)
+    head = chosen["head"] if "head" in chosen else find_head(trunk)
+    assert not isinstance(head, tuple)
+    hips = chosen["hips"] if isinstance(chosen.get("hips"), int) else find_hips(trunk, head)
+    assert isinstance(hips, int)
+    spine, neck = find_spine(trunk, hips, head)
+    spine, neck = (chosen.get(bone, found) for bone, found in (("spine", spine), ("neck", neck)))
+    parts = {f"{side}_{part}": limbs.get(f"{side}_{part}") for side in SIDES for part in (*ARM, *LEG)}
+    found: dict[str, Any] = {"hips": hips, "spine": spine, "neck": neck, "head": head, **parts}
+    _require_chains(names, tree, found, source)
+    check_geometry(found, skeleton, tree, poses, finding, source)
+    return HumanoidMap(**found, confidence=finding.confidence, explanation=tuple(finding.lines))
+
+
+def _require_chains(names: tuple[str, ...], tree: JointTree, found: dict[str, Any], source: str | Path) -> None:
+    """Refuses limbs whose joints do not descend from each other, and joints that play two parts."""
+    for side in SIDES:
+        thigh, shin, foot, toe = (found[f"{side}_{part}"] for part in LEG)
+        chain = [found["hips"], thigh, shin]
+        # a foot may hang elsewhere than under its leg, but not above it
+        detached = foot is not None and not tree.is_above(shin, foot) and not tree.is_above(foot, shin)
+        chain += [] if foot is None or detached else [foot]
+        pairs = list(zip(chain, chain[1:], strict=False)) + (
+            [(foot, toe)] if foot is not None and toe is not None else []
+        )
+        upper, lower, hand = (found[f"{side}_{part}"] for part in ("upper_arm", "lower_arm", "hand"))
+        arm = [joint for joint in (upper, lower, hand) if joint is not None]
+        pairs += list(zip(arm, arm[1:], strict=False))
+        for one, other in pairs:
+            if not tree.is_above(one, other) or one == other:
+                rule = "hips, thigh, shin, ankle and toe, and the joints of an arm, must each lie below the one before"
+                raise InputError(source, "skeleton", f"{side}: {names[other]} is not below {names[one]}", rule)
+    if found["left_thigh"] == found["right_thigh"]:
+        raise InputError(source, "skeleton", names[found["left_thigh"]], "left and right must be different joints")
+    if found["left_upper_arm"] is not None and found["left_upper_arm"] == found["right_upper_arm"]:
+        raise InputError(source, "skeleton", names[found["left_upper_arm"]], "left and right must be different joints")

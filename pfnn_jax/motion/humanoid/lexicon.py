@@ -1,0 +1,57 @@
+"""Words for the parts of the body, of the naming conventions in use."""
+
+from __future__ import annotations
+
+from pfnn_jax.motion.humanoid.names import JointName
+
+CLEAR, LIKELY, POSSIBLE, WEAK = 4.0, 3.0, 2.0, 1.0
+"""Points of a word that is used for one part only, for this part mostly, for another part mostly, or for any part."""
+
+_CLEAR_WORDS = {
+    "clavicle": "clavicle collar collarbone scapula",
+    "upper_arm": "upperarm uparm armupper humerus shldr bicep",
+    "lower_arm": "forearm lowerarm lowarm loarm armlower elbow radius",
+    "hand": "hand wrist",
+    "thigh": "upleg upperleg thigh femur legupper",
+    "shin": "lowerleg lowleg loleg leglower shin calf knee tibia",
+    "foot": "ankle feet talus",
+    "toe": "toebase toe toes ball",
+}
+_AMBIGUOUS_WORDS = {
+    "shoulder": {"clavicle": LIKELY, "upper_arm": POSSIBLE},
+    "arm": {"upper_arm": LIKELY, "lower_arm": WEAK, "hand": WEAK},
+    "fist": {"hand": LIKELY},
+    "palm": {"hand": LIKELY},
+    "hip": {"thigh": LIKELY},
+    "leg": {"shin": LIKELY, "thigh": POSSIBLE, "foot": WEAK, "toe": WEAK},
+    "foot": {"foot": CLEAR, "toe": POSSIBLE},
+}
+LIMB_WORDS: dict[str, dict[str, float]] = {
+    **{word: {part: CLEAR} for part, words in _CLEAR_WORDS.items() for word in words.split()},
+    **_AMBIGUOUS_WORDS,
+}
+"""Word of a joint with a side -> part of a limb -> points."""
+
+HIPS_WORDS = frozenset("hips pelvis hip".split())
+HEAD_WORDS = frozenset("head skull".split())
+NECK_WORDS = frozenset("neck c".split())
+SPINE_WORDS = frozenset(
+    "spine chest upperchest abdomen ab torso waist back lowerback upperback belly tummy body bodylower bodyupper "
+    "ribs ribcage thorax stomach lowerspine upperspine t l".split()
+)
+"""Words of joints without a side; c, t and l are vertebrae, which have a number."""
+
+
+def limb_points(name: JointName) -> dict[str, float]:
+    """Returns part of a limb -> points that a joint's name gives it; empty for helpers and other joints."""
+    return LIMB_WORDS.get(name.part, {}) if name.side and not name.helper else {}
+
+
+def trunk_part(name: JointName) -> str:
+    """Returns `hips`, `spine`, `neck` or `head` for a joint on the midline that is called so, else an empty text."""
+    if name.side or name.helper:
+        return ""
+    for part, words in (("hips", HIPS_WORDS), ("head", HEAD_WORDS), ("neck", NECK_WORDS), ("spine", SPINE_WORDS)):
+        if name.part in words and (len(name.part) > 1 or name.numbers):
+            return part
+    return ""

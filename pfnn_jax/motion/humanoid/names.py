@@ -1,0 +1,131 @@
+"""Reads joint names: removes what exporters add, and divides the rest into side, part and number."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections import Counter
+from dataclasses import dataclass
+
+SIDE_WORDS = {
+    "left": "left",
+    "l": "left",
+    "lft": "left",
+    "lt": "left",
+    "right": "right",
+    "r": "right",
+    "rgt": "right",
+    "rt": "right",
+}
+OTHER_SIDE = {"left": "right", "right": "left", "": ""}
+
+SHARED = 0.5
+"""Share of the joints whose names must begin with the same word for it to be a prefix of the exporter."""
+
+FILLER = frozenset(
+    "jnt jt joint bone bn b def deform org fk armature skeleton rig bip biped valve valvebiped character skin".split()
+)
+"""Words that say nothing about the part of the body."""
+
+HELPER_WORDS = frozenset("ik end tip nub site mch pt roll leaf root2 tweak con ctrl null dummy slot socket".split())
+HELPER_PARTS = ("twist", "pole", "target", "control", "helper", "rigmesh", "effector", "orient", "tracker", "hipjoint")
+"""Words, and parts of words, of joints that help to animate, to skin or to end a bone."""
+
+
+@dataclass(frozen=True)
+class JointName:
+    """What the name of a joint says.
+
+    Attributes:
+        side: `left`, `right` or empty.
+        part: the words in lower case and joined, without side, numbers and filler: `upleg`.
+        numbers: in the name, in order.
+        helper: whether the name is that of a twist, helper, control or leaf joint.
+    """
+
+    side: str
+    part: str
+    numbers: tuple[int, ...]
+    helper: bool
+
+
+@functools.lru_cache(maxsize=64)
+def plain_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns joint names without namespaces (`mixamorig:`), shared prefixes (`Bip01 `) and exporter suffixes (`_12`).
+
+    A suffix is removed only where every joint has one and no two have the same, apart from an added root.
+    """
+    plain = [name.rsplit(":", 1)[-1] for name in names]
+    numbered = [re.fullmatch(r"(.+)_(\d+)", name) for name in plain]
+    counters = [match[2] for match in numbered if match]
+    if len(counters) >= len(plain) - 1 > 1 and len(set(counters)) == len(counters):
+        plain = [match[1] if match else name for name, match in zip(plain, numbered, strict=True)]
+    while prefix := _shared_prefix(plain):
+        plain = [name[len(prefix) :] if name.startswith(prefix) and len(name) > len(prefix) else name for name in plain]
+    return tuple(plain)
+
+
+def _shared_prefix(names: list[str]) -> str:
+    """Returns the first word of most names with the separator behind it; empty where no word is a prefix."""
+    if len(names) < 4:
+        return ""
+    # a word and its number, up to a separator, or up to a capital letter as in mixamorigHips
+    matches = (re.match(r"[A-Za-z]+\d*[ _.:-]+(?=\w)|[a-z]{4,}(?=[A-Z])|[A-Z]{2,}_", name) for name in names)
+    counts = Counter(match[0] for match in matches if match)
+    if not counts:
+        return ""
+    prefix, count = counts.most_common(1)[0]
+    word = re.sub(r"[^a-z]", "", prefix.lower())
+    return prefix if count >= SHARED * len(names) and word not in SIDE_WORDS else ""
+
+
+def words_of(name: str) -> list[str]:
+    """Splits a name into lower-case words and numbers: `LeftUpLeg2` -> left, up, leg, 2."""
+    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)]
+
+
+@functools.lru_cache(maxsize=64)
+def read_names(names: tuple[str, ...]) -> tuple[JointName, ...]:
+    """Returns side, part and number of each joint's name."""
+    plain = plain_names(names)
+    words = [words_of(name) for name in plain]
+    whole = {"".join(w) for w in words}
+    return tuple(_read(name, w, whole) for name, w in zip(plain, words, strict=True))
+
+
+def _read(name: str, words: list[str], whole: set[str]) -> JointName:
+    """Returns what a name says.
+
+    Args:
+        name: without prefixes and suffixes.
+        words: of the name.
+        whole: all names of the skeleton, as joined words.
+    """
+    joined = "".join(words)
+    helper = name.startswith("__") or any(word in HELPER_WORDS for word in words)
+    helper = helper or any(part in joined for part in HELPER_PARTS)
+    side, rest = _split_side(words, whole)
+    part = "".join(word for word in rest if not word.isdigit() and word not in FILLER)
+    return JointName(side, part, tuple(int(word) for word in rest if word.isdigit()), helper)
+
+
+def _split_side(words: list[str], whole: set[str]) -> tuple[str, list[str]]:
+    """Returns the side that a name's words mean, and the other words."""
+    for at, word in enumerate(words):
+        rest = words[:at] + words[at + 1 :]
+        if word in SIDE_WORDS and any(not other.isdigit() for other in rest):
+            return SIDE_WORDS[word], rest
+    joined = "".join(words)
+    if glued := re.match(r"(left|right)(.+)", joined):
+        return glued[1], [glued[2]]
+    for mark, other in (("l", "r"), ("r", "l")):
+        if joined[:1] == mark and other + joined[1:] in whole:
+            return SIDE_WORDS[mark], re.findall(r"[a-z]+|\d+", joined[1:])  # lfemur, where there is also rfemur
+        if joined[-1:] == mark and joined[:-1] + other in whole:
+            return SIDE_WORDS[mark], re.findall(r"[a-z]+|\d+", joined[:-1])
+    return "", words
+
+
+def natural_order(name: str) -> tuple:
+    """Returns a key that sorts names with numbers in order: toe2 before toe10."""
+    return tuple(int(word) if word.isdigit() else 0 for word in re.findall(r"\d+", name)), name

@@ -1,0 +1,136 @@
+"""Pairs the joints of the left with those of the right."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
+from pfnn_jax.motion.humanoid.names import OTHER_SIDE, SIDE_WORDS, plain_names, read_names
+from pfnn_jax.motion.humanoid.tree import JointTree, joint_tree
+from pfnn_jax.motion.skeleton import Skeleton
+
+
+def find_mirror(skeleton: Skeleton, humanoid: HumanoidMap | None = None) -> np.ndarray:
+    """Returns the index [J] of each joint's left-right partner, its own index on the midline.
+
+    Partners are found from the root outwards, so that the parents of partners are partners. Among the children of two
+    partners, or of a joint on the midline, those are partners that lead to the same parts of the map, then those whose
+    names differ only in the side, then those whose names mean the same part. Below partners whose names do not contain
+    sides, children are paired by the lengths of their bones.
+
+    Args:
+        skeleton: J joints; its own mirror is ignored.
+        humanoid: the map, if there is one.
+    """
+    return _Pairing(skeleton, humanoid).mirror
+
+
+class _Pairing:
+    """The search for partners, from the root outwards."""
+
+    def __init__(self, skeleton: Skeleton, humanoid: HumanoidMap | None):
+        self.tree: JointTree = joint_tree(tuple(map(int, skeleton.parents)))
+        self.names = plain_names(skeleton.names)
+        self.labels = read_names(skeleton.names)
+        self.lengths = np.linalg.norm(skeleton.offsets, axis=-1)
+        self.leads = _leads(self.tree, humanoid)
+        self.mirror = np.arange(skeleton.num_joints)
+        waiting = [(0, 0)]
+        while waiting:
+            waiting += self._pair_children(*waiting.pop())
+
+    def _pair_children(self, one: int, other: int) -> list[tuple[int, int]]:
+        """Pairs the children of two partners, or of one joint; returns the pairs, and (joint, joint) on the midline."""
+        if one == other:
+            return self._pair_across(self.tree.children[one])
+        pairs: list[tuple[int, int]] = []
+        left, right = list(self.tree.children[one]), list(self.tree.children[other])
+        for rule in (self._same_limb, self._opposite_names, self._same_part, self._like_bones):
+            for joint in list(left):
+                fitting = [partner for partner in right if rule(joint, partner)]
+                if fitting:
+                    partner = min(fitting, key=lambda p: abs(self.lengths[p] - self.lengths[joint]))
+                    left.remove(joint)
+                    right.remove(partner)
+                    pairs.append((joint, partner))
+        for joint, partner in pairs:
+            self.mirror[joint], self.mirror[partner] = partner, joint
+        return pairs
+
+    def _pair_across(self, children: list[int]) -> list[tuple[int, int]]:
+        """Pairs children of a joint on the midline with each other; those without partner stay on the midline."""
+        pairs: list[tuple[int, int]] = []
+        rest = list(children)
+        for rule in (self._same_limb, self._opposite_names, self._same_part):
+            for joint in list(rest):
+                fitting = [partner for partner in rest if partner > joint and joint in rest and rule(joint, partner)]
+                if fitting:
+                    partner = min(fitting, key=lambda p: abs(self.lengths[p] - self.lengths[joint]))
+                    rest.remove(joint)
+                    rest.remove(partner)
+                    pairs.append((joint, partner))
+        for joint, partner in pairs:
+            self.mirror[joint], self.mirror[partner] = partner, joint
+        return pairs + [(joint, joint) for joint in rest if not self.labels[joint].side]
+
+    def _same_limb(self, joint: int, partner: int) -> bool:
+        """Whether two joints lead to the same limb of opposite sides."""
+        return any((limb, OTHER_SIDE[side]) in self.leads[partner] for limb, side in self.leads[joint])
+
+    def _opposite_names(self, joint: int, partner: int) -> bool:
+        """Whether two names differ only in the side."""
+        return self.labels[joint].side != "" and _swap_side(self.names[joint]) == self.names[partner].lower()
+
+    def _same_part(self, joint: int, partner: int) -> bool:
+        """Whether two names mean the same part of opposite sides."""
+        a, b = self.labels[joint], self.labels[partner]
+        same = (a.part, a.numbers, a.helper) == (b.part, b.numbers, b.helper)
+        return a.side != "" and a.side == OTHER_SIDE[b.side] and same
+
+    def _like_bones(self, joint: int, partner: int) -> bool:
+        """Whether two joints below partners have names without a side, and as many joints below them."""
+        below = len(self.tree.below(joint)) == len(self.tree.below(partner))
+        return below and not (self.labels[joint].side and self.labels[partner].side)
+
+
+def _leads(tree: JointTree, humanoid: HumanoidMap | None) -> list[set[tuple[str, str]]]:
+    """Returns for each joint the limbs (part, side) of a map that begin at it or below it, or that it is part of."""
+    leads: list[set[tuple[str, str]]] = [set() for _ in tree.parents]
+    if humanoid is None:
+        return leads
+    for limb in (LEG, ARM):
+        for side in ("left", "right"):
+            for part, joint in zip(limb, humanoid.limb(side, limb), strict=True):
+                for above in () if joint is None else tree.above(joint):
+                    leads[above].add((part, side))
+    # a joint above both sides leads to neither
+    for lead in leads:
+        both = {(part, side) for part, side in lead if (part, OTHER_SIDE[side]) in lead}
+        lead -= both
+    return leads
+
+
+def _swap_side(name: str) -> str:
+    """Returns a name in lower case with the other side, everything else unchanged."""
+    words = re.split(r"([A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+)", name)
+    swapped = [_other_word(word) for word in words]
+    if swapped != words:
+        return "".join(swapped).lower()
+    lower = name.lower()
+    for mark, other in (("left", "right"), ("right", "left"), ("l", "r"), ("r", "l")):
+        if lower.startswith(mark):
+            return other + lower[len(mark) :]
+    return lower[:-1] + {"l": "r", "r": "l"}.get(lower[-1:], lower[-1:])
+
+
+def _other_word(word: str) -> str:
+    """Returns the word for the other side, or the word itself."""
+    side = SIDE_WORDS.get(word.lower())
+    if side is None:
+        return word
+    lower = word.lower()
+    pairs = {"left": "right", "l": "r", "lft": "rgt", "lt": "rt"}
+    pairs |= {right: left for left, right in pairs.items()}
+    return pairs[lower]
