@@ -129,7 +129,8 @@ def lift_toes(
         assert flat.toe is not None
         base = ankles[:, number] + quat_rotate(world[:, foot], rest[toe] - rest[foot])
         end = max(ends, key=lambda site: float(np.linalg.norm(site)))
-        lowest = floor + flat.height + flat.toe[1] + quat_rotate(reference[toe], end)[1] - base[:, 1]
+        rise = min(float(quat_rotate(reference[toe], end)[1]), 0.0)  # some rigs have ends that point upwards
+        lowest = floor + flat.height + flat.toe[1] + rise - base[:, 1]
         # a turn about the axis to the right raises what points forward
         axis = quat_rotate(world[:, foot], quat_rotate(quat_conjugate(reference[foot]), np.array([-1.0, 0.0, 0.0])))
         angle = _angle_to_height(quat_rotate(world[:, toe], end), axis, lowest)
