@@ -14,7 +14,7 @@ from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 SOLE_SHARE = 0.09
 """Height of an ankle above the ground in leg lengths, in a skeleton whose feet have neither toes nor ends."""
 
-ON_HEEL, ON_TOE = -12.0, -4.0
+ON_HEEL, ON_TOE = -25.0, -5.0
 """Pitch in degrees, positive with a raised heel, below which a foot turns about its ankle and above which about its
 toe. Flat feet, whose pitch varies by some degrees, lie on one side of both."""
 
