@@ -14,9 +14,22 @@ from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 SOLE_SHARE = 0.09
 """Height of an ankle above the ground in leg lengths, in a skeleton whose feet have neither toes nor ends."""
 
-ON_HEEL, ON_TOE = -25.0, -5.0
-"""Pitch in degrees, positive with a raised heel, below which a foot turns about its ankle and above which about its
-toe. Flat feet, whose pitch varies by some degrees, lie on one side of both."""
+ON_HEEL, ON_TOE = 0.07, 0.015
+"""Height of a toe above its place in a flat foot, against the ankle and in leg lengths, from which on a foot stands on
+its heel and up to which it stands on its toe. Flat feet, whose pitch varies by some degrees, are below both."""
+
+NEAR, CLEAR = 0.03, 0.1
+"""Height of a toe above its place in a flat foot, in leg lengths, up to which it may stand and from which on it swings
+freely."""
+
+RIGHT = np.array([-1.0, 0.0, 0.0])
+"""Axis in the reference pose about which a positive turn raises what points forward."""
+
+STEEPEST = np.radians(75.0)
+"""Steepest pitch below the horizontal that a foot is given; beyond it a short foot leaves the ground earlier."""
+
+STEEP, HANGING = np.radians(65.0), np.radians(90.0)
+"""Pitch below the horizontal at which a foot begins to keep the source's pitch, and from which on it keeps it."""
 
 
 @dataclass(frozen=True)
@@ -64,39 +77,90 @@ def _end(skeleton: Skeleton, joint: int, site: np.ndarray) -> np.ndarray:
     return rest_pose(skeleton)[joint] + site
 
 
+def pitch_foot(turns: np.ndarray, scale: float, source: FlatFoot, target: FlatFoot) -> np.ndarray:
+    """Returns the rotations [T, 4] with which the target's foot raises its heel or toe as high as the source's.
+
+    A foot of another length has another pitch then. With the source's pitch a shorter foot would pull the body down
+    to keep its toe on the ground, and a longer one would push its toe into the ground.
+
+    Args:
+        turns: [T, 4] world rotations of the source's foot from its reference pose.
+        scale: leg length of the target over that of the source.
+        source, target: both feet.
+    """
+    if source.toe is None or target.toe is None:
+        return turns
+    height = scale * (quat_rotate(turns, source.toe)[:, 1] - source.toe[1]) + target.toe[1]
+    axis = quat_rotate(turns, RIGHT)
+    now, wanted = _pitch_to_height(quat_rotate(turns, target.toe), axis, height)
+    wanted = np.maximum(wanted, np.minimum(now, -STEEPEST))
+    # a foot that hangs or points backwards has no pitch that raises it, and keeps that of the source
+    share = np.clip((HANGING + now) / (HANGING - STEEP), 0.0, 1.0)
+    return quat_multiply(quat_from_axis_angle(axis, share * (wanted - now)), turns)
+
+
 def ankle_targets(
-    ankles: np.ndarray, turns: np.ndarray, scale: float, source: FlatFoot, target: FlatFoot
+    ankles: np.ndarray,
+    turns: np.ndarray,
+    pitched: np.ndarray,
+    scale: float,
+    source: FlatFoot,
+    target: FlatFoot,
+    floor: np.ndarray,
+    leg: float,
 ) -> np.ndarray:
     """Returns where the target's ankle must be for its foot to stand as the source's does.
 
     The sole stays at the source's height, scaled, so the ankle is as much higher as the target's foot is. A foot that
-    is flat or has its heel raised turns about its toe, one that stands on its heel about its ankle: that point stays
-    where it stands, although the target's foot has another length. Both agree in a flat foot.
+    is flat or has its heel raised stands on its toe, one whose toe is raised on its heel: that point stays in its
+    place, although the target's foot has another length. Feet in the air move as the source's ankles do.
 
     Args:
         ankles: [T, 3] metres of the source's ankle.
-        turns: [T, 4] world rotations of the foot from the reference pose.
+        turns: [T, 4] world rotations of the source's foot from its reference pose.
+        pitched: [T, 4] those of the target's foot.
         scale: leg length of the target over that of the source.
         source, target: both feet.
+        floor: [T] metres below the target's foot.
+        leg: leg length of the target in metres.
 
     Returns:
         [T, 3] metres.
     """
-    raised = UP * (target.height - scale * source.height)
-    places = scale * ankles + raised
+    places = scale * ankles + UP * (target.height - scale * source.height)
     if source.toe is None or target.toe is None:
         return places
-    excess = target.toe - scale * source.toe
-    left, pointing = quat_rotate(turns, np.array([1.0, 0.0, 0.0])), quat_rotate(turns, FORWARD)
-    # the excess of a flat foot with the same heading, less that of the foot as it is turned
-    heading = np.cross(left, UP)
+    own, other = scale * quat_rotate(turns, source.toe), quat_rotate(pitched, target.toe)
+    raised = own[:, 1] - scale * source.toe[1]  # of the toe over its place in a flat foot, against the ankle
+    on_toe = np.clip((ON_HEEL - raised / leg) / (ON_HEEL - ON_TOE), 0.0, 1.0)
+    clearance = places[:, 1] - target.height + raised - floor
+    near = np.clip((CLEAR - clearance / leg) / (CLEAR - NEAR), 0.0, 1.0)
+    # a flat foot's toe is ahead of the source's by the excess; the ankle makes up for what the turned foot lacks
+    excess, heading = target.toe - scale * source.toe, _heading(turns)
+    lacking = excess[2] * heading + excess[0] * np.cross(UP, heading) - other + own
+    return places + (near * on_toe)[:, None] * lacking * np.array([1.0, 0.0, 1.0])
+
+
+def _heading(turns: np.ndarray) -> np.ndarray:
+    """Returns the horizontal directions [T, 3] of feet with world rotations [T, 4] from the reference pose."""
+    heading = np.cross(quat_rotate(turns, -RIGHT), UP)
     size = np.linalg.norm(heading, axis=-1, keepdims=True)
-    heading = np.where(size > 0.1, heading / np.maximum(size, 0.1), pointing)
-    flat = excess[2] * heading + excess[1] * UP + excess[0] * np.cross(UP, heading)
-    lifted = quat_rotate(turns, UP)
-    pitch = np.degrees(np.arctan2(np.sum(lifted * heading, axis=-1, keepdims=True), lifted[:, 1:2]))
-    on_toe = np.clip((pitch - ON_HEEL) / (ON_TOE - ON_HEEL), 0.0, 1.0)
-    return places + on_toe * (flat - quat_rotate(turns, excess))
+    return np.where(size > 0.1, heading / np.maximum(size, 0.1), quat_rotate(turns, FORWARD))
+
+
+def keep_toes_above(turns: np.ndarray, foot: FlatFoot, ankles: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """Returns the rotations [T, 4] of a foot, less steep where its toe joint would be below the floor.
+
+    Args:
+        turns: [T, 4] from the reference pose.
+        foot: the foot.
+        ankles: [T, 3] metres.
+        floor: [T] metres.
+    """
+    if foot.toe is None:
+        return turns
+    lowest = floor + foot.height + foot.toe[1] - ankles[:, 1]
+    return quat_multiply(_lift(quat_rotate(turns, foot.toe), quat_rotate(turns, RIGHT), lowest), turns)
 
 
 def lift_toes(
@@ -131,20 +195,26 @@ def lift_toes(
         end = max(ends, key=lambda site: float(np.linalg.norm(site)))
         rise = min(float(quat_rotate(reference[toe], end)[1]), 0.0)  # some rigs have ends that point upwards
         lowest = floor + flat.height + flat.toe[1] + rise - base[:, 1]
-        # a turn about the axis to the right raises what points forward
-        axis = quat_rotate(world[:, foot], quat_rotate(quat_conjugate(reference[foot]), np.array([-1.0, 0.0, 0.0])))
-        angle = _angle_to_height(quat_rotate(world[:, toe], end), axis, lowest)
-        world[:, toe] = quat_multiply(quat_from_axis_angle(axis, angle), world[:, toe])
+        axis = quat_rotate(world[:, foot], quat_rotate(quat_conjugate(reference[foot]), RIGHT))
+        world[:, toe] = quat_multiply(_lift(quat_rotate(world[:, toe], end), axis, lowest), world[:, toe])
 
 
-def _angle_to_height(bones: np.ndarray, axis: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Returns the angles [T] about unit axes [T, 3] that raise bones [T, 3] to a height [T], 0 where they reach it."""
+def _lift(bones: np.ndarray, axis: np.ndarray, lowest: np.ndarray) -> np.ndarray:
+    """Returns the rotations [T, 4] about axes [T, 3] that raise the ends of bones [T, 3] to heights [T], if lower."""
+    now, wanted = _pitch_to_height(bones, axis, lowest)
+    return quat_from_axis_angle(axis, np.where(bones[:, 1] < lowest, wanted - now, 0.0))
+
+
+def _pitch_to_height(bones: np.ndarray, axis: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the pitch of bones [T, 3] about unit axes [T, 3], and that at which they end at a height [T].
+
+    Radians, 0 where the bone is level and positive where it rises; the second is at most a right angle.
+    """
     across = np.sum(bones * axis, axis=-1)
     ahead = bones - across[:, None] * axis
     upwards = np.cross(axis, ahead)  # where a quarter turn takes it
-    # the height after a turn by a is across * axis + ahead cos a + upwards sin a
+    # at pitch p the end is at the height across * axis + radius sin p
     radius = np.hypot(ahead[:, 1], upwards[:, 1])
     now = np.arctan2(ahead[:, 1], upwards[:, 1])
-    wanted = (height - across * axis[:, 1]) / np.maximum(radius, 1e-9)
-    turned = np.arcsin(np.clip(wanted, -1.0, 1.0)) - now
-    return np.where((bones[:, 1] < height) & (radius > 1e-9), turned, 0.0)
+    sine = (height - across * axis[:, 1]) / np.maximum(radius, 1e-9)
+    return now, np.where(radius > 1e-9, np.arcsin(np.clip(sine, -1.0, 1.0)), now)

@@ -27,7 +27,14 @@ from pfnn_jax.motion.retargeting.body import (
     torso_chain,
 )
 from pfnn_jax.motion.retargeting.chains import resample_chain
-from pfnn_jax.motion.retargeting.feet import ankle_targets, flat_foot, lift_toes, sole_heights
+from pfnn_jax.motion.retargeting.feet import (
+    ankle_targets,
+    flat_foot,
+    keep_toes_above,
+    lift_toes,
+    pitch_foot,
+    sole_heights,
+)
 from pfnn_jax.motion.retargeting.legs import leg_extension, place_legs
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
@@ -118,20 +125,21 @@ def _retarget(
         (flat_foot(source, source_map, references[0], side), flat_foot(target, target_map, references[1], side))
         for side in SIDES
     ]
-    ankles = [
-        ankle_targets(
-            positions[:, limb(source_map, side, "foot")[0]], turns[limb(target_map, side, "foot")[0]], scale, *pair
-        )
-        for side, pair in zip(SIDES, feet, strict=True)
-    ]
+    leg = leg_length_of(target, target_map)
+    floor = scale * moving_minimum(sole_heights(positions, source_map, [own for own, _ in feet]), _window(clip.fps))
+    ankles = []
+    for side, (own, other) in zip(SIDES, feet, strict=True):
+        (ankle,), (foot,) = limb(source_map, side, "foot"), limb(target_map, side, "foot")
+        turned = pitch_foot(turns[foot], scale, own, other)
+        ankles.append(ankle_targets(positions[:, ankle], turns[foot], turned, scale, own, other, floor, leg))
+        moved[:, foot] = quat_multiply(keep_toes_above(turned, other, ankles[-1], floor), references[1][foot])
     raised = UP * np.mean([other.height - scale * own.height for own, other in feet])
     middle = (positions[:, source_map.left_thigh] + positions[:, source_map.right_thigh]) / 2
     hips = scale * middle + raised - quat_rotate(moved[:, target_map.hips], _middle_of_legs(target, target_map))
     forward = quat_rotate(turns[target_map.hips], FORWARD)
     targets = np.stack(ankles, axis=1)
     hips = place_legs(target_map, target, hips, moved, forward, targets, leg_extension(positions, source_map))
-    floor = moving_minimum(sole_heights(positions, source_map, [own for own, _ in feet]), _window(clip.fps))
-    lift_toes(target_map, target, references[1], moved, targets, scale * floor)
+    lift_toes(target_map, target, references[1], moved, targets, floor)
     local = _fill(target, target_map, moved, set(turns))
     at_origin, _ = forward_kinematics(target, np.zeros((clip.num_frames, 3)), local)
     return replace(clip, skeleton=target, root_positions=hips - at_origin[:, target_map.hips], rotations=local)
