@@ -19,6 +19,20 @@ class InputError(ValueError):
         return type(self), (self.file, self.place, self.value, self.rule)
 
 
+class BadFilesError(InputError):
+    """Several bad files at once: the message has a line for each, and a last one that says what to do."""
+
+    def __init__(self, file: str | Path, errors: tuple[InputError, ...], rule: str):
+        super().__init__(file, "clips", f"{len(errors)} bad files", rule)
+        self.errors = errors
+
+    def __str__(self) -> str:
+        return "\n".join([*map(str, self.errors), super().__str__()])
+
+    def __reduce__(self):
+        return type(self), (self.file, self.errors, self.rule)
+
+
 class TrainingError(RuntimeError):
     """Training became non-finite: names the step, the style and the value. The last good save is kept."""
 

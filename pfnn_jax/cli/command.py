@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +12,16 @@ import tyro
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import refuse_existing, require_suffix
+from pfnn_jax.motion.reading import ReadOptions
 
 FLAT = tyro.conf.arg(name="")
 """The fields of a configuration become options without a prefix: --hidden, not --config.hidden."""
 
 Run = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(name="run", metavar="RUN")]
 """A run directory as a positional argument."""
+
+Reading = Annotated[ReadOptions, FLAT]
+"""The options of every command that reads clips: --unit, --up, --source-fps, --travel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +43,12 @@ class Command:
     def ending(self) -> AbstractContextManager[None]:
         """Returns a context for the end of the program, which sees its exit code."""
         return nullcontext()
+
+
+def print_notes(file: Path, notes: Iterable[str]) -> None:
+    """Prints what was assumed about a clip's file and may be wrong, a line each."""
+    for note in notes:
+        print(f"note: {file}: {note}")
 
 
 def check_output(path: Path, overwrite: bool, *suffixes: str) -> None:

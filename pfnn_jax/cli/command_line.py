@@ -26,6 +26,7 @@ COMMANDS = {
     "export": "Export a run for game engines.",
     "import-released": "Make a run from the authors' released weights.",
     "predict": "Evaluate a run's network on rows of a file.",
+    "skeleton": "Show which joints of a clip are taken for which parts of the body.",
     "label-phase": "Label the phase of a clip.",
     "plot-phase": "Plot the local phases of hands and toes.",
     "benchmark": "Time training and inference on this machine.",

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional
 
-from pfnn_jax.cli.command import Command, Run
+from pfnn_jax.cli.command import Command, Reading, Run, print_notes
+from pfnn_jax.motion.reading import ReadOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,25 +22,29 @@ class Evaluate(Command):
         source: folder of BVH files, or one file.
         style: style of the run to test on all clips; by default the one that each clip is named after.
         roles: JSON file that names the joints' roles.
+        reading: what is known about the files, where it is not found or wrong.
     """
 
     run_path: Run
     source: Annotated[Positional[Path], tyro.conf.arg(metavar="FOLDER")]
     style: str | None = None
     roles: Path | None = None
+    reading: Reading = ReadOptions()
 
     def run(self) -> Any:
         from pfnn_jax.motion.datasets.sources import list_clips
         from pfnn_jax.run_config import check_finished
 
         check_finished(self.run_path)
-        clips = list_clips(self.source)
+        clips = list_clips(self.source, reading=self.reading)
         from pfnn_jax.evaluation.clips import evaluate_clips
         from pfnn_jax.run import load_run
 
         result = evaluate_clips(load_run(self.run_path), clips, self.style, self.roles)
         print("mean squared one-step error / variance of the training data: lower is better, 1.0 = predicting the mean")
         for style, errors in result.items():
+            for file, note in errors["notes"].items():
+                print_notes(file, [note])
             print(f"{style}: {_groups(errors)}")
             if "without_style" in errors:
                 print(f"{style}, without a style: {_groups(errors['without_style'])}")

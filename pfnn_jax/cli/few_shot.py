@@ -9,9 +9,10 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from pfnn_jax.cli.command import FLAT, Command, Run
+from pfnn_jax.cli.command import FLAT, Command, Reading, Run, print_notes
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
+from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig, TuningConfig
 
 GRID = frozenset(field.name for field in fields(FewShotConfig)) - {"seed"}
@@ -31,6 +32,7 @@ class FewShot(Command):
         stop: frame before which to end; by default the end of the file.
         mirror: also learn from the mirrored clip. By default yes, except for style names known to be asymmetric.
         roles: JSON file that names the joints' roles.
+        reading: what is known about the file, where it is not found or wrong.
         recipe: default tries a grid of settings: adapters, or FiLM parameters if the run has FiLM styles. mason2018 is
             the paper's recipe (CP, 100 epochs at 1e-4). generator tunes the run's FiLM generator (Mason 2022).
         overwrite: replace a style of this name.
@@ -46,6 +48,7 @@ class FewShot(Command):
     stop: int | None = None
     mirror: bool | None = None
     roles: Path | None = None
+    reading: Reading = ReadOptions()
     recipe: Recipe = "default"
     overwrite: bool = False
     config: Annotated[FewShotConfig, FLAT] = field(default_factory=FewShotConfig)
@@ -58,7 +61,7 @@ class FewShot(Command):
 
         check_finished(self.run_path)
         check_new_style(self.run_path, self.name, self.overwrite)
-        clip = ClipFile(self.clip, self.name, start=self.start, stop=self.stop)
+        clip = ClipFile(self.clip, self.name, start=self.start, stop=self.stop, reading=self.reading)
         mirror = is_symmetric(self.name) if self.mirror is None else self.mirror
         from pfnn_jax.run import load_run
         from pfnn_jax.workflows.learn import learn_style, tune_style
@@ -75,6 +78,7 @@ class FewShot(Command):
                 info = tune_style(run, clip, replace(self.tuning, seed=self.config.seed), **options)
             else:
                 info = learn_style(run, clip, self._grid(run), **options)
+        print_notes(self.clip, info["notes"])
         self._print(info, mirror)
         return info
 

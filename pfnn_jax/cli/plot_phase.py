@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 from tyro.conf import Positional
 
-from pfnn_jax.cli.command import FLAT, Command, check_output
+from pfnn_jax.cli.command import FLAT, Command, Reading, check_output, print_notes
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.labels.local_phase import LocalPhaseConfig
+from pfnn_jax.motion.reading import ReadOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +25,7 @@ class PlotPhase(Command):
         start: time in the clip at which the picture begins, in seconds.
         seconds: length of the part that is shown. The phases are always computed from the whole clip.
         roles: JSON file that names the joints' roles.
+        reading: what is known about the file, where it is not found or wrong.
         overwrite: replace an existing file.
         config: when a toe touches the ground.
     """
@@ -33,6 +35,7 @@ class PlotPhase(Command):
     start: float = 0.0
     seconds: float = 6.0
     roles: Path | None = None
+    reading: Reading = ReadOptions()
     overwrite: bool = False
     config: Annotated[LocalPhaseConfig, FLAT] = field(default_factory=LocalPhaseConfig)
 
@@ -42,7 +45,8 @@ class PlotPhase(Command):
         from pfnn_jax.motion.trajectory import LAYOUT_FPS
 
         check_output(self.out, self.overwrite, ".png")
-        clip = resample(read_bvh(self.clip, roles_file=self.roles), LAYOUT_FPS)
+        clip = resample(read_bvh(self.clip, **asdict(self.reading), roles_file=self.roles), LAYOUT_FPS)
+        print_notes(self.clip, clip.notes)
         first, last = (round(second * clip.fps) for second in (self.start, self.start + self.seconds))
         if not 0 <= first < min(last, clip.num_frames - 1):
             shown = f"{self.seconds:g} seconds from {self.start:g}"

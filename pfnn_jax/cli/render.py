@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from tyro.conf import Positional
 
-from pfnn_jax.cli.command import Command, check_writable
+from pfnn_jax.cli.command import Command, Reading, check_writable, print_notes
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import refuse_existing
+from pfnn_jax.motion.reading import ReadOptions
 
 if TYPE_CHECKING:
     from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
@@ -32,8 +33,8 @@ class Render(Command):
         seconds: length of the part that is drawn; by default all.
         fps: frames per second; by default 30 for a page or an MP4, 20 for a GIF.
         moments: number of poses in a picture.
-        up: the axis that points up in the files; auto finds it from how the body stands.
         roles: JSON file that names the joints' roles.
+        reading: what is known about the files, where it is not found or wrong.
         overwrite: replace an existing file.
     """
 
@@ -44,8 +45,8 @@ class Render(Command):
     seconds: float | None = None
     fps: float | None = None
     moments: int = 8
-    up: Literal["auto", "y", "z"] = "auto"
     roles: Path | None = None
+    reading: Reading = ReadOptions()
     overwrite: bool = False
 
     def run(self) -> Any:
@@ -76,9 +77,9 @@ class Render(Command):
     def _annotated(self, path: Path, name: str) -> AnnotatedClip:
         from pfnn_jax.motion.bvh import read_bvh
         from pfnn_jax.viewer.draw.annotated_clip import annotate
-        from pfnn_jax.viewer.draw.body import upright
 
-        clip = upright(read_bvh(path, roles_file=self.roles), self.up)
+        clip = read_bvh(path, **asdict(self.reading), roles_file=self.roles)
+        print_notes(path, clip.notes)
         phase = path.with_suffix(".phase")
         annotated = annotate(clip, name, phase if phase.is_file() else None)
         return annotated.cut_seconds(self.start, self.seconds)

@@ -32,7 +32,8 @@ def evaluate_clips(
 
     Returns:
         For every style of the clips, what `one_step_test` returns; the same under `without_style` for the network
-        without a style, or on a FiLM run in the mean of its styles; and `left_out`: skipped file -> reason.
+        without a style, or on a FiLM run in the mean of its styles; `left_out`: skipped file -> reason; and
+        `notes`: file -> what was assumed about it and may be wrong.
 
     Raises:
         InputError: for a bad clip, an unknown style, or a style whose clips were all skipped.
@@ -43,10 +44,12 @@ def evaluate_clips(
     std, result = np.asarray(run.normaliser.outputs.std), {}
     # Clips are read before the style is looked up: a foreign skeleton is the more informative error.
     for own, files in sorted(by_style.items()):
-        parts, names, left_out = [], [], {}
+        parts, names, left_out, notes = [], [], {}, {}
         for clip_file in files:
             try:
-                parts += clip_parts(load_for_layout(clip_file, run.layout, roles_file), run, mirror=False)
+                labelled = load_for_layout(clip_file, run.layout, roles_file)
+                parts += clip_parts(labelled, run, mirror=False)
+                notes |= {clip_file.path.name: labelled.note} if labelled.note else {}
                 names.append(clip_file.path.stem)
             except NoGaitError as error:
                 left_out[clip_file.path.name] = str(error)
@@ -55,7 +58,7 @@ def evaluate_clips(
         takes = join_takes(parts, names)
         errors = one_step_test(_predictor(run, style, files[0]), takes, run.layout, std)
         without = one_step_test(make_predictor(run, None), takes, run.layout, std)
-        result[own] = {**errors, "without_style": without, "left_out": left_out}
+        result[own] = {**errors, "without_style": without, "left_out": left_out, "notes": notes}
     return result
 
 

@@ -9,6 +9,8 @@ from .datasets.preparation import PrepareConfig as PrepareConfig
 from .datasets.preparation import prepare as prepare
 from .datasets.sources import ClipFile as ClipFile
 from .datasets.sources import list_clips as list_clips
+from .humanoid.find import find_humanoid as find_humanoid
+from .humanoid.map import HumanoidMap as HumanoidMap
 from .labels.phase import label_phase as label_phase
 from .paths import circle as circle
 from .paths import figure_eight as figure_eight

@@ -7,16 +7,17 @@ channels below the root: 17 ms on one core for 2428 frames and 31 joints, 38 ms 
 
 from __future__ import annotations
 
+import functools
 import io
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import refuse_existing, write_whole
+from pfnn_jax.motion.assumptions import decide_unit, decide_up, repair
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import (
     AXES,
@@ -26,21 +27,27 @@ from pfnn_jax.motion.kinematics import (
     quat_rotate,
     quat_to_euler,
 )
-from pfnn_jax.motion.roles import assign_roles, find_roles, is_hips_name, is_upper_body_name, leg_length, longest_chain
+from pfnn_jax.motion.length_unit import CENTIMETRE
+from pfnn_jax.motion.reading import Reading, ReadOptions, Travel, Up, check_options
+from pfnn_jax.motion.roles import assign_roles, is_hips_name, is_upper_body_name, leg_length, longest_chain
 from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.up_axis import stand_up
 
 LIMIT = 1e7  # far above any length or angle of a person, far below where squares overflow
 CHANNELS = {f"{axis}{kind}": f"{kind[0]}{axis}" for axis in "XYZ" for kind in ("POSITION", "ROTATION")}
-LONGEST_FRAME, SHORTEST_FRAME = 10.0, 1e-5  # seconds
+LONGEST_FRAME, SHORTEST_FRAME = 1.0, 1e-5  # seconds
 STRETCH = 0.02  # share of the longest limb by which bones may vary and still count as rigid
-METRE, CENTIMETRE, MILLIMETRE, INCH, CMU = 1.0, 0.01, 0.001, 0.0254, 0.056444
+NO_OFFSET = 1e-3  # share of OFFSET's length up to which position channels count as zero
 NUM_POSES = 30  # enough to tell left from right in a walk or a run
 RATE_STEP = 2e-4  # relative; printed frame times have few decimals: 0.008333 means 120 fps
 
 
 @dataclass
 class BvhJoint:
-    """One joint of the hierarchy; channels are written `PX` for Xposition and `RZ` for Zrotation."""
+    """One joint of the hierarchy; channels are written `PX` for Xposition and `RZ` for Zrotation.
+
+    `unmoved`: all position channels are zero in every frame although OFFSET is not, so that OFFSET holds.
+    """
 
     name: str
     parent: int
@@ -49,6 +56,7 @@ class BvhJoint:
     channels: list[str] | None = None
     end_sites: list[np.ndarray] = field(default_factory=list)
     num_children: int = 0
+    unmoved: bool = False
 
 
 @dataclass(frozen=True)
@@ -57,26 +65,33 @@ class BvhText:
 
     Attributes:
         joints: in depth-first order, so that an only child follows its parent.
-        frame_time: seconds.
+        frame_time: seconds; not a number if that was not needed and is not one.
         values: [T, C], one number per frame and channel, in the order of the joints' channels.
+        counts: numbers of frames that the file states; usually one, T.
     """
 
     joints: list[BvhJoint]
     frame_time: float
     values: np.ndarray
+    counts: tuple[int, ...]
 
 
-def parse_bvh(path: Path) -> BvhText:
+def parse_bvh(path: Path, *, need_rate: bool = True) -> BvhText:
     """Reads and checks the text of a BVH file.
+
+    Args:
+        path: file to read.
+        need_rate: whether its `Frame Time` must be usable.
 
     Raises:
         InputError: if the text is malformed, naming the line.
     """
     text = _read_text(path)
-    hierarchy, frames, frame_time, first_line, numbers = _split(path, text)
+    hierarchy, counts, frame_time, first_line, numbers = _split(path, text, need_rate)
     joints = _parse_hierarchy(path, hierarchy)
     columns = sum(len(joint.channels or ()) for joint in joints)
-    return BvhText(joints, frame_time, _parse_frames(path, numbers, first_line, frames, columns))
+    values = _parse_frames(path, numbers, first_line, counts, columns)
+    return BvhText(joints, frame_time, values, tuple(counts))
 
 
 class _Tokens:
@@ -150,8 +165,8 @@ def _read_text(path: Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
-def _split(path: Path, text: str) -> tuple[str, int, float, int, str]:
-    """Splits a text into hierarchy, number of frames, frame time in seconds, line of the first frame, and numbers."""
+def _split(path: Path, text: str, need_rate: bool) -> tuple[str, list[int], float, int, str]:
+    """Splits a text into hierarchy, numbers of frames, frame time in seconds, line of the first frame, and numbers."""
     if not re.match(r"\s*HIERARCHY\b", text, re.IGNORECASE):
         raise InputError(
             path,
@@ -162,28 +177,46 @@ def _split(path: Path, text: str) -> tuple[str, int, float, int, str]:
     motion = re.search(r"^[ \t]*MOTION[ \t]*$|(?<=\})\s*MOTION\b", text, re.IGNORECASE | re.MULTILINE)
     if motion is None:
         raise InputError(path, f"line {text.count(chr(10)) + 1}", "end of file", "MOTION must follow the hierarchy")
-    head = re.compile(r"\s*Frames\s*:[ \t]*(\S*)\s+Frame\s+Time\s*:[ \t]*(\S*)[^\S\n]*\n?", re.IGNORECASE)
+    # tools that cut files may leave the old number of frames next to the new one
+    count = r"\s*Frames\s*:[ \t]*(\S*)\s+"
+    head = re.compile(rf"((?:{count})+)Frame\s+Time\s*:[ \t]*(\S*)[^\S\n]*\n?", re.IGNORECASE)
     match = head.match(text, motion.end())
     line = text.count("\n", 0, motion.end()) + 1
     if match is None:
         after = shorten(text[motion.end() : motion.end() + 40].strip() or "end of file")
         raise InputError(path, f"line {line}", after, "MOTION precedes `Frames: N` and `Frame Time: SECONDS`")
     first_line = text.count("\n", 0, match.end()) + 1
-    frames_line, time_line = (f"line {text.count(chr(10), 0, match.start(group)) + 1}" for group in (1, 2))
+    counts = [_parse_count(path, text, found) for found in re.compile(count, re.I).finditer(text, *match.span(1))]
+    seconds = _parse_frame_time(path, f"line {text.count(chr(10), 0, match.start(3)) + 1}", match[3], need_rate)
+    return text[: motion.start()], counts, seconds, first_line, text[match.end() :]
+
+
+def _parse_count(path: Path, text: str, found: re.Match[str]) -> int:
+    place = f"line {text.count(chr(10), 0, found.start(1)) + 1}"
     try:
-        frames = int(match[1])
+        frames = int(found[1])
     except ValueError:
-        raise InputError(path, frames_line, f"Frames: {shorten(match[1])}", "must be a whole number") from None
+        raise InputError(path, place, f"Frames: {shorten(found[1])}", "must be a whole number") from None
     if frames < 1:
-        raise InputError(path, frames_line, f"Frames: {frames}", "must be at least 1")
+        raise InputError(path, place, f"Frames: {frames}", "must be at least 1")
+    return frames
+
+
+def _parse_frame_time(path: Path, place: str, word: str, need_rate: bool) -> float:
+    """Returns the seconds of a frame; not a number if they are not usable and need not be."""
     try:
-        seconds = float(match[2])
+        seconds = float(word)
     except ValueError:
         seconds = float("nan")
-    if not SHORTEST_FRAME <= seconds <= LONGEST_FRAME:
-        rule = f"must be a number of seconds between {SHORTEST_FRAME:g} and {LONGEST_FRAME:g}"
-        raise InputError(path, time_line, f"Frame Time: {shorten(match[2])}", rule)
-    return text[: motion.start()], frames, seconds, first_line, text[match.end() :]
+    if SHORTEST_FRAME <= seconds <= LONGEST_FRAME:
+        return seconds
+    if not need_rate:
+        return float("nan")
+    rule = f"must be a number of seconds between {SHORTEST_FRAME:g} and {LONGEST_FRAME:g}"
+    if seconds > LONGEST_FRAME:
+        meant = f"{seconds / 1000:g} for milliseconds, {1 / seconds:.6g} for frames per second"
+        rule += f" ({meant}); or give the rate with `--source-fps`"
+    raise InputError(path, place, f"Frame Time: {shorten(word)}", rule)
 
 
 def _parse_hierarchy(path: Path, text: str) -> list[BvhJoint]:
@@ -234,8 +267,7 @@ def _close_joint(tokens: _Tokens, joint: BvhJoint) -> None:
         missing = "OFFSET" if joint.offset is None else "CHANNELS"
         raise tokens.fail(f"joint {shorten(joint.name)} without {missing}", "every joint must have OFFSET and CHANNELS")
     if joint.num_children == 0 and not joint.end_sites:
-        found = f"joint {shorten(joint.name)} without End Site"
-        raise tokens.fail(found, "joints without children must have an End Site")
+        joint.end_sites.append(np.zeros(3))  # some exporters end chains without an End Site
 
 
 def _parse_channels(tokens: _Tokens, joint: BvhJoint) -> list[str]:
@@ -266,8 +298,12 @@ def _parse_end_site(tokens: _Tokens) -> np.ndarray:
     return offset
 
 
-def _parse_frames(path: Path, numbers: str, first_line: int, frames: int, columns: int) -> np.ndarray:
-    """Parses [T, columns] numbers, checking that every row has one finite number per channel."""
+def _parse_frames(path: Path, numbers: str, first_line: int, counts: list[int], columns: int) -> np.ndarray:
+    """Parses [T, columns] numbers, checking that every row has one finite number per channel.
+
+    There may be more rows than the file counts: some exporters do not count a first row with the rest pose. Of a file
+    that counts its frames differently in several lines, all rows are taken.
+    """
     if columns == 0:
         raise InputError(path, "hierarchy", "no channels", "at least one joint must move")
     values = None
@@ -276,8 +312,10 @@ def _parse_frames(path: Path, numbers: str, first_line: int, frames: int, column
             values = np.loadtxt(io.StringIO(numbers), dtype=float, comments=None, ndmin=2)
         except ValueError:
             values = None
-    if values is None or values.shape != (frames, columns) or not np.abs(values).max() <= LIMIT:
-        raise _frames_error(path, numbers, first_line, frames, columns)
+    if values is None or values.shape[1] != columns or not np.abs(values).max() <= LIMIT:
+        raise _frames_error(path, numbers, first_line, counts[0], columns)
+    if len(set(counts)) == 1 and len(values) < counts[0]:
+        raise _frames_error(path, numbers, first_line, counts[0], columns)
     return values
 
 
@@ -300,20 +338,34 @@ def _frames_error(path: Path, numbers: str, first_line: int, frames: int, column
         if len(words) != columns:
             rule = f"must be {columns}, one for each channel of the hierarchy"
             return InputError(path, f"line {line}", f"{len(words)} numbers", rule)
-    return InputError(path, f"line {last}", f"{rows} frames", f"must be {frames}, as `Frames:` says")
+    return InputError(path, f"line {last}", f"{rows} frames", f"must be {frames} or more, as `Frames:` says")
 
 
-def read_bvh(path: str | Path, *, unit: float | None = None, roles_file: str | Path | None = None) -> MotionClip:
+def read_bvh(
+    path: str | Path,
+    *,
+    unit: float | str | None = None,
+    up: Up = "auto",
+    source_fps: float | None = None,
+    travel: Travel = "auto",
+    roles_file: str | Path | None = None,
+) -> MotionClip:
     """Reads a BVH file.
 
     Joints above the hips that only carry the root, such as `joint_Root` of the Bandai-Namco files, are merged into the
-    hips: joint 0 moves by the product of their transforms. Position channels replace OFFSET; below the root they must
-    be constant (within 2 % of the longest limb, as bones are rigid), and their median becomes the offset.
+    hips: joint 0 moves by the product of their transforms. Position channels replace OFFSET, unless all are zero and
+    OFFSET is not; below the root they must be constant (within 2 % of the longest limb, as bones are rigid), and their
+    median becomes the offset. A joint without children and without End Site ends in itself.
+
+    What a file does not state is found from its motion: see `reading.ReadOptions` for the options, and
+    `MotionClip.reading` for what was decided. Jumps are cut out (`jumps.longest_part`).
 
     Args:
         path: file to read.
-        unit: metres per unit of the file; None guesses metre, centimetre, millimetre, inch or the CMU database's
-            0.056444 m from the length of the legs.
+        unit: metres per unit of the file, or a name in `length_unit.UNITS`; None guesses it from the legs.
+        up: the axis that points up.
+        source_fps: frames per second, in place of the file's `Frame Time`.
+        travel: whether to rebuild the travel of walks on the spot.
         roles_file: JSON from role to joint name, see `assign_roles`. None finds the roles by names and geometry, and
             leaves them None if that fails.
 
@@ -321,27 +373,59 @@ def read_bvh(path: str | Path, *, unit: float | None = None, roles_file: str | P
         The clip, with style `unknown` and empty content.
 
     Raises:
-        InputError: if the file is malformed, naming the line or joint.
+        InputError: if the file is malformed, naming the line or joint; for legs or speeds that no person has.
+    """
+    options = ReadOptions(unit, up, source_fps, travel)  # type: ignore[arg-type] # checked by read_whole
+    return repair(read_whole(path, options, roles_file), options)
+
+
+def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | None = None) -> MotionClip:
+    """Reads all frames of a BVH file, as `read_bvh` without `assumptions.repair`.
+
+    Args:
+        path: file to read.
+        options: what is known about the file.
+        roles_file: as in `read_bvh`.
+
+    Raises:
+        InputError: as `read_bvh`.
     """
     path = Path(path)
-    if unit is not None and not (np.isfinite(unit) and unit > 0):
-        raise InputError(path, "unit", unit, "must be a positive, finite number of metres")
-    text = parse_bvh(path)
+    check_options(options, path)
+    text = parse_bvh(path, need_rate=options.source_fps is None)
     names, parents, positions, rotations, end_sites = _fold(text.joints, *_channels(text.joints, text.values))
     offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
 
+    @functools.cache
     def poses() -> np.ndarray:
         some = rotations[:: max(1, len(rotations) // NUM_POSES)]
         return forward_kinematics(bare, np.zeros((len(some), 3)), some)[0]
 
-    scale = _guess_unit(bare, poses) if unit is None else unit
     _require_rigid(path, bare, positions)
-    skeleton = Skeleton(
-        names, parents, offsets * scale, tuple((joint, site * scale) for joint, site in end_sites), bare.mirror
-    )
-    skeleton = assign_roles(skeleton, None if roles_file is None else Path(roles_file), str(path), poses=poses)
-    return MotionClip(skeleton, _frame_rate(text.frame_time), positions[:, 0] * scale, rotations, source=str(path))
+    skeleton = assign_roles(bare, None if roles_file is None else Path(roles_file), str(path), poses=poses)
+    known = skeleton.roles is not None
+    leg = leg_length(skeleton, skeleton.roles) if skeleton.roles is not None else 0.75 * longest_chain(bare)
+    unit, doubt = decide_unit(leg, known, options, path)
+    axis, lying = decide_up(poses() if known else np.empty(0), skeleton.roles, options)
+    sites = tuple((joint, site * unit) for joint, site in end_sites)
+    skeleton = replace(skeleton, offsets=offsets * unit, end_sites=sites)
+    fps = _frame_rate(text.frame_time) if options.source_fps is None else float(options.source_fps)
+    reading = Reading(unit, axis, fps, len(rotations)).noting(*_text_notes(text), doubt, lying)
+    clip = MotionClip(skeleton, fps, positions[:, 0] * unit, rotations, source=str(path), reading=reading)
+    return stand_up(clip, axis)
+
+
+def _text_notes(text: BvhText) -> list[str]:
+    """Returns what is odd about the text of a file."""
+    notes = []
+    if set(text.counts) != {len(text.values)}:
+        stated = " and ".join(f"`Frames: {count}`" for count in text.counts)
+        notes.append(f"all {len(text.values)} rows of numbers are taken as frames, although the file states {stated}")
+    unmoved = [joint.name for joint in text.joints if joint.unmoved]
+    if unmoved:
+        notes.append(f"position channels of {len(unmoved)} joints are zero, such as {unmoved[0]}: OFFSET is used")
+    return notes
 
 
 def _frame_rate(frame_time: float) -> float:
@@ -360,9 +444,11 @@ def _channels(joints: list[BvhJoint], values: np.ndarray) -> tuple[np.ndarray, n
         positions[:, index] = joint.offset
         columns = {channel: column + i for i, channel in enumerate(joint.channels or ())}
         column += len(columns)
-        for channel in columns:
-            if channel[0] == "P":
-                positions[:, index, AXES[channel[1]]] = values[:, columns[channel]]
+        places = {AXES[channel[1]]: place for channel, place in columns.items() if channel[0] == "P"}
+        joint.unmoved = index > 0 and len(places) == 3 and _all_zero(values, list(places.values()), joint)
+        for axis, place in places.items():
+            if not joint.unmoved:
+                positions[:, index, axis] = values[:, place]
         order = "".join(channel[1] for channel in columns if channel[0] == "R")
         full = order + "".join(axis for axis in "XYZ" if axis not in order)
         # a missing rotation reads the appended column of zeros
@@ -373,6 +459,13 @@ def _channels(joints: list[BvhJoint], values: np.ndarray) -> tuple[np.ndarray, n
         chosen = radians[:, np.array([columns for _, columns in members])]
         rotations[:, [index for index, _ in members]] = quat_from_euler(chosen, order)
     return positions, rotations
+
+
+def _all_zero(values: np.ndarray, columns: list[int], joint: BvhJoint) -> bool:
+    """Returns whether a joint's positions are zero compared with its OFFSET."""
+    size = NO_OFFSET * float(np.linalg.norm(np.zeros(3) if joint.offset is None else joint.offset))
+    # the first frame rules out nearly all joints without a pass over the others
+    return all(abs(values[0, column]) < size for column in columns) and bool((np.abs(values[:, columns]) < size).all())
 
 
 def _fold(joints: list[BvhJoint], positions: np.ndarray, rotations: np.ndarray):
@@ -416,22 +509,6 @@ def _require_rigid(path: Path, skeleton: Skeleton, positions: np.ndarray) -> Non
     if stretch[joint] > STRETCH * size:
         rule = f"bones must be rigid: positions may vary by {STRETCH:.0%} of the longest limb's {size:.3g}"
         raise InputError(path, f"joint {shorten(skeleton.names[joint])}", f"moves by {stretch[joint]:.3g}", rule)
-
-
-def _guess_unit(skeleton: Skeleton, poses: Callable[[], np.ndarray]) -> float:
-    """Guesses the metres per file unit from the length of a leg from hip to ankle.
-
-    It is 0.7 to 1 m for adults and 0.42 m for a child of 1 m height. Without legs, it is taken to be three quarters of
-    the longest chain.
-    """
-    try:
-        leg = leg_length(skeleton, find_roles(skeleton, poses=poses))
-    except InputError:
-        leg = 0.75 * longest_chain(skeleton)
-    for longest, unit in ((3.0, METRE), (22.0, CMU), (40.0, INCH), (300.0, CENTIMETRE)):
-        if leg < longest:
-            return unit
-    return MILLIMETRE
 
 
 def write_bvh(path: str | Path, clip: MotionClip, *, unit: float = CENTIMETRE, overwrite: bool = False) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,6 +13,12 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.humanoid.map import HumanoidMap, map_from_json, map_to_json
+
+SAME_DIRECTION = 35.0
+"""Degrees by which bones of people of other build may differ in the rest pose."""
+
+LONG_BONE = 0.3
+"""Share of the longest bone from which on a bone's direction is compared: clavicles and fingers vary more."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +90,60 @@ def need_roles(skeleton: Skeleton, source: str | Path = "skeleton") -> Roles:
     """Returns the skeleton's roles.
 
     Raises:
-        InputError: if the roles were not found when the skeleton was read.
+        InputError: if the roles were not found when the skeleton was read, with the reason where the pose of zero
+            rotations shows it.
     """
     if skeleton.roles is None:
+        from pfnn_jax.motion.roles import find_roles  # which imports this module
+
+        find_roles(skeleton, source=source)
         rule = "hips, shoulders and feet must be found, or named in a roles file"
         raise InputError(source, "skeleton", f"joints {', '.join(skeleton.names)}", rule)
     return skeleton.roles
 
 
+def plain_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns joint names without what exporters add to all of them: a namespace, a common prefix, a number at the end.
+
+    `mixamorig:Hips`, `Character1_Hips` and `Hips_01` all become `Hips`.
+    """
+    plain = [name.rsplit(":", 1)[-1] for name in names]
+    if all(re.search(r"._\d+$", name) for name in plain):
+        plain = [re.sub(r"_\d+$", "", name) for name in plain]
+    prefix = re.match(r"(?:.*[_| ])?", os.path.commonprefix(plain))
+    if len(plain) > 1 and prefix is not None:
+        plain = [name[prefix.end() :] or name for name in plain]
+    return tuple(plain)
+
+
+def rest_directions_differ(skeleton: Skeleton, other: Skeleton) -> tuple[int, float] | None:
+    """Returns the joint whose bones differ most in direction between two skeletons with the same joints.
+
+    Rotations mean the same on both only if their bones point the same way where all rotations are zero. People of other
+    build differ by some degrees, other rest poses and other axes by far more.
+
+    Args:
+        skeleton, other: with the same parents.
+
+    Returns:
+        The index of the joint at the end of the bone and the angle in degrees, or None if no long bone differs by more
+        than `SAME_DIRECTION`.
+    """
+    lengths = [np.linalg.norm(each.offsets, axis=-1) for each in (skeleton, other)]
+    long = np.all([length > LONG_BONE * length.max() for length in lengths], axis=0)
+    long[0] = False
+    if not long.any():
+        return None
+    cosine = np.sum(skeleton.offsets * other.offsets, axis=-1)[long] / (lengths[0][long] * lengths[1][long])
+    worst = int(np.argmin(cosine))
+    degrees = float(np.degrees(np.arccos(np.clip(cosine[worst], -1.0, 1.0))))
+    return (int(np.flatnonzero(long)[worst]), degrees) if degrees > SAME_DIRECTION else None
+
+
 def check_same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path) -> None:
-    """Refuses a skeleton with other joints. Bones may differ in length, because features hold joint positions.
+    """Refuses a skeleton with other joints, or with another rest pose.
+
+    Names are compared as `plain_names`. Bones may differ in length, because features hold joint positions.
 
     Args:
         skeleton: the expected one.
@@ -99,17 +151,22 @@ def check_same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path)
         source: file, for the message.
 
     Raises:
-        InputError: naming the first joint that differs.
+        InputError: naming the first joint that differs, or the joint whose bone points elsewhere in the rest pose.
     """
     if other.num_joints != skeleton.num_joints:
         extra = sorted(set(other.names) ^ set(skeleton.names))
         found = f"{other.num_joints} joints, {extra[:1]} differs"
         raise InputError(source, "skeleton", found, f"all clips share one skeleton, of {skeleton.num_joints} joints")
-    for joint, (name, wanted) in enumerate(zip(other.names, skeleton.names, strict=True)):
+    pairs = zip(plain_names(other.names), plain_names(skeleton.names), strict=True)
+    for joint, (name, wanted) in enumerate(pairs):
         if name != wanted or other.parents[joint] != skeleton.parents[joint]:
             found = f"{name} under joint {other.parents[joint]}"
             rule = f"all clips share one skeleton, here {wanted} under {skeleton.parents[joint]}"
             raise InputError(source, f"joint {joint}", found, rule)
+    if differs := rest_directions_differ(skeleton, other):
+        joint, degrees = differs
+        rule = f"all clips share one rest pose: export them with the same one; limits are {SAME_DIRECTION:g} degrees"
+        raise InputError(source, f"joint {other.names[joint]}", f"its bone points {degrees:.0f} degrees away", rule)
 
 
 def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:

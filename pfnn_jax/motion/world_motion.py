@@ -6,9 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfnn_jax.motion.clip import WORLD_REFLECTION, MotionClip, frame_reflections, mirror_clip, reflect_rotations
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
+from pfnn_jax.motion.clip import MotionClip, mirror_clip
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_rotate
+from pfnn_jax.motion.reflection import WORLD_REFLECTION, WORLD_TURN, frame_reflections, reflect_rotations
 from pfnn_jax.motion.skeleton import Roles, Skeleton, need_roles
+
+ROUNDING = 1e-14  # relative: bones that differ by less are equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +59,13 @@ class WorldMotion:
         bones of a real skeleton differ by: the mirrored clip keeps the skeleton's bones.
         """
         clip, skeleton = self.clip, self.skeleton
-        signs = frame_reflections(clip)
-        mirrored = mirror_clip(clip, signs)
+        turns = frame_reflections(skeleton, clip.rotations)
+        mirrored = mirror_clip(clip, turns)
         if not _partners_share_parents(skeleton):
             return world_motion(mirrored)
-        rotations = reflect_rotations(self.rotations[:, skeleton.mirror], WORLD_REFLECTION, signs)
+        rotations = reflect_rotations(self.rotations[:, skeleton.mirror], WORLD_TURN, turns)
         positions = self.positions[:, skeleton.mirror] * WORLD_REFLECTION
-        _correct_bones(positions, rotations, skeleton, signs)
+        _correct_bones(positions, rotations, skeleton, turns)
         return WorldMotion(mirrored, positions, rotations)
 
 
@@ -79,10 +82,13 @@ def _partners_share_parents(skeleton: Skeleton) -> bool:
     return mirror[0] == 0 and bool((parents[mirror[1:]] == mirror[parents[1:]]).all())
 
 
-def _correct_bones(positions: np.ndarray, rotations: np.ndarray, skeleton: Skeleton, signs: np.ndarray) -> None:
+def _correct_bones(positions: np.ndarray, rotations: np.ndarray, skeleton: Skeleton, turns: np.ndarray) -> None:
     """Moves reflected positions [T, J, 3] in place to where the skeleton's own bones put them."""
     parents = skeleton.parents
-    excess = skeleton.offsets - signs[parents] * skeleton.offsets[skeleton.mirror]
+    # a parent's reflection is -turn, and its inverse maps the partner's bone to this one
+    partners = -quat_rotate(quat_conjugate(turns[parents]), skeleton.offsets[skeleton.mirror])
+    excess = skeleton.offsets - partners
+    excess[np.abs(excess).max(axis=1) <= ROUNDING * np.abs(skeleton.offsets).max()] = 0.0
     excess[0] = 0.0
     shifts: dict[int, np.ndarray] = {}  # only of joints that move
     for joint in range(1, skeleton.num_joints):

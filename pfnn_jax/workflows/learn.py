@@ -67,9 +67,10 @@ def learn_style(
     check_new_style(run.path, clip_file.style, overwrite)
     _check_method(run, config)
     progress_callback(0.0, "labelling")
-    parts = clip_parts(load_for_layout(clip_file, run.layout, roles_file), run, mirror)
+    labelled = load_for_layout(clip_file, run.layout, roles_file)
+    parts = clip_parts(labelled, run, mirror)
     _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
-    about = _about_clip(run, clip_file, parts, mirror)
+    about = _about_clip(run, labelled, parts, mirror)
     found = _fit(run, parts, config, progress_callback)
     info = {
         **about,
@@ -117,9 +118,10 @@ def tune_style(
     check_new_style(run.path, clip_file.style, overwrite)
     generator = load_generator(run)
     progress_callback(0.0, "labelling")
-    parts = clip_parts(load_for_layout(clip_file, run.layout, roles_file), run, mirror)
+    labelled = load_for_layout(clip_file, run.layout, roles_file)
+    parts = clip_parts(labelled, run, mirror)
     _check_length(parts, config.batch_size, clip_file.path)
-    about = _about_clip(run, clip_file, parts, mirror)
+    about = _about_clip(run, labelled, parts, mirror)
     tuned = tune_generator(
         run.shared,
         generator,
@@ -206,10 +208,11 @@ def _as_clip_file(clip_file: ClipFile | str | Path) -> ClipFile:
     return ClipFile(Path(clip_file), Path(clip_file).stem)
 
 
-def _about_clip(run: Run, clip_file: ClipFile, parts: list[Features], mirror: bool) -> dict[str, Any]:
+def _about_clip(run: Run, labelled: LabelledClip, parts: list[Features], mirror: bool) -> dict[str, Any]:
     """Returns the entries of a style's `style.json` that describe its clip, however it was learned."""
     return {
-        "source": Path(clip_file.path).name,
+        "source": Path(labelled.clip.source).name,
+        "notes": [labelled.note] if labelled.note else [],
         "frames": len(parts[0].x),
         "mirrored": mirror,
         "speed": median_speed(run.layout, parts[0].y),

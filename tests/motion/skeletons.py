@@ -49,7 +49,7 @@ def body_clip(seed: int = 0, frames: int = 5, fps: float = 60.0, scale: float = 
     """The adult in random poses, with roles."""
     random = np.random.default_rng(seed)
     rotations = quat_from_euler(random.normal(0.0, spread, (frames, len(PARENTS), 3)), "ZYX")
-    roots = random.normal(0.0, 1.0, (frames, 3)) + np.array([0.0, 0.9 * scale, 0.0])
+    roots = random.normal(0.0, 0.05, (frames, 3)) + np.array([0.0, 0.9 * scale, 0.0])
     return MotionClip(assign_roles(body(scale=scale)), fps, roots, rotations, "plain", "walk-turn-left")
 
 

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import CENTIMETRE, CMU, INCH, METRE, MILLIMETRE, read_bvh, write_bvh
+from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw
+from pfnn_jax.motion.length_unit import CENTIMETRE, CMU, INCH, METRE, MILLIMETRE
 from pfnn_jax.motion.skeleton import need_roles
 from tests.motion.skeletons import body_clip, bvh_text, random_clip
 from tests.raising import assert_refused
@@ -151,7 +152,6 @@ def test_every_truncation_is_refused(tmp_path, cut):
     ("old", "new", "place", "value"),
     [
         ("HIERARCHY", "HIERARCHIES", "line 1", "HIERARCHIES"),
-        ("End Site\n{\nOFFSET 0 0 0.1\n}\n", "", "line 10", "joint Leg without End Site"),
         ("OFFSET 0 -1 0", "OFFSET 0 -1", "line 9", "CHANNELS"),
         ("OFFSET 0 -1 0", "OFFSET 0 nan 0", "line 8", "nan"),
         ("OFFSET 0 -1 0\n", "", "line 13", "joint Leg without OFFSET"),
@@ -165,7 +165,6 @@ def test_every_truncation_is_refused(tmp_path, cut):
         ("Frames: 2", "Frames: 0", "line 17", "Frames: 0"),
         ("Frames: 2", "Frames: two", "line 17", "Frames: two"),
         ("Frames: 2", "Frames: 3", "line 20", "2 frames"),
-        ("Frames: 2", "Frames: 1", "line 20", "2 frames"),
         ("Time: 0.0333333", "Time: 0", "line 18", "Frame Time: 0"),
         ("Time: 0.0333333", "Time: -0.01", "line 18", "Frame Time: -0.01"),
         ("Time: 0.0333333", "Time: nan", "line 18", "Frame Time: nan"),

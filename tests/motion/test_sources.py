@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import CMU, write_bvh
+from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.labelled import load_clip, read_cut_clip
 from pfnn_jax.motion.datasets.sources import (
     ASYMMETRIC,
@@ -25,6 +25,7 @@ from pfnn_jax.motion.datasets.sources import (
 from pfnn_jax.motion.datasets.style100 import CUTS as CUTS_FILE
 from pfnn_jax.motion.datasets.style100 import read_tables
 from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.length_unit import CMU
 from pfnn_jax.motion.skeleton import need_roles
 from tests.motion.skeletons import body_clip
 from tests.raising import assert_refused

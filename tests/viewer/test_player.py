@@ -16,8 +16,9 @@ from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_rotat
 from pfnn_jax.motion.labels.phase import label_phase
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_skeleton
+from pfnn_jax.motion.up_axis import TURNS
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate, annotate_clips
-from pfnn_jax.viewer.draw.body import Z_TO_Y, body_capsules, body_points, capsule_ends, upright
+from pfnn_jax.viewer.draw.body import body_capsules, body_points, capsule_ends, upright
 from pfnn_jax.viewer.draw.filmstrip import filmstrip
 from pfnn_jax.viewer.draw.scene import make_scene
 from pfnn_jax.viewer.player import player
@@ -288,9 +289,9 @@ def test_z_up_clips_become_y_up():
     clip = make_annotated().clip
     tipped = dataclasses.replace(
         clip,
-        root_positions=quat_rotate(quat_conjugate(Z_TO_Y), clip.root_positions),
+        root_positions=quat_rotate(quat_conjugate(TURNS["z"]), clip.root_positions),
         rotations=np.concatenate(
-            [quat_multiply(quat_conjugate(Z_TO_Y), clip.rotations[:, :1]), clip.rotations[:, 1:]], axis=1
+            [quat_multiply(quat_conjugate(TURNS["z"]), clip.rotations[:, :1]), clip.rotations[:, 1:]], axis=1
         ),
     )
     np.testing.assert_allclose(body_points(upright(tipped)), body_points(clip), atol=1e-12)

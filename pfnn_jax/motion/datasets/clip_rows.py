@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.datasets.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.datasets.sources import ClipFile
@@ -98,13 +99,23 @@ class ClipRows:
 
 @dataclass(frozen=True, eq=False)
 class PreparedClip:
-    """The result for one source: the rows of the clip and of its mirror image, or the reason why it is skipped."""
+    """The result for one source: the rows of the clip and of its mirror image, or why there are none.
+
+    Attributes:
+        style: name of the clip's style.
+        name: of its file.
+        images: the clip and, if wanted, its mirror image.
+        skipped: why a valid clip cannot be used.
+        note: what is odd about the clip.
+        bad: what is wrong with its file.
+    """
 
     style: str
     name: str
     images: tuple[ClipRows, ...] = ()
     skipped: str = ""
     note: str = ""
+    bad: InputError | None = None
 
 
 def style_of(source: Source) -> str:
@@ -176,8 +187,7 @@ def labelled_features(labelled: LabelledClip, layout: FrameLayout, mirror: bool 
 def prepare_group(group: ClipGroup) -> list[PreparedClip]:
     """Computes the rows of every clip of a group, in the group's order.
 
-    Raises:
-        InputError: for bad files. Clips that cannot be used raise nothing: `PreparedClip.skipped` gives the reason.
+    Clips that cannot be used and bad files raise nothing: `PreparedClip` says what is wrong with them.
     """
     loaded = [_load(source, group) for source in group.sources]
     usable = [labelled for labelled in loaded if isinstance(labelled, LabelledClip)]
@@ -188,8 +198,8 @@ def prepare_group(group: ClipGroup) -> list[PreparedClip]:
     ]
 
 
-def _load(source: Source, group: ClipGroup) -> LabelledClip | str:
-    """Returns the labelled clip, or the reason why it is skipped."""
+def _load(source: Source, group: ClipGroup) -> LabelledClip | str | InputError:
+    """Returns the labelled clip, the reason why it is skipped, or what is wrong with its file."""
     layout = LAYOUTS[group.layout](1)
     fit = extend_hands if group.hands and layout.next_frame else _unchanged
     if layout.next_frame and content_of(source) == IDLE:
@@ -201,6 +211,8 @@ def _load(source: Source, group: ClipGroup) -> LabelledClip | str:
         return _fitted(source, fit)
     except NoGaitError as error:
         return f"{error.value}; {error.rule}"
+    except InputError as error:
+        return error
 
 
 def _load_labelled(clip_file: ClipFile, layout: FrameLayout, roles_file: str | Path | None, fit: Fit) -> LabelledClip:
@@ -234,15 +246,21 @@ def _local_phases(clips: Sequence[LabelledClip], layout: FrameLayout) -> list[np
     return [clip_local_phases(end, axes=axes) for end in ends]
 
 
-def _prepare(source: Source, labelled: LabelledClip | str, group: ClipGroup, phases: np.ndarray | None) -> PreparedClip:
+def _prepare(
+    source: Source, labelled: LabelledClip | str | InputError, group: ClipGroup, phases: np.ndarray | None
+) -> PreparedClip:
     style, name = style_of(source), name_of(source)
     if isinstance(labelled, str):
         return PreparedClip(style, name, skipped=labelled)
+    if isinstance(labelled, InputError):
+        return PreparedClip(style, name, bad=labelled)
     layout = layout_for(group.layout, labelled.clip.skeleton)
     try:
         images = _images(labelled, layout, group.mirror and labelled.symmetric, phases)
     except NoGaitError as error:
         return PreparedClip(style, name, skipped=f"{error.value}; {error.rule}")
+    except InputError as error:
+        return PreparedClip(style, name, bad=error)
     split_of = _split_of_frames(images[0][1].frames, labelled.clip, name, group)
     rows = [_clip_rows(image, features, split_of, name, layout) for image, features in images]
     return PreparedClip(style, name, tuple(rows), note=labelled.note)
@@ -287,4 +305,6 @@ def _clip_rows(clip: MotionClip, features: Features, split_of: np.ndarray, name:
         "mirrored": clip.mirrored,
         "frames": clip.num_frames,
     }
+    if clip.reading is not None:
+        entry["reading"] = clip.reading.to_json()
     return ClipRows(entry, clip.skeleton, layout, splits, tuple(moments_of(array) for array in arrays))

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.assumptions import repair
+from pfnn_jax.motion.bvh import read_whole
 from pfnn_jax.motion.clip import MotionClip, cut, resample
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.labels.contacts import flat_crouch, read_gait, resample_gait
@@ -57,7 +58,7 @@ class LabelledClip:
 
 
 def read_cut_clip(clip_file: ClipFile, roles_file: str | Path | None = None) -> CutClip:
-    """Reads a listed clip and cuts it to its frames.
+    """Reads a listed clip, cuts it to its frames, and repairs those (`assumptions.repair`).
 
     A stop beyond the end of the file means its end, and is noted.
 
@@ -65,7 +66,7 @@ def read_cut_clip(clip_file: ClipFile, roles_file: str | Path | None = None) -> 
         InputError: as `read_bvh`; or if the cut starts beyond the end, naming the table that states it.
     """
     path = clip_file.path
-    whole = read_bvh(path, unit=clip_file.unit, roles_file=roles_file)
+    whole = read_whole(path, clip_file.read_options, roles_file)
     stop = whole.num_frames if clip_file.stop is None else clip_file.stop
     file, place = clip_file.cut_by or (path, "cut")
     if clip_file.start >= whole.num_frames:
@@ -74,9 +75,10 @@ def read_cut_clip(clip_file: ClipFile, roles_file: str | Path | None = None) -> 
     note = ""
     if stop > whole.num_frames:
         note = f"{place}: stop {stop} lies beyond the clip's {whole.num_frames} frames, its end is used"
-    part = cut(whole, clip_file.start, min(stop, whole.num_frames))
+    part = repair(cut(whole, clip_file.start, min(stop, whole.num_frames)), clip_file.read_options)
     part = replace(part, style=clip_file.style, content=clip_file.content)
-    return CutClip(part, clip_file.start, whole.num_frames, note)
+    start = clip_file.start if part.reading is None else part.reading.first_frame
+    return CutClip(part, start, whole.num_frames, "; ".join(filter(None, (note, *part.notes))))
 
 
 def load_clip(clip_file: ClipFile, *, fps: float = 60.0, roles_file: str | Path | None = None) -> MotionClip:

@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
-from pfnn_jax.errors import InputError, check_field, check_not_negative, check_one_of
+from pfnn_jax.errors import BadFilesError, InputError, check_field, check_not_negative, check_one_of
 from pfnn_jax.io.files import failure, refuse_existing, replacing
 from pfnn_jax.io.npy import NpyWriter
 from pfnn_jax.motion.datasets.clip_rows import (
@@ -87,6 +87,7 @@ def prepare(
     *,
     roles_file: str | Path | None = None,
     overwrite: bool = False,
+    skip_bad: bool = False,
     progress_callback: Progress | None = None,
     workers: int | None = None,
 ) -> Dataset:
@@ -105,12 +106,14 @@ def prepare(
         config: layout, mirroring, statistics, splits; the default `PrepareConfig` if None.
         roles_file: JSON file that names the joints' roles.
         overwrite: whether to replace an existing folder.
+        skip_bad: whether to leave out bad files and name them in `dataset.json`; otherwise all of them are refused
+            together.
         progress_callback: called with (clips done, number of clips, name) after each clip.
         workers: number of processes; None for one per processor (at most 8) if there is much to read.
 
     Raises:
         InputError: for no clips or something else than clips, no workers, a style without usable clips, skeletons that
-            differ, bad files, an existing folder, or one that cannot be written.
+            differ, bad files (`BadFilesError` for several), an existing folder, or one that cannot be written.
     """
     out, config = Path(out), config or PrepareConfig()
     refuse_existing(out, overwrite)
@@ -121,7 +124,9 @@ def prepare(
     try:
         with replacing(out) as work:
             work.mkdir()
-            _write_dataset(sources, work, config, roles_file, progress_callback, workers)
+            writer = _DatasetWriter(work, config, skip_bad)
+            _write_dataset(sources, writer, roles_file, progress_callback, workers)
+            writer.finish(out)
     except OSError as error:
         raise InputError(out, "folder", failure(error), "must be writable, with space for the dataset") from error
     return load_dataset(out)
@@ -145,15 +150,14 @@ def _as_sources(clips: str | Path | Iterable[Source], out: Path) -> list[Source]
 
 def _write_dataset(
     sources: Sequence[Source],
-    folder: Path,
-    config: PrepareConfig,
+    writer: _DatasetWriter,
     roles_file: Path | None,
     progress_callback: Progress | None,
     workers: int | None,
 ) -> None:
-    """Writes a dataset into an existing empty folder; `dataset.json` comes last."""
-    groups = _groups(sources, config, roles_file)
-    writer, done = _DatasetWriter(folder, config), 0
+    """Writes the rows of all styles."""
+    groups = _groups(sources, writer.config, roles_file)
+    done = 0
     with closing(_prepared(groups, _num_workers(sources, workers))) as prepared:
         for style, clips in groupby(prepared, key=lambda clip: clip.style):
             with closing(writer):
@@ -163,7 +167,6 @@ def _write_dataset(
                     if progress_callback is not None:
                         progress_callback(done, len(sources), Path(clip.name).name)
             writer.end_style(style)
-    writer.finish()
 
 
 def _groups(sources: Sequence[Source], config: PrepareConfig, roles_file: Path | None) -> list[ClipGroup]:
@@ -204,8 +207,9 @@ def _prepared(groups: list[ClipGroup], workers: int) -> Generator[PreparedClip, 
 class _DatasetWriter:
     """Writes styles one after another and collects what `dataset.json` and the normaliser need."""
 
-    def __init__(self, folder: Path, config: PrepareConfig):
-        self.folder, self.config = folder, config
+    def __init__(self, folder: Path, config: PrepareConfig, skip_bad: bool):
+        self.folder, self.config, self.skip_bad = folder, config, skip_bad
+        self.bad: list[InputError] = []
         self.skeleton: Skeleton | None = None
         self.layout: FrameLayout | None = None
         self.clips: list[dict[str, Any]] = []
@@ -222,6 +226,16 @@ class _DatasetWriter:
             self.notes.append({"file": clip.name, "style": clip.style, "note": clip.note})
         if clip.skipped:
             self.skipped.append({"file": clip.name, "style": clip.style, "reason": clip.skipped})
+        try:
+            if clip.bad is not None:
+                raise clip.bad
+            self._write(clip)
+        except InputError as error:
+            self.bad.append(error)
+            reason = f"{error.place}: {error.value}; {error.rule}"
+            self.skipped.append({"file": clip.name, "style": clip.style, "reason": reason})
+
+    def _write(self, clip: PreparedClip) -> None:
         for image in clip.images:
             layout = self._check_skeleton(image, clip.name)
             if self.style_writer is None:
@@ -240,8 +254,10 @@ class _DatasetWriter:
         """Counts the rows of a style.
 
         Raises:
-            InputError: if it has none.
+            InputError: if it has none, unless bad files are going to be refused.
         """
+        if self.style_writer is None and self.bad and not self.skip_bad:
+            return
         if self.style_writer is None:
             skipped = [entry for entry in self.skipped if entry["style"] == style]
             value = f"no usable clips ({len(skipped)} skipped)"
@@ -261,8 +277,17 @@ class _DatasetWriter:
             raise InputError(name, "hands and toes", f"joints {image.layout.ends}", rule)
         return self.layout
 
-    def finish(self) -> None:
-        """Fits the normaliser to the training rows and writes `dataset.json` last."""
+    def finish(self, out: Path) -> None:
+        """Fits the normaliser to the training rows and writes `dataset.json` last.
+
+        Args:
+            out: folder of the dataset, for messages.
+
+        Raises:
+            InputError: if there were bad files that may not be skipped.
+        """
+        if self.bad and not self.skip_bad:
+            _refuse(self.bad, out)
         assert self.skeleton is not None and self.layout is not None
         x, y, *phase = (moments.rows() for moments in self.moments)
         grouped = self.config.grouped_std
@@ -282,6 +307,14 @@ class _DatasetWriter:
             "versions": {"pfnn_jax": version("pfnn-jax"), "numpy": version("numpy")},
         }
         (self.folder / "dataset.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+
+def _refuse(errors: Sequence[InputError], out: Path) -> NoReturn:
+    """Refuses bad files: the only one, or all of them together."""
+    distinct = tuple({str(error): error for error in errors}.values())
+    if len(distinct) == 1:
+        raise distinct[0]
+    raise BadFilesError(out, distinct, "correct or remove them, or pass `skip_bad=True` to leave them out")
 
 
 class _StyleWriter:

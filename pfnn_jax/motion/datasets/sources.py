@@ -8,23 +8,25 @@ Five naming conventions are recognised:
 - `xia`: `STYLE_CONTENT_TAKE.bvh` with a two-digit content and a three-digit take (Xia et al. 2015).
 - `pfnn`: `NAME.bvh` with `NAME.phase` (Holden et al. 2017), all of style `neutral`. Files without a `.phase` file are
   skipped, and so are `_mirror` files: mirrored copies are made from the clips themselves.
-- `folders`: one folder of BVH files per style, named after the style. Styles are mirrored except those listed in
-  `asymmetric.txt` (one per line, in the folder of the style folders); without that file, except the papers' asymmetric
-  styles.
+- `folders`: one folder of BVH files per style, named after the style; the files may lie in folders of it. Styles are
+  mirrored except those listed in `asymmetric.txt` (one per line, in the folder of the style folders); without that
+  file, except the papers' asymmetric styles.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import CENTIMETRE, CMU
 from pfnn_jax.motion.clip import swap_sides
+from pfnn_jax.motion.datasets.clip_table import read_options
 from pfnn_jax.motion.datasets.style100 import CUTS, GAITS, STYLE_GAIT, read_lines, read_tables
+from pfnn_jax.motion.length_unit import CENTIMETRE, CMU
+from pfnn_jax.motion.reading import ReadOptions
 
 # Mason et al. 2018, few-shot styles not mirrored, then the asymmetric styles of 100STYLE
 ASYMMETRIC = frozenset(
@@ -64,8 +66,9 @@ class ClipFile:
         symmetric: whether the style may be mirrored.
         start, stop: frames used, at the file's own rate; stop None means to the end, and so does a stop beyond the
             end, as in shortened files.
-        unit: metres per unit of the file; None to guess it.
+        unit: metres per unit of the file, as its data set's convention says; None to guess it.
         cut_by: (file, place) that states start and stop, for messages; None if they come from no file.
+        reading: what the user says about the file, which takes precedence.
     """
 
     path: Path
@@ -76,6 +79,7 @@ class ClipFile:
     stop: int | None = None
     unit: float | None = None
     cut_by: tuple[Path, str] | None = None
+    reading: ReadOptions = ReadOptions()
 
     if TYPE_CHECKING:  # callers may pass a string, readers always find a Path
 
@@ -89,10 +93,16 @@ class ClipFile:
             stop: int | None = None,
             unit: float | None = None,
             cut_by: tuple[Path, str] | None = None,
+            reading: ReadOptions = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "path", Path(self.path))
+
+    @property
+    def read_options(self) -> ReadOptions:
+        """What is known about the file: what the user says, and the unit of its convention."""
+        return self.reading if self.reading.unit is not None else replace(self.reading, unit=self.unit)
 
 
 def is_symmetric(style: str) -> bool:
@@ -100,22 +110,25 @@ def is_symmetric(style: str) -> bool:
     return style.lower() not in ASYMMETRIC
 
 
-def list_clips(folder: str | Path, kind: str = "auto") -> list[ClipFile]:
+def list_clips(folder: str | Path, kind: str = "auto", reading: ReadOptions | None = None) -> list[ClipFile]:
     """Lists the clips of a folder, ordered by file name.
+
+    A table `clips.csv` in the folder may say how files are to be read, see `clip_table`.
 
     Args:
         folder: folder in one of the module's conventions, or one BVH file, whose style is taken from its name.
         kind: bandai, 100style, xia, pfnn or folders; auto recognises it by the names.
+        reading: what is known about all files; the table takes precedence.
 
     Raises:
         InputError: if the folder is absent, holds no clip or follows another convention or none; if a style is not a
             valid file name; if its tables lack a clip or are malformed.
     """
-    folder = Path(folder)
+    folder, reading = Path(folder), reading or ReadOptions()
     if kind not in ("auto", *KINDS):
         raise InputError(folder, "kind", kind, f"must be auto, {', '.join(KINDS)}")
     if folder.is_file():
-        return [_single(folder)]
+        return [replace(_single(folder), reading=reading)]
     if not folder.is_dir():
         raise InputError(folder, "folder", "absent", "must be a folder of BVH files or a BVH file")
     kind = find_kind(folder) if kind == "auto" else kind
@@ -124,7 +137,15 @@ def list_clips(folder: str | Path, kind: str = "auto") -> list[ClipFile]:
         raise InputError(folder, "folder", "no clips", f"must hold BVH files of kind {kind}")
     for clip in clips:
         check_style_name(clip.style, clip.path)
-    return clips
+    options = read_options(folder, [clip.path for clip in clips], reading)
+    return [replace(clip, reading=found) for clip, found in zip(clips, options, strict=True)]
+
+
+def unlisted_files(folder: str | Path, clips: Iterable[ClipFile]) -> list[Path]:
+    """Returns the BVH files in a folder, at any depth, that are not among its clips."""
+    folder = Path(folder)
+    listed = {clip.path for clip in clips}
+    return [path for path in _bvh_files_below(folder) if path not in listed] if folder.is_dir() else []
 
 
 def select_styles(clips: Iterable[ClipFile], styles: Collection[str], source: str | Path) -> list[ClipFile]:
@@ -160,7 +181,7 @@ def find_kind(folder: Path) -> str:
             return kind
     if any((folder / f"{stem}.phase").is_file() for stem in stems):
         return "pfnn"
-    if not stems and any(_bvh_files(child) for child in folder.iterdir() if child.is_dir()):
+    if not stems and _bvh_files_below(folder):
         return "folders"
     found = f"{len(stems)} BVH files, such as {stems[0]}.bvh" if stems else "no BVH files"
     rule = "name files dataset-N_CONTENT_STYLE_ID, STYLE_GAIT or STYLE_CC_TTT, or make one folder per style"
@@ -184,6 +205,11 @@ def check_style_name(name: str, source: str | Path = "style") -> str:
 
 def _bvh_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix.lower() == ".bvh" and path.is_file())
+
+
+def _bvh_files_below(folder: Path) -> list[Path]:
+    """Returns the BVH files of a folder and of its sub-folders at any depth."""
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() == ".bvh" and path.is_file())
 
 
 def _match(pattern: re.Pattern[str], path: Path, form: str) -> re.Match[str]:
@@ -258,14 +284,14 @@ def _list_pfnn(folder: Path) -> list[ClipFile]:
 def _list_folders(folder: Path) -> list[ClipFile]:
     listed = folder / "asymmetric.txt"
     asymmetric = {line.strip().lower() for line in read_lines(listed)} - {""} if listed.is_file() else ASYMMETRIC
-    styles = sorted(child for child in folder.iterdir() if child.is_dir() and _bvh_files(child))
+    styles = sorted(child for child in folder.iterdir() if child.is_dir() and _bvh_files_below(child))
     unknown = asymmetric - {child.name.lower() for child in styles}
     if unknown and listed.is_file():
         raise InputError(listed, "line", sorted(unknown)[0], "must be the name of a style folder")
     return [
         ClipFile(path, style.name, path.stem, style.name.lower() not in asymmetric)
         for style in styles
-        for path in _bvh_files(style)
+        for path in _bvh_files_below(style)
     ]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.humanoid.checks import Finding, check_geometry
+from pfnn_jax.motion.humanoid.checks import Body, Finding, check_geometry
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.measured import measured_limbs
 from pfnn_jax.motion.humanoid.named import detached_foot, named_limbs, named_trunk
@@ -70,6 +70,15 @@ def find_humanoid(
     if _has(limbs, "shin"):
         return _complete(skeleton, tree, limbs, chosen, positions, finding, source)
     return _by_geometry(skeleton, tree, limbs, chosen, positions, source)
+
+
+def need_humanoid(skeleton: Skeleton, source: str | Path = "skeleton") -> HumanoidMap:
+    """Returns the skeleton's humanoid map; one that was read without it is searched in its pose of zero rotations.
+
+    Raises:
+        InputError: if it has none, with the reason.
+    """
+    return skeleton.humanoid if skeleton.humanoid is not None else find_humanoid(skeleton, source=source)
 
 
 def _positions(skeleton: Skeleton, poses: Poses) -> np.ndarray:
@@ -161,7 +170,9 @@ def _complete(
     parts = {f"{side}_{part}": limbs.get(f"{side}_{part}") for side in SIDES for part in (*ARM, *LEG)}
     found: dict[str, Any] = {"hips": hips, "spine": spine, "neck": neck, "head": head, **parts}
     _require_chains(names, tree, found, source)
-    check_geometry(found, skeleton, tree, poses, finding, source)
+    insist = all(isinstance(chosen.get(f"{side}_thigh"), int) for side in SIDES)
+    body = Body(found, trunk.labels, tree, poses)
+    check_geometry(body, finding, source, rest=rest_pose(skeleton), insist=insist)
     return HumanoidMap(**found, confidence=finding.confidence, explanation=tuple(finding.lines))
 
 

@@ -5,11 +5,14 @@ steps, in any direction, with or without a flight phase. After its swing a foot 
 If the other foot is on the ground too, the contact is timed halfway between foot flat and the other foot's toe-off:
 this is when the weight passes over, and agrees with labels made by hand. (Compared with these, foot flat is early in
 slow steps, and touch-down earlier still.) Thresholds scale with leg length and, in fast gaits, with the swing's speed.
+
+Frames in which the character stands are no part of a cycle: steps are found as if they were cut out. In motion whose
+feet skate, as from video, some swings end without a contact; they still count as steps between two contacts.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +41,9 @@ TOE_OFF = 0.6
 MOVING = 0.25
 """While hips and feet are all slower than this the character stands."""
 
+STANDING_SECONDS = 0.25
+"""A character stands in pauses of at least this length; in slow walks both feet rest for a moment in every step."""
+
 MAX_HALF_CYCLE = 1.3
 """Seconds between two contacts beyond which the character has paused."""
 
@@ -49,6 +55,12 @@ MIN_TRAVEL = 0.5
 
 EXTENSION = 1.2
 """Half cycles by which a run may extend beyond its first and last contact."""
+
+SEEN = 0.9
+"""Half cycles that a contact reaches towards a swing without a contact: when that foot came down is not known."""
+
+MIN_SWING = 0.15
+"""Seconds of the shortest swing without a contact that counts."""
 
 SPEED_SMOOTHING = 1 / 60  # seconds; more would blur the onset of a contact
 SWING_SMOOTHING = 0.05  # seconds; enough to bridge ripples within a swing
@@ -62,16 +74,21 @@ class NoGaitError(InputError):
 class StepRun:
     """An uninterrupted run of alternating contacts.
 
+    Times count only the frames in which the character moves.
+
     Attributes:
-        times: [n] contacts in frames, fractional, increasing.
+        times: [n] of the contacts, fractional, increasing.
+        halves: [n] half cycles from the first contact: one more at each contact, and one more for each swing without.
         left_first: whether the first contact is of the left foot.
-        start, stop: range of frames around the contacts in which the character moves.
+        clock: [m] times of the frames around the contacts that belong to the run.
+        frames: [m] indices in the clip of these frames.
     """
 
     times: np.ndarray
+    halves: np.ndarray
     left_first: bool
-    start: int
-    stop: int
+    clock: np.ndarray
+    frames: np.ndarray
 
 
 def find_steps(clip: MotionClip | WorldMotion) -> list[StepRun]:
@@ -92,47 +109,70 @@ def find_steps(clip: MotionClip | WorldMotion) -> list[StepRun]:
     joints = [*foot_joints(roles), roles.hips]
     smooth = gaussian_filter(positions[:, joints], SPEED_SMOOTHING * motion.fps)
     speed = np.linalg.norm(np.gradient(smooth, 1 / clip.fps, axis=0), axis=-1) / leg
-    contacts = _contacts(speed[:, :4].reshape(-1, 2, 2), clip.fps)
     moving = gaussian_filter(speed.max(axis=1), SWING_SMOOTHING * motion.fps) > MOVING
-    hips = positions[:, roles.hips][:, [0, 2]] / leg
-    runs = [run for run in _split(contacts, clip.fps) if _is_gait(run[0], hips)]
+    frames = np.flatnonzero(~_pauses(speed.max(axis=1) > MOVING, STANDING_SECONDS * clip.fps))
+    contacts, missed = _contacts(speed[frames, :4].reshape(-1, 2, 2), clip.fps)
+    hips = positions[frames, roles.hips][:, [0, 2]] / leg
+    runs = [run for run in _split(contacts, missed, clip.fps) if _is_gait(run.times, hips)]
     if not runs:
+        seconds = f"{clip.num_frames} frames ({clip.num_frames / clip.fps:.1f} s)"
         raise NoGaitError(
             clip.source,
             "phase",
-            f"{len(contacts)} foot contacts in {clip.num_frames} frames",
-            "no steps: feet must come down alternately while the character travels",
+            f"{len(contacts)} foot contacts in {seconds}",
+            "no steps: feet must come down alternately while the character travels; "
+            f"if {clip.fps:.4g} frames per second are wrong, pass `--source-fps`",
         )
-    return _bound(runs, moving)
+    return [_in_clip(run, frames) for run in _bound(runs, missed, moving[frames])]
 
 
-def half_cycles(times: np.ndarray) -> tuple[float, float]:
-    """Returns the lengths in frames of the half cycle before the first contact and of the one after the last.
+def half_cycles(times: np.ndarray, halves: np.ndarray) -> tuple[float, float]:
+    """Returns the lengths of the half cycle before the first contact and of the one after the last.
 
     Left and right steps may differ in length, so each is taken to be as long as the nearest half cycle of the same
     foot, the second from that end, or as the only one if there are two contacts.
+
+    Args:
+        times: [n] of contacts.
+        halves: [n] half cycles at them.
     """
-    lengths = np.diff(times)
+    lengths = np.diff(times) / np.diff(halves)
     return (lengths[1], lengths[-2]) if len(lengths) > 1 else (lengths[0], lengths[0])
 
 
-def _contacts(speed: np.ndarray, fps: float) -> list[tuple[float, int]]:
-    """Returns (frame, foot) of every contact in time order; foot 0 is the left. `speed` is [T, foot, (heel, toe)]."""
+def _pauses(moving: np.ndarray, frames: float) -> np.ndarray:
+    """Returns which frames lie in stretches of at least `frames` frames without movement."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], moving, [True]]).astype(np.int8)))
+    pause = np.zeros(len(moving), bool)
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        pause[start:stop] = stop - start >= frames
+    return pause
+
+
+def _contacts(speed: np.ndarray, fps: float) -> tuple[list[tuple[float, int]], np.ndarray]:
+    """Returns (time, foot) of every contact in time order, and the times of swings that end without one.
+
+    Args:
+        speed: [T, foot, (heel, toe)]; foot 0 is the left.
+        fps: frames per second.
+    """
     mean = gaussian_filter(speed.mean(axis=-1), SWING_SMOOTHING * fps)
     swings = _swings(mean[:, 0] - mean[:, 1])
     peaks = [start + int(np.argmax(mean[start:stop, foot])) for foot, start, stop in swings]
-    found = []
-    for index, (foot, _, _) in enumerate(swings):
+    found, missed = [], []
+    for index, (foot, start, stop) in enumerate(swings):
         # swings alternate: the next one is of the other foot, the one after that of this foot again
         end = swings[index + 2][1] if index + 2 < len(swings) else len(speed)
         flat = _foot_flat(speed[peaks[index] : end, foot])
         if flat is None:
+            if index + 1 < len(swings) and stop - start > MIN_SWING * fps:  # a clip may end within a swing
+                missed.append(stop)
             continue
         time = peaks[index] + flat
         if index + 1 < len(swings):
             time += PASSING * max(0.0, _toe_off(speed[: peaks[index + 1], 1 - foot, 1]) - time)
         found.append((time, foot))
-    return sorted(found)
+    return sorted(found), np.array(missed)
 
 
 def _foot_flat(speed: np.ndarray) -> float | None:
@@ -174,15 +214,28 @@ def _first_below(values: np.ndarray, limit: float) -> float | None:
     return i - (limit - values[i]) / (values[i - 1] - values[i])
 
 
-def _split(contacts: list[tuple[float, int]], fps: float) -> list[tuple[np.ndarray, bool]]:
-    """Splits contacts into runs (times, left first) that alternate without a pause."""
+def _split(contacts: list[tuple[float, int]], missed: np.ndarray, fps: float) -> list[StepRun]:
+    """Splits contacts into runs that alternate without a pause; they hold no frames yet."""
     runs: list[list[tuple[float, int]]] = []
     for time, foot in contacts:
         last = runs[-1][-1] if runs else None
         if last is None or last[1] == foot or time - last[0] > MAX_HALF_CYCLE * fps or time <= last[0]:
             runs.append([])
         runs[-1].append((time, foot))
-    return [(np.array([t for t, _ in run]), run[0][1] == 0) for run in runs]
+    none = np.empty(0, np.int64)
+    found = []
+    for run in runs:
+        times = np.array([time for time, _ in run])
+        between = _count_between(missed, times)
+        steps = 1 + between - between % 2  # feet alternate, so that an even number of contacts is missing
+        halves = np.concatenate([[0], np.cumsum(steps)])
+        found.append(StepRun(times, halves, run[0][1] == 0, none, none))
+    return found
+
+
+def _count_between(missed: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Returns how many missed contacts lie between each two times [n]."""
+    return np.diff(np.searchsorted(missed, times))
 
 
 def _is_gait(times: np.ndarray, hips: np.ndarray) -> bool:
@@ -192,21 +245,41 @@ def _is_gait(times: np.ndarray, hips: np.ndarray) -> bool:
     return bool(np.linalg.norm(last - first) > MIN_TRAVEL)
 
 
-def _bound(runs: list[tuple[np.ndarray, bool]], moving: np.ndarray) -> list[StepRun]:
-    """Extends each run beyond its contacts for as long as the character moves, up to halfway to the next run."""
+def _bound(runs: list[StepRun], missed: np.ndarray, moving: np.ndarray) -> list[StepRun]:
+    """Extends each run beyond its contacts for as long as the character moves, up to halfway to the next run.
+
+    Times around swings without a contact belong to no run.
+    """
     bounded = []
-    for index, (times, left_first) in enumerate(runs):
-        before, after = half_cycles(times)
-        earliest, latest = times[0] - EXTENSION * before, times[-1] + EXTENSION * after
-        if index > 0:
-            earliest = max(earliest, (times[0] + runs[index - 1][0][-1]) / 2)
-        if index + 1 < len(runs):
-            latest = min(latest, (times[-1] + runs[index + 1][0][0]) / 2)
+    for index, run in enumerate(runs):
+        times = run.times
+        before, after = half_cycles(times, run.halves)
+        last_before = runs[index - 1].times[-1] if index > 0 else -np.inf
+        next_after = runs[index + 1].times[0] if index + 1 < len(runs) else np.inf
+        unseen = _count_between(missed, np.array([last_before, times[0], times[-1], next_after]))
+        reach = np.ceil(times[0] - SEEN * before) if unseen[0] else times[0] - EXTENSION * before
+        earliest = max(reach, (times[0] + last_before) / 2)
+        latest = min(times[-1] + (SEEN if unseen[2] else EXTENSION) * after, (times[-1] + next_after) / 2)
         first, last = int(np.ceil(times[0])), int(times[-1])
         start, stop = first, last + 1
         while start > max(0, earliest) and moving[start - 1]:
             start -= 1
         while stop <= min(len(moving) - 1, latest) and moving[stop]:
             stop += 1
-        bounded.append(StepRun(times, left_first, start, stop))
+        clock = np.arange(start, stop)
+        bounded.append(replace(run, clock=clock[_near_contacts(clock, run)]))
     return bounded
+
+
+def _near_contacts(clock: np.ndarray, run: StepRun) -> np.ndarray:
+    """Returns which times [m] are no farther than `SEEN` half cycles from a contact wherever contacts are missing."""
+    steps = np.diff(run.halves)
+    gap = np.clip(np.searchsorted(run.times, clock, side="right") - 1, 0, len(steps) - 1)
+    reach = SEEN * np.diff(run.times)[gap] / steps[gap]
+    far = (clock - run.times[gap] > reach) & (run.times[gap + 1] - clock > reach)
+    return (steps[gap] == 1) | (clock <= run.times[0]) | (clock >= run.times[-1]) | ~far
+
+
+def _in_clip(run: StepRun, frames: np.ndarray) -> StepRun:
+    """Returns the run with the indices of its frames in the clip."""
+    return replace(run, frames=frames[run.clock])

@@ -15,7 +15,7 @@ from pfnn_jax.io.files import refuse_existing, write_whole
 from pfnn_jax.io.text_rows import read_rows
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.ground import wrap_angle
-from pfnn_jax.motion.labels.footsteps import find_steps, half_cycles
+from pfnn_jax.motion.labels.footsteps import StepRun, find_steps, half_cycles
 from pfnn_jax.motion.world_motion import WorldMotion
 
 CYCLE = 2 * np.pi
@@ -47,10 +47,11 @@ class PhaseLabels:
 def label_phase(clip: MotionClip | WorldMotion) -> PhaseLabels:
     """Labels the phase of a clip from its foot contacts.
 
-    Steps are found by `footsteps.find_steps`. Between two contacts the phase is linear in time. Before the first and
-    after the last contact it is extrapolated at the rate of the nearest half cycle of the same foot, for as long as the
-    character moves and by about half a cycle at most: without this a short walk would lose a quarter of its frames, and
-    a short run more than half. Frames in which the character stands have no label.
+    Steps are found by `footsteps.find_steps`. Between two contacts the phase is linear in the time in which the
+    character moves. Before the first and after the last contact it is extrapolated at the rate of the nearest half
+    cycle of the same foot, for as long as the character moves and by about half a cycle at most: without this a short
+    walk would lose a quarter of its frames, and a short run more than half. Frames in which the character stands have
+    no label, nor do those around a contact that is not seen because the feet skate.
 
     Args:
         clip: of a skeleton with roles; a `WorldMotion` saves forward kinematics.
@@ -59,15 +60,8 @@ def label_phase(clip: MotionClip | WorldMotion) -> PhaseLabels:
         NoGaitError: if there are no alternating steps.
         InputError: if the skeleton has no roles.
     """
-    runs = find_steps(clip)
-    unwrapped = np.full(clip.num_frames, np.nan)
-    frames = np.arange(clip.num_frames)
-    for run in runs:
-        # half cycles: right contacts even, left contacts odd
-        half = np.arange(len(run.times)) + (1 if run.left_first else 0)
-        inside = slice(run.start, run.stop)
-        unwrapped[inside] = np.pi * _extend(frames[inside], run.times, half.astype(float))
-    return _labels(unwrapped)
+    phases = [(run.frames, np.pi * _half_cycles(run)) for run in find_steps(clip)]
+    return _labels(clip.num_frames, [part for phase in phases for part in _successive(*phase)])
 
 
 def mirror_phase(labels: PhaseLabels) -> PhaseLabels:
@@ -80,6 +74,19 @@ def cut_phase(labels: PhaseLabels, start: int, stop: int) -> PhaseLabels:
     """Returns the labels of frames start to stop (exclusive), with frame `start` as frame 0."""
     right, left = ((c[(c >= start) & (c < stop)] - start) for c in (labels.contacts_right, labels.contacts_left))
     return PhaseLabels(labels.phase[start:stop], labels.labelled[start:stop], right, left)
+
+
+def pad_phase(labels: PhaseLabels, start: int, num_frames: int) -> PhaseLabels:
+    """Returns labels for all frames of a file, of which frame `start` is the first that `labels` has.
+
+    Args:
+        labels: of some successive frames.
+        start: index in the file of the first of them.
+        num_frames: of the file; the others have no label.
+    """
+    after = num_frames - start - labels.num_frames
+    phase, labelled = (np.pad(values, (start, after)) for values in (labels.phase, labels.labelled))
+    return PhaseLabels(phase, labelled, labels.contacts_right + start, labels.contacts_left + start)
 
 
 def read_phase(path: Path, num_frames: int | None = None) -> PhaseLabels:
@@ -103,7 +110,7 @@ def read_phase(path: Path, num_frames: int | None = None) -> PhaseLabels:
     unwrapped = np.full(len(cycles), np.nan)
     for start, stop in _runs(labelled):
         unwrapped[start:stop] = np.unwrap(cycles[start:stop] * CYCLE)
-    return _labels(unwrapped)
+    return _labels(len(cycles), [(np.arange(*run), unwrapped[slice(*run)]) for run in _runs(labelled)])
 
 
 def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> None:
@@ -154,29 +161,40 @@ def resample_phase(labels: PhaseLabels, fps_from: float, fps_to: float, num_fram
     continuous = np.full(num_frames, np.nan)
     for start, stop in _runs(np.isfinite(values)):
         continuous[start:stop] = np.unwrap(values[start:stop])
-    return _labels(continuous)
+    return _labels(num_frames, [(np.arange(*run), continuous[slice(*run)]) for run in _runs(np.isfinite(values))])
 
 
-def _extend(frames: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Interpolates linearly, and extrapolates beyond both ends at the rates of `half_cycles`."""
-    before, after = half_cycles(times)
-    first, last = 1 / before, 1 / after
-    inside = np.interp(frames, times, values)
-    inside = np.where(frames < times[0], values[0] + (frames - times[0]) * first, inside)
-    return np.where(frames > times[-1], values[-1] + (frames - times[-1]) * last, inside)
+def _half_cycles(run: StepRun) -> np.ndarray:
+    """Returns half cycles at a run's frames: right contacts are even, left contacts odd.
+
+    Between contacts they are interpolated linearly, beyond both ends extrapolated at the rates of `half_cycles`.
+    """
+    times, halves = run.times, run.halves + (1.0 if run.left_first else 0.0)
+    before, after = half_cycles(times, halves)
+    values = np.interp(run.clock, times, halves)
+    values = np.where(run.clock < times[0], halves[0] + (run.clock - times[0]) * (1 / before), values)
+    return np.where(run.clock > times[-1], halves[-1] + (run.clock - times[-1]) * (1 / after), values)
 
 
-def _labels(unwrapped: np.ndarray) -> PhaseLabels:
-    """Returns labels from an unwrapped phase [T] in radians, NaN in frames without a label."""
-    labelled = np.isfinite(unwrapped)
-    phase = np.where(labelled, unwrapped, 0.0) % CYCLE
+def _successive(frames: np.ndarray, values: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Splits frames and their values into parts of successive frames."""
+    cuts = np.flatnonzero(np.diff(frames) > 1) + 1
+    return list(zip(np.split(frames, cuts), np.split(values, cuts), strict=True))
+
+
+def _labels(num_frames: int, parts: list[tuple[np.ndarray, np.ndarray]]) -> PhaseLabels:
+    """Returns labels from parts of successive frames, each with its unwrapped phase in radians.
+
+    Parts may adjoin each other with different phases; crossings are therefore found in each part alone.
+    """
+    labelled, phase = np.zeros(num_frames, bool), np.zeros(num_frames)
+    right, left = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for frames, unwrapped in parts:
+        labelled[frames], phase[frames] = True, unwrapped % CYCLE
+        right.append(frames[_crossings(unwrapped)])
+        left.append(frames[_crossings(unwrapped - np.pi)])
     phase = np.where(np.minimum(phase, CYCLE - phase) < ROUNDING, 0.0, phase)
-    right, left = [], []
-    for start, stop in _runs(labelled):
-        right.append(start + _crossings(unwrapped[start:stop]))
-        left.append(start + _crossings(unwrapped[start:stop] - np.pi))
-    join = [np.concatenate(c) if c else np.zeros(0, np.int64) for c in (right, left)]
-    return PhaseLabels(phase, labelled, *join)
+    return PhaseLabels(phase, labelled, *(np.unique(np.concatenate(contacts)) for contacts in (right, left)))
 
 
 def _crossings(unwrapped: np.ndarray) -> np.ndarray:

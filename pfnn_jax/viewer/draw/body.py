@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
+from pfnn_jax.motion.reading import Up
 from pfnn_jax.motion.skeleton import Skeleton
-
-Up = Literal["auto", "y", "z"]
+from pfnn_jax.motion.up_axis import find_up, stand_up
 
 LEG = 0.83  # metres, length of thigh and shin for which the radii below hold
 SHORTEST = 0.015  # metres; shorter bones only carry a rotation and are not drawn
@@ -22,8 +21,6 @@ _RADII = {  # metres at both ends, by part and by the number of bones from the p
 }
 _HEAD_SPAN = (0.3, 0.56)
 _CROWN = 0.1  # metres; a shorter bone above the head joint does not locate the head
-STANDING = 0.9  # least cosine between Z and the line from feet to head of a body that stands in a Z-up world
-Z_TO_Y = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])  # a quarter turn about X
 _REACH = 1.1  # metres along the bones from a person's hips to the farthest fingertip or toe
 _DOT = 0.06  # metres; a joint without bones
 _TRUNK = 0.105
@@ -61,28 +58,18 @@ def body_points(clip: MotionClip) -> np.ndarray:
 
 
 def upright(clip: MotionClip, up: Up = "auto") -> MotionClip:
-    """Returns the clip with Y up, which all drawing assumes; some programs write BVH files with Z up.
+    """Returns the clip with Y up, which all drawing assumes.
 
     Args:
-        clip: the motion.
-        up: the axis that points up in the clip. `auto` chooses Z if the line from feet to head is along Z in nearly
-            all frames, and Y otherwise or if the skeleton's roles are unknown.
+        clip: the motion. Clips that were read from a file have Y up already.
+        up: the axis that points up in the clip; `auto` finds it from how the body stands, if the skeleton has roles.
     """
-    if up == "y" or (up == "auto" and not _stands_along_z(clip)):
-        return clip
-    rotations = clip.rotations.copy()
-    rotations[:, 0] = quat_multiply(Z_TO_Y, rotations[:, 0])
-    return replace(clip, root_positions=quat_rotate(Z_TO_Y, clip.root_positions), rotations=rotations)
-
-
-def _stands_along_z(clip: MotionClip) -> bool:
-    roles = clip.skeleton.roles
-    if roles is None:
-        return False
-    positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
-    body = positions[:, roles.head] - (positions[:, roles.left_foot[0]] + positions[:, roles.right_foot[0]]) / 2
-    share = body[:, 2] / np.maximum(np.linalg.norm(body, axis=-1), 1e-9)
-    return float(np.percentile(share, 10)) > STANDING
+    if up == "auto":
+        up = "y"
+        if clip.skeleton.roles is not None and clip.reading is None:
+            positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+            up = find_up(positions, clip.skeleton.roles)[0]
+    return stand_up(clip, up)
 
 
 def facing_angles(clip: MotionClip, points: np.ndarray) -> np.ndarray:

@@ -1,0 +1,67 @@
+"""The axis that points up in a file, found from how the body stands, and turning it to +Y."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
+from pfnn_jax.motion.reading import AXES, Axis
+from pfnn_jax.motion.skeleton import Roles
+
+HALF = np.sqrt(0.5)
+
+TURNS: dict[Axis, np.ndarray] = {
+    "x": np.array([HALF, 0.0, 0.0, HALF]),
+    "y": np.array([1.0, 0.0, 0.0, 0.0]),
+    "z": np.array([HALF, -HALF, 0.0, 0.0]),
+    "-x": np.array([HALF, 0.0, 0.0, -HALF]),
+    "-y": np.array([0.0, 1.0, 0.0, 0.0]),  # about X, so that a camera's view stays the right way round
+    "-z": np.array([HALF, HALF, 0.0, 0.0]),
+}
+"""The rotation that turns each axis to +Y."""
+
+STANDING = 0.8
+"""Least cosine, in half of the poses, between an axis and the line from feet to head of a body that stands along it."""
+
+BENDING = 0.5
+"""... and in nine tenths of the poses."""
+
+
+def find_up(positions: np.ndarray, roles: Roles) -> tuple[Axis, bool]:
+    """Finds the axis along which a body stands.
+
+    Y is kept unless the body stands along another axis: people also crouch, crawl and lie.
+
+    Args:
+        positions: [N, J, 3] joint positions of poses in any unit.
+        roles: feet and head.
+
+    Returns:
+        The axis, and whether the body stands along it.
+    """
+    body = positions[:, roles.head] - (positions[:, roles.left_foot[0]] + positions[:, roles.right_foot[0]]) / 2
+    shares = body / np.maximum(np.linalg.norm(body, axis=-1, keepdims=True), 1e-9)
+    middle = np.median(shares, axis=0)
+    axis = int(np.argmax(np.abs(middle)))
+    sign = 1.0 if middle[axis] > 0 else -1.0
+    stands = abs(middle[axis]) > STANDING and np.percentile(sign * shares[:, axis], 10) > BENDING
+    if not stands:
+        return "y", bool(middle[1] > BENDING)
+    return (AXES[axis] if sign > 0 else AXES[axis + 3]), True
+
+
+def stand_up(clip: MotionClip, up: Axis) -> MotionClip:
+    """Returns the clip with `up` turned to +Y; a clip with Y up is returned unchanged.
+
+    Args:
+        clip: the motion.
+        up: key of `TURNS`.
+    """
+    if up == "y":
+        return clip
+    rotations = clip.rotations.copy()
+    rotations[:, 0] = quat_multiply(TURNS[up], rotations[:, 0])
+    return replace(clip, root_positions=quat_rotate(TURNS[up], clip.root_positions), rotations=rotations)
