@@ -140,6 +140,15 @@ def rest_directions_differ(skeleton: Skeleton, other: Skeleton) -> tuple[int, fl
     return (int(np.flatnonzero(long)[worst]), degrees) if degrees > SAME_DIRECTION else None
 
 
+def same_joints(skeleton: Skeleton, other: Skeleton) -> bool:
+    """Returns whether rotations of one skeleton mean the same on the other; `check_same_topology` says where not."""
+    try:
+        check_same_topology(skeleton, other, "skeleton")
+    except InputError:
+        return False
+    return True
+
+
 def check_same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path) -> None:
     """Refuses a skeleton with other joints, or with another rest pose.
 

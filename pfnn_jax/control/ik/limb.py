@@ -28,7 +28,7 @@ def two_bone(rig: Rig, pose: Pose, limb: Limb, target: jax.Array, pole: jax.Arra
         pole: [3] where the middle joint points when the limb is straight; by default in front of the hips, which is
             right for legs.
 
-    Targets within `two_bone.SOFT` of the limb's length (or within its present stretch) are reached; beyond, the limb stretches
+    Targets within `two_bone.SOFT` of its length (or within its present stretch) are reached; beyond, the limb stretches
     towards its full length and points at the target.
     """
     positions, world = forward_kinematics(rig, pose)

@@ -75,13 +75,16 @@ def reference_pose(skeleton: Skeleton, body: HumanoidMap) -> np.ndarray:
     return _from_bones(skeleton, body, {side: FOOT_PITCH for side in SIDES}, lambda part, turn: turn)
 
 
-def with_reference(clip: MotionClip, body: HumanoidMap) -> MotionClip:
+def with_reference(clip: MotionClip) -> MotionClip:
     """Returns the clip with the reference pose stored in its skeleton, if only a motion shows it.
 
-    Where the zero pose is a standing person, or a reference is stored, the clip is returned unchanged.
+    Where the zero pose is a standing person, a reference is stored already, or the skeleton has no humanoid map with
+    ankles, the clip is returned unchanged.
     """
-    skeleton = clip.skeleton
-    if skeleton.reference is not None or stands(skeleton, body):
+    skeleton, body = clip.skeleton, clip.skeleton.humanoid
+    if skeleton.reference is not None or body is None or None in (body.left_foot, body.right_foot):
+        return clip
+    if leg_length_of(skeleton, body) == 0 or stands(skeleton, body):
         return clip
     return replace(clip, skeleton=replace(skeleton, reference=find_reference(clip, body)))
 
