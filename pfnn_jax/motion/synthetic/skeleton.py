@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from pfnn_jax.motion.humanoid.find import find_humanoid
 from pfnn_jax.motion.skeleton import Roles, Skeleton
 
 THIGH, SHIN = 0.42, 0.41
@@ -70,12 +73,12 @@ def synthetic_skeleton() -> Skeleton:
     """Returns the skeleton of every procedural walker.
 
     Returns:
-        Skeleton of 21 joints in a T pose that faces +Z, with left at +X, with roles and mirror.
+        Skeleton of 21 joints in a T pose that faces +Z, with left at +X, with humanoid map, roles and mirror.
     """
     rows = _rows()
     names = tuple(row[0] for row in rows)
     index = {name: joint for joint, name in enumerate(names)}
-    return Skeleton(
+    skeleton = Skeleton(
         names=names,
         parents=np.array([index.get(row[1], -1) for row in rows]),
         offsets=np.stack([row[2] for row in rows]),
@@ -94,3 +97,4 @@ def synthetic_skeleton() -> Skeleton:
             head=index["Head"],
         ),
     )
+    return replace(skeleton, humanoid=find_humanoid(skeleton))
