@@ -76,6 +76,12 @@ def reference() -> Path:
 
 
 @pytest.fixture(scope="session")
+def characters() -> Path:
+    """Folder of rigged characters; skips where it is absent."""
+    return _folder("PFNN_JAX_CHARACTERS", SHARED / "characters")
+
+
+@pytest.fixture(scope="session")
 def lpn_run(reference, tmp_path_factory):
     """The authors' local-phase network with its 100 styles, imported once per worker."""
     from pfnn_jax.interop.released.mason2022 import import_released_lpn

@@ -46,16 +46,18 @@ def frame_reflections(skeleton: Skeleton, rotations: np.ndarray) -> np.ndarray:
     Returns:
         [J, 4] wxyz.
     """
-    axes = _axis_reflections(skeleton, rotations)
+    bones = _bones_of_frames(skeleton)
+    axes = _axis_reflections(skeleton, rotations, bones)
     turns = AXIS_TURNS[axes].copy()
     matrices = REFLECTIONS[axes][:, :, None] * np.eye(3)
     mean = None
-    for joint in _oblique_joints(skeleton, matrices):
+    for joint in _oblique_joints(skeleton, matrices, bones):
         if mean is None:
             mean = _mean_rotations(rotations)
         partner = int(skeleton.mirror[joint])
-        likely = _likely_reflection(skeleton, joint, matrices, mean)
-        fitted = _fit_reflection(_bone_pairs(skeleton, joint), likely, midline=partner == joint)
+        pairs = _bone_pairs(skeleton, joint, bones)
+        likely = _likely_reflection(skeleton, joint, pairs, matrices, mean)
+        fitted = _fit_reflection(pairs, likely, midline=partner == joint)
         matrices[joint], matrices[partner] = fitted, fitted.T
         turns[joint] = quat_from_matrix(-fitted)
         turns[partner] = quat_conjugate(turns[joint]) if partner != joint else turns[joint]
@@ -91,9 +93,30 @@ def reflect_rotations(q: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np
     return reflected
 
 
-def _axis_reflections(skeleton: Skeleton, rotations: np.ndarray) -> np.ndarray:
+def _bones_of_frames(skeleton: Skeleton) -> np.ndarray:
+    """Returns whether the bone to each joint [J] counts for its parent's frame.
+
+    Where bones lead to parts of the humanoid map, helper joints next to them do not count: exporters place them freely.
+    """
+    counts = np.ones(skeleton.num_joints, dtype=bool)
+    counts[0] = False
+    if skeleton.humanoid is None:
+        return counts
+    leads = np.zeros(skeleton.num_joints, dtype=bool)
+    for joint in skeleton.humanoid.joints().values():
+        for one in joint if isinstance(joint, tuple) else () if joint is None else (joint,):
+            while one >= 0 and not leads[one]:
+                leads[one] = True
+                one = int(skeleton.parents[one])
+    leads &= np.linalg.norm(skeleton.offsets, axis=1) > 0
+    has_lead = np.zeros(skeleton.num_joints, dtype=bool)
+    has_lead[skeleton.parents[1:][leads[1:]]] = True
+    return counts & (leads | ~has_lead[skeleton.parents])
+
+
+def _axis_reflections(skeleton: Skeleton, rotations: np.ndarray, bones: np.ndarray) -> np.ndarray:
     """Returns the index [J] in `REFLECTIONS` of the reflection along axes that fits each joint best."""
-    misfit, length = _bone_misfit(skeleton)
+    misfit, length = _bone_misfit(skeleton, bones)
     fits = misfit <= misfit.min(axis=1, keepdims=True) + ASYMMETRY * length[:, None]
     chosen = np.zeros(skeleton.num_joints, dtype=int)
     if np.all(fits[:, 0]):
@@ -121,10 +144,10 @@ def _best(fits: np.ndarray, closeness: np.ndarray) -> int:
     return int(np.argmax(np.where(fits, closeness, -np.inf)))
 
 
-def _bone_misfit(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
+def _bone_misfit(skeleton: Skeleton, bones: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns how far each reflection misses the partner's bones [J, 4], and the length of each joint's bones [J]."""
-    offsets, other = skeleton.offsets[1:], skeleton.offsets[skeleton.mirror[1:]]
-    parents, both = skeleton.parents[1:], skeleton.mirror
+    both, parents = skeleton.mirror, skeleton.parents[bones]
+    offsets, other = skeleton.offsets[bones], skeleton.offsets[both[bones]]
     missed = np.linalg.norm(REFLECTIONS * offsets[:, None] - other[:, None], axis=2)
     misfit, length = np.zeros((skeleton.num_joints, len(REFLECTIONS))), np.zeros(skeleton.num_joints)
     np.add.at(misfit, parents, missed)
@@ -132,12 +155,12 @@ def _bone_misfit(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
     return misfit + misfit[both], length + length[both]
 
 
-def _oblique_joints(skeleton: Skeleton, matrices: np.ndarray) -> list[int]:
+def _oblique_joints(skeleton: Skeleton, matrices: np.ndarray, bones: np.ndarray) -> list[int]:
     """Returns the joints, one of each pair, whose bones no reflection along axes maps to their partner's.
 
     A joint without bones is one of them if a joint above it is: its frame is oblique too.
     """
-    children, parents = np.arange(1, skeleton.num_joints), skeleton.parents[1:]
+    children, parents = np.flatnonzero(bones), skeleton.parents[bones]
     partners = skeleton.mirror[children]
     consistent = skeleton.parents[partners] == skeleton.mirror[parents]
     lengths = np.linalg.norm(skeleton.offsets, axis=1)
@@ -157,26 +180,27 @@ def _oblique_joints(skeleton: Skeleton, matrices: np.ndarray) -> list[int]:
     return sorted({min(joint, int(skeleton.mirror[joint])) for joint in oblique})
 
 
-def _bone_pairs(skeleton: Skeleton, joint: int) -> np.ndarray:
+def _bone_pairs(skeleton: Skeleton, joint: int, bones: np.ndarray) -> np.ndarray:
     """Returns the sum [3, 3] of outer products of the partner's bones and a joint's bones, and of the reverse."""
     total = np.zeros((3, 3))
     partner = int(skeleton.mirror[joint])
-    for child in np.flatnonzero(skeleton.parents == joint):
+    for child in np.flatnonzero((skeleton.parents == joint) & bones):
         other = int(skeleton.mirror[child])
         if skeleton.parents[other] == partner:
             total += np.outer(skeleton.offsets[other], skeleton.offsets[child])
     return total
 
 
-def _likely_reflection(skeleton: Skeleton, joint: int, matrices: np.ndarray, mean: np.ndarray) -> np.ndarray:
+def _likely_reflection(
+    skeleton: Skeleton, joint: int, pairs: np.ndarray, matrices: np.ndarray, mean: np.ndarray
+) -> np.ndarray:
     """Returns the reflection [3, 3] of a frame that keeps the mirrored poses closest to the clip's own.
 
-    It is the one along axes where that is near the one that fits best.
+    It is the one along axes where that is near the one that fits the joint's bones, given as `_bone_pairs`.
     """
     partner, parent = int(skeleton.mirror[joint]), int(skeleton.parents[joint])
-    bones = _bone_pairs(skeleton, joint)
-    fitted = _fit_reflection(bones, matrices[joint], midline=partner == joint)
-    if parent < 0 or (bones.any() and np.abs(fitted - matrices[joint]).max() <= ALIGNED):
+    fitted = _fit_reflection(pairs, matrices[joint], midline=partner == joint)
+    if parent < 0 or (pairs.any() and np.abs(fitted - matrices[joint]).max() <= ALIGNED):
         return matrices[joint]
     # mirrored: C_parent⁻¹ R_partner C, on average equal to R
     return mean[partner].T @ matrices[parent] @ mean[joint]

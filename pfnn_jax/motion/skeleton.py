@@ -218,7 +218,7 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         end_sites=tuple((int(joint), np.array(offset, np.float64)) for joint, offset in data["end_sites"]),
         mirror=np.array(data["mirror"], np.int64),
         roles=None if roles is None else _roles(roles),
-        humanoid=None if humanoid is None else map_from_json(humanoid),
+        humanoid=None if humanoid is None else map_from_json(humanoid, source),
         reference=None if reference is None else np.array(reference, np.float64).reshape(joints, 4),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,12 @@ UNEQUAL = 0.15
 SHORTEST_PART, LONGEST_PART = 0.4, 2.5
 """Ratio of upper to lower leg, and to lower arm, outside of which the joints are doubtful."""
 
-BENT = 50.0
-"""Degrees between the trunk and the legs' line from which a body does not stand upright in a pose."""
+LYING = (50.0, 130.0)
+"""Degrees between the trunk and the line of the legs within which a body may stand on four legs. Above, the pose is not
+that of a body: bones lie along one axis of their joints."""
+
+UPRIGHT = 0.5
+"""Cosine of the angle to the vertical up to which legs and trunk stand."""
 
 HANDS_AT_FEET = 0.65
 """Share of the legs' length below the hips from which hands are as low as feet: forefeet are."""
@@ -39,6 +43,12 @@ NO_LENGTH = 1e-3
 DOUBT = 0.8
 """Factor of the confidence for a doubt."""
 
+NO_POSE = 0.5
+"""Factor of the confidence where geometry cannot confirm the map, as the pose is that of no body."""
+
+DOUBTFUL = "doubtful: "
+"""Beginning of the lines that say what is doubtful."""
+
 
 @dataclass
 class Finding:
@@ -52,6 +62,11 @@ class Finding:
     lines: list[str] = field(default_factory=list)
     confidence: float = 1.0
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether anything is doubtful."""
+        return any(line.startswith(DOUBTFUL) for line in self.lines)
+
     def decide(self, line: str, factor: float = 1.0) -> None:
         """Adds a line, and multiplies the confidence by a factor."""
         self.lines.append(line)
@@ -59,7 +74,7 @@ class Finding:
 
     def doubt(self, line: str, factor: float = DOUBT) -> None:
         """Adds a doubt, and multiplies the confidence by a factor."""
-        self.decide(f"doubtful: {line}", factor)
+        self.decide(f"{DOUBTFUL}{line}", factor)
 
 
 @dataclass(frozen=True)
@@ -71,12 +86,14 @@ class Body:
         labels: [J] what the joints' names say.
         tree: of J joints.
         poses: [N, J, 3] positions, in any unit and with any axis up.
+        by_geometry: whether the legs were found without names.
     """
 
     found: Mapping[str, Any]
     labels: Sequence[JointName]
     tree: JointTree
     poses: np.ndarray
+    by_geometry: bool = False
 
     def length(self, one: str, other: str) -> float:
         """Returns the distance between the joints of two bones, 0 if either is missing."""
@@ -84,6 +101,14 @@ class Body:
         if first is None or second is None:
             return 0.0
         return float(np.linalg.norm(self.poses[0, first] - self.poses[0, second]))
+
+    def trunk(self) -> np.ndarray | None:
+        """Returns the vector [N, 3] from the hips to the end of the spine, or the first joint above it; else None."""
+        above = [*self.found["spine"][::-1], *self.found["neck"], self.found["head"]]
+        hips = self.poses[:, self.found["hips"]]
+        vectors = (self.poses[:, joint] - hips for joint in above if joint is not None)
+        least = NO_LENGTH * body_size(self.poses[0])
+        return next((vector for vector in vectors if np.linalg.norm(vector[0]) > least), None)
 
     def middle(self, *parts: str) -> np.ndarray | None:
         """Returns the middle [N, 3] of both sides' first part that the body has, or None."""
@@ -94,38 +119,57 @@ class Body:
         return None
 
 
-def check_geometry(body: Body, finding: Finding, source: str | Path, *, rest: np.ndarray, insist: bool = False) -> None:
+def check_geometry(body: Body, finding: Finding, source: str | Path, *, insist: bool = False) -> None:
     """Adds what geometry doubts to a finding.
 
     Args:
         body: the map to check.
         finding: gets lines and factors of the confidence.
         source: file to name in messages.
-        rest: [J, 3] positions with all rotations zero: who crawls in a clip may stand there.
         insist: whether a user named both thighs, so that a strange body is doubted only.
 
     Raises:
         InputError: if the body is not a human one.
     """
-    if _is_point(body):
-        finding.doubt("all joints of the legs are at one place, so geometry cannot confirm the names", 0.5)
+    if _is_no_pose(body):
+        finding.doubt("the pose is not that of a body, so geometry cannot confirm the names", NO_POSE)
         return
     _check_lengths(body, finding)
     _check_sides(body, finding)
     reasons = [reason for reason in (_on_all_fours(body), _many_legs(body)) if reason]
-    if not reasons:
-        return
-    standing = replace(body, poses=rest[None])
-    if insist or not (_is_point(standing) or _on_all_fours(standing) or _many_legs(standing)):
+    if reasons and insist:
         finding.doubt(f"{' and '.join(reasons)}, as in an animal", 0.5)
-        return
-    rule = "this may not be a humanoid; if it is one, name left_thigh and right_thigh in a file of overrides (--roles)"
-    raise InputError(source, "skeleton", " and ".join(reasons), rule)
+    elif reasons:
+        rule = "this may not be a humanoid; if it is, name left_thigh and right_thigh in a file of overrides (--roles)"
+        raise InputError(source, "skeleton", " and ".join(reasons), rule)
 
 
-def _is_point(body: Body) -> bool:
-    """Returns whether the legs have no length, as where a file's positions are all zero."""
-    return body.length("left_thigh", "left_shin") <= NO_LENGTH * body_size(body.poses[0])
+def stands(body: Body) -> bool:
+    """Returns whether legs and trunk of a body are upright, with Y up, in half of its poses."""
+    hips, feet, trunk = body.middle("thigh"), body.middle("foot", "shin"), body.trunk()
+    if hips is None or feet is None:
+        return False
+    upright = [_rise(hips - feet), *([] if trunk is None else [_rise(trunk)])]
+    return min(np.median(rise) for rise in upright) > UPRIGHT
+
+
+def _rise(vectors: np.ndarray) -> np.ndarray:
+    """Returns the share [N] of vectors [N, 3] that goes up."""
+    return vectors[:, 1] / np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)
+
+
+def _is_no_pose(body: Body) -> bool:
+    """Returns whether the legs have no length, or point away from each other.
+
+    So they do where a file's positions are all zero, and where bones lie along one axis of their joints.
+    """
+    if body.length("left_thigh", "left_shin") <= NO_LENGTH * body_size(body.poses[0]):
+        return True
+    left, right = (
+        body.poses[:, body.found[f"{side}_shin"]] - body.poses[:, body.found[f"{side}_thigh"]] for side in SIDES
+    )
+    along = np.einsum("nc,nc->n", left, right)
+    return bool((along < -0.5 * np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=1)).all())
 
 
 def _check_lengths(body: Body, finding: Finding) -> None:
@@ -159,40 +203,41 @@ def _check_sides(body: Body, finding: Finding) -> None:
 
 def _on_all_fours(body: Body) -> str:
     """Returns why the body goes on four legs, or an empty text: its trunk lies, with hands as low as feet."""
-    hips, shoulders = body.middle("thigh"), body.middle("upper_arm")
+    hips, trunk = body.middle("thigh"), body.trunk()
     feet, hands = body.middle("foot", "shin"), body.middle("hand", "lower_arm")
-    if shoulders is None or feet is None or hands is None or hips is None:
+    if trunk is None or feet is None or hands is None or hips is None:
         return ""
-    legs, trunk = hips - feet, shoulders - hips
+    legs = hips - feet
     length = np.linalg.norm(legs, axis=1)
     cosine = np.einsum("nc,nc->n", legs, trunk) / np.maximum(length * np.linalg.norm(trunk, axis=1), 1e-9)
     bent = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     depth = np.einsum("nc,nc->n", legs, hips - hands) / np.maximum(length, 1e-9) ** 2
-    if bent.min() > BENT and depth.min() > HANDS_AT_FEET:
+    if LYING[0] < bent.min() < LYING[1] and depth.min() > HANDS_AT_FEET:
         return f"the trunk lies at {bent.min():.0f}° to the legs and the hands are as low as the feet"
     return ""
 
 
 def _many_legs(body: Body) -> str:
-    """Returns how many more limbs than two reach as low as the feet, or an empty text if at most one does."""
+    """Returns why the body has too many legs, or an empty text.
+
+    Two more limbs that reach as low as the feet are too many or, where no names tell arms from legs, three anywhere.
+    """
     hips, feet = body.middle("thigh"), body.middle("foot", "shin")
     if hips is None or feet is None:
         return ""
-    tree, pose = body.tree, body.poses[0]
-    down = feet[0] - hips[0]
+    pose, down = body.poses[0], feet[0] - hips[0]
     length = float(np.linalg.norm(down))
     mapped = {joint for joint in body.found.values() if isinstance(joint, int)}
-    inner = set(tree.parents)
-    more: set[int] = set()
-    for tip in range(len(tree.parents)):
-        if tip in inner or body.labels[tip].helper or (pose[tip] - hips[0]) @ down < (1 - UNEQUAL) * length**2:
-            continue
+    inner = set(body.tree.parents)
+    more: dict[int, bool] = {}  # first joint of a limb -> whether it reaches as low as the feet
+    for tip in (joint for joint in range(len(body.tree.parents)) if joint not in inner):
         limb = _own_limb(body, tip, mapped)
         if limb and _reach(pose, limb) >= LIKE_A_LEG * length:
-            more.add(limb[0])
-    if len(more) < 2:
-        return ""
-    return f"{len(more)} more limbs reach as low as the feet"
+            low = (pose[tip] - hips[0]) @ down >= (1 - UNEQUAL) * length**2
+            more[limb[0]] = more.get(limb[0], False) or bool(low)
+    if sum(more.values()) >= 2:
+        return f"{sum(more.values())} more limbs reach as low as the feet"
+    return f"there are {len(more)} more limbs as long as legs" if body.by_geometry and len(more) >= 3 else ""
 
 
 def _own_limb(body: Body, tip: int, mapped: set[int]) -> list[int]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.humanoid.checks import Body, Finding, check_geometry
+from pfnn_jax.motion.humanoid.checks import NO_POSE, Body, Finding, check_geometry, stands
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.measured import measured_limbs
 from pfnn_jax.motion.humanoid.named import detached_foot, named_limbs, named_trunk
@@ -50,8 +50,8 @@ def find_humanoid(
 
     Args:
         skeleton: the joints; its own map, roles and mirror are ignored.
-        poses: [N, J, 3] joint positions of some poses in any unit, or a function that returns them. None uses the pose
-            of zero rotations.
+        poses: [N, J, 3] joint positions of some poses in any unit, or a function that returns them. Where joints have
+            telling names they are used, and the function is called, only if the pose of zero rotations leaves a doubt.
         overrides: bone, role or VRM bone -> joint name; see `choose_joints`. What it does not name is found.
         source: file to name in messages.
 
@@ -64,12 +64,10 @@ def find_humanoid(
     """
     tree = joint_tree(tuple(map(int, skeleton.parents)))
     chosen = choose_joints(overrides or {}, skeleton.names, source)
-    positions = _positions(skeleton, poses)
-    finding = Finding()
-    limbs = _named_limbs(skeleton.names, tree, chosen, finding)
+    limbs, notes = _named_limbs(skeleton.names, tree, chosen)
     if _has(limbs, "shin"):
-        return _complete(skeleton, tree, limbs, chosen, positions, finding, source)
-    return _by_geometry(skeleton, tree, limbs, chosen, positions, source)
+        return _by_names(skeleton, tree, limbs, notes, chosen, poses, source)
+    return _by_geometry(skeleton, tree, limbs, chosen, _positions(skeleton, poses), source)
 
 
 def need_humanoid(skeleton: Skeleton, source: str | Path = "skeleton") -> HumanoidMap:
@@ -93,15 +91,16 @@ def _has(limbs: Mapping[str, Any], part: str) -> bool:
     return all(f"{side}_{part}" in limbs for side in SIDES)
 
 
-def _named_limbs(names: tuple[str, ...], tree: JointTree, chosen: Chosen, finding: Finding) -> dict[str, int]:
-    """Returns the limbs that names and overrides give, with feet that are not under their leg."""
+def _named_limbs(names: tuple[str, ...], tree: JointTree, chosen: Chosen) -> tuple[dict[str, int], list[str]]:
+    """Returns the limbs that names and overrides give, with feet that are not under their leg, and a line for each."""
+    notes = []
     limbs = dict(named_limbs(names, tree.parents))
     for side in SIDES:
         leg = {limbs[f"{side}_{part}"] for part in LEG if f"{side}_{part}" in limbs}
         if leg and f"{side}_foot" not in limbs and (foot := detached_foot(names, side, leg)) is not None:
             limbs[f"{side}_foot"] = foot
-            finding.decide(f"the {side} foot {names[foot]} is not under the leg")
-    return _override(limbs, chosen, tree)
+            notes.append(f"the {side} foot {names[foot]} is not under the leg")
+    return _override(limbs, chosen, tree), notes
 
 
 def _override(limbs: dict[str, int], chosen: Chosen, tree: JointTree) -> dict[str, int]:
@@ -115,31 +114,75 @@ def _override(limbs: dict[str, int], chosen: Chosen, tree: JointTree) -> dict[st
             if first is None or last is None or first == last or not tree.is_above(first, last):
                 continue
             between = tree.down(first, last)[:-1]
-            if between and middle not in between:
+            if between and middle not in between and f"{side}_{lower}" not in chosen:
                 limbs[f"{side}_{lower}"] = between[(len(between) - 1) // 2]
     return {bone: joint for bone, joint in limbs.items() if bone not in ("hips", "head")}
+
+
+def _by_names(
+    skeleton: Skeleton,
+    tree: JointTree,
+    limbs: dict[str, int],
+    notes: list[str],
+    chosen: Chosen,
+    poses: Poses,
+    source: str | Path,
+) -> HumanoidMap:
+    """Returns the map of a skeleton whose legs are named, confirmed by its rest pose or, if that is doubtful, by poses.
+
+    Who crawls through a clip stands in the rest pose, unless it is that of no body.
+
+    Raises:
+        InputError: as the last of both poses does, if neither gives a map.
+    """
+    best: HumanoidMap | None = None
+    refusal: InputError | None = None
+    for choice in (rest_pose(skeleton)[None], poses):
+        if choice is None:
+            continue
+        finding = Finding(list(notes))
+        try:
+            found = _complete(skeleton, tree, limbs, chosen, _positions(skeleton, choice), finding, source)
+        except InputError as error:
+            refusal = error
+            continue
+        if not finding.doubtful:
+            return found
+        if best is None or finding.confidence > best.confidence or best.confidence <= NO_POSE:
+            best = found
+    if best is None or (refusal is not None and best.confidence <= NO_POSE):
+        assert refusal is not None
+        raise refusal
+    return best
 
 
 def _by_geometry(
     skeleton: Skeleton, tree: JointTree, limbs: dict[str, int], chosen: Chosen, poses: np.ndarray, source: str | Path
 ) -> HumanoidMap:
-    """Returns the map of a skeleton whose legs are not named, with the first axis up that gives one.
+    """Returns the map of a skeleton whose legs are not named, with the first axis up with which it stands.
 
     Raises:
         InputError: as the first axis up does.
     """
     helpers = [label.helper for label in read_names(skeleton.names)]
+    arms = {bone: joint for bone, joint in limbs.items() if _has(limbs, "upper_arm")}
+    lying: HumanoidMap | None = None
     refusal: InputError | None = None
     for up in UP_AXES:
         finding = Finding()
-        stood = poses @ up.T
-        measured = measured_limbs(tree, stood, helpers)
-        joined = _override({**measured, **{k: v for k, v in limbs.items() if _has(limbs, "upper_arm")}}, chosen, tree)
         finding.decide("limbs found by their lengths and places, not by names", BY_GEOMETRY)
+        stood = poses @ up.T
+        measured = _override({**measured_limbs(tree, stood, helpers), **arms}, chosen, tree)
         try:
-            return _complete(skeleton, tree, joined, chosen, stood, finding, source)
+            found = _complete(skeleton, tree, measured, chosen, stood, finding, source, by_geometry=True)
         except InputError as error:
             refusal = refusal or error
+            continue
+        if stands(Body(found.joints(), read_names(skeleton.names), tree, stood)):
+            return found
+        lying = lying or found
+    if refusal is None and lying is not None:
+        return lying
     assert refusal is not None
     raise refusal
 
@@ -152,6 +195,8 @@ def _complete(
     poses: np.ndarray,
     finding: Finding,
     source: str | Path,
+    *,
+    by_geometry: bool = False,
 ) -> HumanoidMap:
     """Adds hips, spine, neck and head to limbs, and confirms the map by geometry."""
     missing = [f"{side}_{part}" for side in SIDES for part in ("thigh", "shin") if f"{side}_{part}" not in limbs]
@@ -159,7 +204,8 @@ def _complete(
         rule = f"must have a joint for {', '.join(missing)}; name it in a file of overrides (--roles)"
         raise InputError(source, "skeleton", f"joints {listed(skeleton.names)}", rule)
     names = skeleton.names
-    ends = frozenset(joint for joint, site in skeleton.end_sites if not site.any())
+    sites = [joint for joint, site in skeleton.end_sites if not site.any()]
+    ends = frozenset(sites if len(sites) < len(skeleton.end_sites) else ())  # where all are zero they say nothing
     trunk = Trunk(tree, read_names(names), named_trunk(names), poses[0], limbs, ends)
     head = chosen["head"] if "head" in chosen else find_head(trunk)
     assert not isinstance(head, tuple)
@@ -171,8 +217,8 @@ def _complete(
     found: dict[str, Any] = {"hips": hips, "spine": spine, "neck": neck, "head": head, **parts}
     _require_chains(names, tree, found, source)
     insist = all(isinstance(chosen.get(f"{side}_thigh"), int) for side in SIDES)
-    body = Body(found, trunk.labels, tree, poses)
-    check_geometry(body, finding, source, rest=rest_pose(skeleton), insist=insist)
+    body = Body(found, trunk.labels, tree, poses, by_geometry)
+    check_geometry(body, finding, source, insist=insist)
     return HumanoidMap(**found, confidence=finding.confidence, explanation=tuple(finding.lines))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from pfnn_jax.motion.humanoid.names import JointName
 
 CLEAR, LIKELY, POSSIBLE, WEAK = 4.0, 3.0, 2.0, 1.0
@@ -9,8 +11,8 @@ CLEAR, LIKELY, POSSIBLE, WEAK = 4.0, 3.0, 2.0, 1.0
 
 _CLEAR_WORDS = {
     "clavicle": "clavicle collar collarbone scapula",
-    "upper_arm": "upperarm uparm armupper humerus shldr bicep",
-    "lower_arm": "forearm lowerarm lowarm loarm armlower elbow radius",
+    "upper_arm": "upperarm uparm uarm armupper humerus shldr bicep",
+    "lower_arm": "forearm lowerarm lowarm loarm farm armlower elbow radius",
     "hand": "hand wrist",
     "thigh": "upleg upperleg thigh femur legupper",
     "shin": "lowerleg lowleg loleg leglower shin calf knee tibia",
@@ -34,12 +36,9 @@ LIMB_WORDS: dict[str, dict[str, float]] = {
 
 HIPS_WORDS = frozenset("hips pelvis hip".split())
 HEAD_WORDS = frozenset("head skull".split())
-NECK_WORDS = frozenset("neck c".split())
-SPINE_WORDS = frozenset(
-    "spine chest upperchest abdomen ab torso waist back lowerback upperback belly tummy body bodylower bodyupper "
-    "ribs ribcage thorax stomach lowerspine upperspine t l".split()
-)
-"""Words of joints without a side; c, t and l are vertebrae, which have a number."""
+NECK_WORDS = frozenset("neck necktwist".split())
+SPINE_WORDS = frozenset("spine chest abdomen ab torso waist back belly tummy body ribs ribcage thorax stomach".split())
+"""Words of joints without a side, with or without lower and upper."""
 
 
 def limb_points(name: JointName) -> dict[str, float]:
@@ -51,7 +50,8 @@ def trunk_part(name: JointName) -> str:
     """Returns `hips`, `spine`, `neck` or `head` for a joint on the midline that is called so, else an empty text."""
     if name.side or name.helper:
         return ""
+    word = re.sub(r"^(lower|upper)|(lower|upper)$", "", name.part)
     for part, words in (("hips", HIPS_WORDS), ("head", HEAD_WORDS), ("neck", NECK_WORDS), ("spine", SPINE_WORDS)):
-        if name.part in words and (len(name.part) > 1 or name.numbers):
+        if word in words:
             return part
     return ""

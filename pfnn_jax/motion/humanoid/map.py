@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
+
+from pfnn_jax.errors import InputError
 
 CHAINS = ("spine", "neck")
 """Bones of the map that consist of any number of joints, from the hips upwards."""
@@ -101,6 +104,8 @@ class HumanoidMap:
 BONES = tuple(field.name for field in fields(HumanoidMap) if field.name not in ("confidence", "explanation"))
 """Names of the bones of a map, as attributes of `HumanoidMap`."""
 
+KEYS = frozenset((*BONES, "confidence", "explanation"))
+
 
 def map_to_json(humanoid: HumanoidMap) -> dict[str, Any]:
     """Returns a map as JSON data."""
@@ -108,11 +113,21 @@ def map_to_json(humanoid: HumanoidMap) -> dict[str, Any]:
     return {**joints, "confidence": humanoid.confidence, "explanation": list(humanoid.explanation)}
 
 
-def map_from_json(data: Mapping[str, Any]) -> HumanoidMap:
+def map_from_json(data: Mapping[str, Any], source: str | Path = "skeleton") -> HumanoidMap:
     """Returns the map that `map_to_json` described.
 
+    Args:
+        data: as `map_to_json` returns it.
+        source: file it was read from, for messages.
+
     Raises:
-        TypeError: if an entry is missing or unknown.
+        InputError: if a bone is missing.
     """
-    joints: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
+    missing = [bone for bone in BONES if bone not in data]
+    if missing:
+        rule = "must have all bones of a humanoid map"
+        raise InputError(source, "skeleton.humanoid", f"no {', '.join(missing)}", rule)
+    joints: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in data.items() if key in KEYS
+    }
     return HumanoidMap(**joints)

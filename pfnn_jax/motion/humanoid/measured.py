@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pfnn_jax.motion.humanoid.map import SIDES
+from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES
 from pfnn_jax.motion.humanoid.tree import JointTree
 
 LONG_BONE = 0.6
@@ -17,6 +17,9 @@ LEAST_REACH = 0.15
 
 ALIKE = 0.25
 """Relative difference up to which the bones of a left and a right limb are alike."""
+
+LOW = 0.25
+"""Share of the height of the joints up to which legs reach down."""
 
 COINCIDENT = 1e-3
 """Share of the body's size below which two joints are at one place."""
@@ -40,8 +43,9 @@ def measured_limbs(tree: JointTree, poses: np.ndarray, helpers: Sequence[bool]) 
     height = poses[..., 1].mean(axis=0)
     inner = {parent for joint, parent in enumerate(tree.parents) if not helpers[joint]}
     tips = [joint for joint in range(len(tree.parents)) if joint not in inner and not helpers[joint]]
-    pair = _two_limbs(tree, poses[0], sorted(tips, key=lambda joint: height[joint]), ("thigh", "shin", "foot", "toe"))
-    if pair is None:
+    low = height.min() + LOW * np.ptp(height)
+    pair = _two_limbs(tree, poses[0], sorted(tips, key=lambda joint: height[joint]), LEG)
+    if pair is None or any(height[max(leg.values(), key=tree.depth)] > low for leg in pair[1]):
         return {}
     body, legs = pair
     # mean distance of each joint to the left of the hips
@@ -49,9 +53,7 @@ def measured_limbs(tree: JointTree, poses: np.ndarray, helpers: Sequence[bool]) 
     leftness = np.einsum("njc,nc->j", poses - poses[:, body, None], left)
     found = _sided(legs, leftness, "thigh")
     tips = [joint for joint in tips if not {leg["thigh"] for leg in legs} & set(tree.above(joint))]
-    pair = _two_limbs(
-        tree, poses[0], sorted(tips, key=lambda j: -abs(leftness[j])), ("clavicle", "upper_arm", "lower_arm", "hand")
-    )
+    pair = _two_limbs(tree, poses[0], sorted(tips, key=lambda joint: -abs(leftness[joint])), ARM)
     if pair is not None:
         found |= _sided(pair[1], leftness, "hand")
     return found
@@ -94,7 +96,7 @@ def _two_limbs(
         for other in tips[at + 1 :]:
             fork = tree.fork((tip, other))
             limbs = [_limb(pose, tree.down(fork, end), parts, least) for end in (tip, other)]
-            if limbs[0] and limbs[1] and _alike(pose, [limb for limb in limbs if limb], parts):
+            if limbs[0] and limbs[1] and _alike(pose, fork, [limb for limb in limbs if limb]):
                 return fork, [limb for limb in limbs if limb]
     return None
 
@@ -122,11 +124,13 @@ def _limb(pose: np.ndarray, chain: list[int], parts: tuple[str, ...], least: flo
     return {part: kept[at] for part, at in zip(parts, range(first, first + 4), strict=True) if 0 <= at < len(kept)}
 
 
-def _alike(pose: np.ndarray, limbs: list[dict[str, int]], parts: tuple[str, ...]) -> bool:
-    """Returns whether the long bones of two limbs have like lengths."""
-    upper, lower, end = ("upper_arm", "lower_arm", "hand") if "hand" in parts else ("thigh", "shin", "foot")
-    lengths = [
-        [np.linalg.norm(pose[limb[b]] - pose[limb[a]]) for a, b in ((upper, lower), (lower, end))] for limb in limbs
-    ]
-    one, other = np.array(lengths)
-    return bool((np.abs(one - other) <= ALIKE * np.maximum(one, other)).all())
+def _alike(pose: np.ndarray, fork: int, limbs: list[dict[str, int]]) -> bool:
+    """Returns whether two limbs have like bones, and begin at like distances from the joint where they fork."""
+    upper, lower, end = ("upper_arm", "lower_arm", "hand") if "hand" in limbs[0] else ("thigh", "shin", "foot")
+    one, other = (
+        np.linalg.norm(pose[[limb[upper], limb[lower], limb[end]]] - pose[[fork, limb[upper], limb[lower]]], axis=1)
+        for limb in limbs
+    )
+    return bool((np.abs(one - other)[1:] <= ALIKE * np.maximum(one, other)[1:]).all()) and bool(
+        abs(one[0] - other[0]) <= ALIKE * one[1:].sum()
+    )

@@ -20,16 +20,21 @@ SIDE_WORDS = {
 OTHER_SIDE = {"left": "right", "right": "left", "": ""}
 
 SHARED = 0.5
-"""Share of the joints whose names must begin with the same word for it to be a prefix of the exporter."""
+"""Share of the joints of which more must begin with the same word for it to be a prefix of the exporter."""
 
 FILLER = frozenset(
-    "jnt jt joint bone bn b def deform org fk armature skeleton rig bip biped valve valvebiped character skin".split()
+    "jnt jt joint bone bn b def deform org fk armature skeleton rig bip biped valve valvebiped character skin m x bend "
+    "stretch".split()
 )
 """Words that say nothing about the part of the body."""
 
-HELPER_WORDS = frozenset("ik end tip nub site mch pt roll leaf root2 tweak con ctrl null dummy slot socket".split())
+HELPER_WORDS = frozenset("ik end tip nub site mch pt roll leaf tweak con ctrl null dummy slot socket".split())
 HELPER_PARTS = ("twist", "pole", "target", "control", "helper", "rigmesh", "effector", "orient", "tracker", "hipjoint")
 """Words, and parts of words, of joints that help to animate, to skin or to end a bone."""
+
+
+VERTEBRA = re.compile(r"l[1-5]|t([1-9]|1[0-2])|c[1-7]")
+"""Names of vertebrae, as in captures by Xsens, which have several."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +60,12 @@ def plain_names(names: tuple[str, ...]) -> tuple[str, ...]:
 
     A suffix is removed only where every joint has one and no two have the same, apart from an added root.
     """
-    plain = [name.rsplit(":", 1)[-1] for name in names]
+    plain = [re.split(r"[:|]", name)[-1] or name for name in names]
     numbered = [re.fullmatch(r"(.+)_(\d+)", name) for name in plain]
-    counters = [match[2] for match in numbered if match]
-    if len(counters) >= len(plain) - 1 > 1 and len(set(counters)) == len(counters):
+    counters = [match[2] if match else "" for match in numbered]
+    if all(counter or "root" in name.lower() for counter, name in zip(counters, plain, strict=True)) and (
+        len(set(counters)) == len(counters) > 1
+    ):
         plain = [match[1] if match else name for name, match in zip(plain, numbered, strict=True)]
     while prefix := _shared_prefix(plain):
         plain = [name[len(prefix) :] if name.startswith(prefix) and len(name) > len(prefix) else name for name in plain]
@@ -67,8 +74,6 @@ def plain_names(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _shared_prefix(names: list[str]) -> str:
     """Returns the first word of most names with the separator behind it; empty where no word is a prefix."""
-    if len(names) < 4:
-        return ""
     # a word and its number, up to a separator, or up to a capital letter as in mixamorigHips
     matches = (re.match(r"[A-Za-z]+\d*[ _.:-]+(?=\w)|[a-z]{4,}(?=[A-Z])|[A-Z]{2,}_", name) for name in names)
     counts = Counter(match[0] for match in matches if match)
@@ -76,7 +81,7 @@ def _shared_prefix(names: list[str]) -> str:
         return ""
     prefix, count = counts.most_common(1)[0]
     word = re.sub(r"[^a-z]", "", prefix.lower())
-    return prefix if count >= SHARED * len(names) and word not in SIDE_WORDS else ""
+    return prefix if count > max(SHARED * len(names), 2) and word not in SIDE_WORDS else ""
 
 
 def words_of(name: str) -> list[str]:
@@ -104,8 +109,12 @@ def _read(name: str, words: list[str], whole: set[str]) -> JointName:
     joined = "".join(words)
     helper = name.startswith("__") or any(word in HELPER_WORDS for word in words)
     helper = helper or any(part in joined for part in HELPER_PARTS)
+    if "necktwist" in joined and not any(word.startswith("neck") and "twist" not in word for word in whole):
+        helper = False  # the neck itself of Character Creator
     side, rest = _split_side(words, whole)
     part = "".join(word for word in rest if not word.isdigit() and word not in FILLER)
+    if VERTEBRA.fullmatch(joined) and len([word for word in whole if VERTEBRA.fullmatch(word)]) > 2:
+        part = "neck" if part == "c" else "spine"
     return JointName(side, part, tuple(int(word) for word in rest if word.isdigit()), helper)
 
 

@@ -70,9 +70,12 @@ def choose_joints(overrides: Mapping[str, Any], names: Sequence[str], source: st
     chosen: Chosen = {}
     for key, value in _without_vrm_spine(overrides).items():
         for bone, joints in _bones_of(key, value, names, source).items():
-            if bone in chosen and chosen[bone] != joints and not (bone.endswith("_toe") and joints is None):
+            if bone in chosen and chosen[bone] != joints:
                 raise InputError(source, f"bone {key}", ascii(value), f"contradicts another entry for {bone}")
             chosen[bone] = joints
+    for side in SIDES:  # a foot that is named alone has no toe; VRM bones name both
+        if isinstance(overrides.get(f"{side}_foot"), str | list):
+            chosen.setdefault(f"{side}_toe", None)
     _refuse_shared(chosen, names, source)
     return chosen
 
@@ -102,8 +105,10 @@ def _bones_of(key: str, value: Any, names: Sequence[str], source: str | Path) ->
     joints = tuple(_joint_called(name, key, names, source) for name in listed)
     if bone in CHAINS:
         return {bone: joints}
-    toe: Chosen = {bone.replace("_foot", "_toe"): joints[1] if len(joints) == 2 else None} if foot else {}
-    return {bone: joints[0], **toe}
+    if len(joints) == 2:
+        toe = joints[1] if joints[1] != joints[0] else None
+        return {bone: joints[0], bone.replace("_foot", "_toe"): toe}
+    return {bone: joints[0]}
 
 
 def _bone_called(key: str) -> str | None:

@@ -22,6 +22,10 @@ class JointTree:
         """Returns the joint and all its ancestors, up to the root."""
         return self._above[joint]
 
+    def depth(self, joint: int) -> int:
+        """Returns the number of a joint's ancestors."""
+        return len(self._above[joint]) - 1
+
     def is_above(self, joint: int, other: int) -> bool:
         """Returns whether `joint` is `other` or one of its ancestors."""
         return joint in self._above[other]

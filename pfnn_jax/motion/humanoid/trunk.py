@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pfnn_jax.motion.humanoid.map import SIDES
 from pfnn_jax.motion.humanoid.measured import COINCIDENT, body_size
 from pfnn_jax.motion.humanoid.names import JointName
 from pfnn_jax.motion.humanoid.tree import JointTree
@@ -20,7 +21,7 @@ class Trunk:
         tree: of J joints.
         labels: [J] what the joints' names say.
         named: [J] `hips`, `spine`, `neck`, `head` or an empty text, by names.
-        pose: [J, 3] positions, Y up.
+        pose: [J, 3] positions.
         limbs: bone -> joint of the limbs.
         dead_ends: leaves that only end a bone.
     """
@@ -36,6 +37,12 @@ class Trunk:
     def thighs(self) -> tuple[int, int]:
         """Both upper legs."""
         return self.limbs["left_thigh"], self.limbs["right_thigh"]
+
+    @property
+    def up(self) -> np.ndarray:
+        """The direction [3] from the feet, or the shins without feet, to the thighs."""
+        ends = [self.limbs.get(f"{side}_foot", self.limbs[f"{side}_shin"]) for side in SIDES]
+        return self.pose[list(self.thighs)].mean(axis=0) - self.pose[ends].mean(axis=0)
 
     @property
     def chest(self) -> int | None:
@@ -67,7 +74,7 @@ def _highest_tip(trunk: Trunk) -> int | None:
     chest = trunk.chest
     under = [j for j in tips if chest is not None and tree.is_above(chest, j)]
     tips = [j for j in under or tips if j not in tree.above(trunk.thighs[0])]
-    return max(tips, key=lambda joint: trunk.pose[joint, 1]) if tips else None
+    return max(tips, key=lambda joint: float(trunk.pose[joint] @ trunk.up)) if tips else None
 
 
 def _end_of_chain(trunk: Trunk, start: int, tip: int) -> int:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from pfnn_jax.motion.humanoid.find import find_humanoid
-from pfnn_jax.motion.skeleton import Roles, Skeleton
+from pfnn_jax.motion.roles import assign_roles
+from pfnn_jax.motion.skeleton import Skeleton
 
 THIGH, SHIN = 0.42, 0.41
 """Lengths of the upper and lower leg in metres."""
@@ -63,12 +61,6 @@ def _end_sites(names: tuple[str, ...]) -> tuple[tuple[int, np.ndarray], ...]:
     return tuple(sites)
 
 
-def _partner(name: str) -> str:
-    if name.startswith("Left"):
-        return "Right" + name.removeprefix("Left")
-    return "Left" + name.removeprefix("Right") if name.startswith("Right") else name
-
-
 def synthetic_skeleton() -> Skeleton:
     """Returns the skeleton of every procedural walker.
 
@@ -83,18 +75,6 @@ def synthetic_skeleton() -> Skeleton:
         parents=np.array([index.get(row[1], -1) for row in rows]),
         offsets=np.stack([row[2] for row in rows]),
         end_sites=_end_sites(names),
-        mirror=np.array([index[_partner(name)] for name in names]),
-        roles=Roles(
-            hips=index["Hips"],
-            left_hip=index["LeftUpLeg"],
-            right_hip=index["RightUpLeg"],
-            left_shoulder=index["LeftArm"],
-            right_shoulder=index["RightArm"],
-            left_foot=(index["LeftFoot"], index["LeftToeBase"]),
-            right_foot=(index["RightFoot"], index["RightToeBase"]),
-            left_hand=index["LeftHand"],
-            right_hand=index["RightHand"],
-            head=index["Head"],
-        ),
+        mirror=np.arange(len(names)),
     )
-    return replace(skeleton, humanoid=find_humanoid(skeleton))
+    return assign_roles(skeleton, source="procedural walker")
