@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import io
+import math
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from pfnn_jax.motion.assumptions import decide_unit, decide_up, repair
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import (
     AXES,
-    forward_kinematics,
+    joint_positions,
     quat_from_euler,
     quat_multiply,
     quat_rotate,
@@ -101,25 +102,26 @@ class _Tokens:
     def __init__(self, path: Path, text: str):
         self.path = path
         self.names: set[str] = set()
-        self.words = [
-            (word, number)
-            for number, line in enumerate(text.split("\n"), start=1)
-            for word in re.findall(r"[{}]|[^\s{}]+", line)
-        ]
+        self.words: list[str] = []
+        self.lines: list[int] = []
+        for number, line in enumerate(text.replace("{", " { ").replace("}", " } ").split("\n"), start=1):
+            words = line.split()
+            self.words += words
+            self.lines += [number] * len(words)
         self.next = 0
 
     def fail(self, value: object, rule: str) -> InputError:
-        line = self.words[min(max(self.next - 1, 0), len(self.words) - 1)][1] if self.words else 1
+        line = self.lines[min(max(self.next - 1, 0), len(self.words) - 1)] if self.words else 1
         return InputError(self.path, f"line {line}", shorten(value), rule)
 
     def peek(self) -> str:
-        return self.words[self.next][0] if self.next < len(self.words) else ""
+        return self.words[self.next] if self.next < len(self.words) else ""
 
     def take(self, rule: str, expected: str | None = None) -> str:
-        word = self.peek()
         self.next += 1
-        if not word:
+        if self.next > len(self.words):
             raise self.fail("end of file", rule)
+        word = self.words[self.next - 1]
         if expected is not None and word.upper() != expected:
             raise self.fail(word, rule)
         return word
@@ -135,12 +137,19 @@ class _Tokens:
         return value
 
     def vector(self, what: str) -> np.ndarray:
-        return np.array([self.number(what) for _ in range(3)])
+        try:
+            values = [float(word) for word in self.words[self.next : self.next + 3]]
+        except ValueError:
+            values = []
+        if len(values) == 3 and all(abs(value) <= LIMIT for value in values):
+            self.next += 3
+            return np.array(values)
+        return np.array([self.number(what) for _ in range(3)])  # names what is wrong
 
     def rest_of_line(self, rule: str) -> str:
         """Takes the words up to an opening brace on the same line: names may contain spaces."""
-        line, words = self.words[self.next - 1][1], []
-        while self.next < len(self.words) and self.words[self.next][1] == line and self.peek() != "{":
+        line, words = self.lines[self.next - 1], []
+        while self.next < len(self.words) and self.lines[self.next] == line and self.peek() != "{":
             words.append(self.take(rule))
         if not words:
             raise self.fail("no name", rule)
@@ -248,7 +257,7 @@ def _parse_hierarchy(path: Path, text: str) -> list[BvhJoint]:
                 raise tokens.fail(word, rule)
     if tokens.peek():
         tokens.next += 1
-        raise tokens.fail(tokens.words[tokens.next - 1][0], "there must be one ROOT, then MOTION")
+        raise tokens.fail(tokens.words[tokens.next - 1], "there must be one ROOT, then MOTION")
     return joints
 
 
@@ -275,7 +284,7 @@ def _parse_channels(tokens: _Tokens, joint: BvhJoint) -> list[str]:
     """Returns channels as two letters: `PX` for Xposition, `RZ` for Zrotation."""
     count = tokens.number("the count of CHANNELS")
     if count not in range(7):
-        raise tokens.fail(tokens.words[tokens.next - 1][0], "a joint must have 0 to 6 channels")
+        raise tokens.fail(tokens.words[tokens.next - 1], "a joint must have 0 to 6 channels")
     channels: list[str] = []
     for _ in range(int(count)):
         word = tokens.take("as many channels must follow as their count says")
@@ -342,6 +351,22 @@ def _frames_error(path: Path, numbers: str, first_line: int, frames: int, column
     return InputError(path, f"line {last}", f"{rows} frames", f"must be {frames} or more, as `Frames:` says")
 
 
+def read_skeleton(path: str | Path) -> Skeleton:
+    """Reads the joints of a BVH file and their OFFSETs, in the file's unit and without its motion.
+
+    Joints above the hips are left out, and no roles are found.
+
+    Raises:
+        InputError: if the hierarchy is malformed, naming the line.
+    """
+    path = Path(path)
+    joints = _parse_hierarchy(path, re.split(r"(?m)^[ \t]*MOTION\b", _read_text(path), maxsplit=1)[0])
+    kept = joints[_first_kept(joints) :]
+    names, parents, end_sites = _tree(kept)
+    offsets = np.array([np.zeros(3), *(joint.offset for joint in kept[1:])])
+    return Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
+
+
 def read_bvh(
     path: str | Path,
     *,
@@ -394,14 +419,14 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     path = Path(path)
     check_options(options, path)
     text = parse_bvh(path, need_rate=options.source_fps is None)
-    names, parents, positions, rotations, end_sites = _fold(text.joints, *_channels(text.joints, text.values))
+    names, parents, end_sites, positions, rotations = _fold(text.joints, *_channels(text.joints, text.values))
     offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
 
     @functools.cache
     def poses() -> np.ndarray:
         some = rotations[:: max(1, len(rotations) // NUM_POSES)]
-        return forward_kinematics(bare, np.zeros((len(some), 3)), some)[0]
+        return joint_positions(bare, some)
 
     _require_rigid(path, bare, positions)
     skeleton = assign_roles(bare, None if roles_file is None else Path(roles_file), str(path), poses=poses)
@@ -440,13 +465,13 @@ def _channels(joints: list[BvhJoint], values: np.ndarray) -> tuple[np.ndarray, n
     """Returns positions [T, J, 3] in file units and rotations [T, J, 4], both in the parent's frame."""
     positions = np.empty((len(values), len(joints), 3))
     orders: dict[str, list[tuple[int, list[int]]]] = {}
-    column = 0
+    column, first = 0, values[0].tolist()
     for index, joint in enumerate(joints):
         positions[:, index] = joint.offset
         columns = {channel: column + i for i, channel in enumerate(joint.channels or ())}
         column += len(columns)
         places = {AXES[channel[1]]: place for channel, place in columns.items() if channel[0] == "P"}
-        joint.unmoved = index > 0 and len(places) == 3 and _all_zero(values, list(places.values()), joint)
+        joint.unmoved = index > 0 and len(places) == 3 and _all_zero(values, first, list(places.values()), joint)
         for axis, place in places.items():
             if not joint.unmoved:
                 positions[:, index, axis] = values[:, place]
@@ -462,30 +487,42 @@ def _channels(joints: list[BvhJoint], values: np.ndarray) -> tuple[np.ndarray, n
     return positions, rotations
 
 
-def _all_zero(values: np.ndarray, columns: list[int], joint: BvhJoint) -> bool:
-    """Returns whether a joint's positions are zero compared with its OFFSET."""
-    size = NO_OFFSET * float(np.linalg.norm(np.zeros(3) if joint.offset is None else joint.offset))
-    # the first frame rules out nearly all joints without a pass over the others
-    return all(abs(values[0, column]) < size for column in columns) and bool((np.abs(values[:, columns]) < size).all())
+def _all_zero(values: np.ndarray, first: list[float], columns: list[int], joint: BvhJoint) -> bool:
+    """Returns whether a joint's positions are zero compared with its OFFSET; `first` is the first of the values [T, C].
+
+    The first frame rules out nearly all joints without a pass over the others.
+    """
+    size = NO_OFFSET * math.hypot(*joint.offset) if joint.offset is not None else 0.0
+    return all(abs(first[column]) < size for column in columns) and bool((np.abs(values[:, columns]) < size).all())
 
 
 def _fold(joints: list[BvhJoint], positions: np.ndarray, rotations: np.ndarray):
-    """Merges the joints above the hips into joint 0; returns names, parents, positions, rotations and end sites."""
-    first = 0
-    while joints[first].num_children == 1 and not joints[first].end_sites and not _is_body_name(joints[first].name):
-        first += 1  # the only child follows its parent
-    if joints[first].num_children < 2 and not is_hips_name(joints[first].name):
-        first = 0  # a chain without hips is kept whole
+    """Merges the joints above the hips into joint 0; returns names, parents, end sites, positions, rotations."""
+    first = _first_kept(joints)
     position, rotation = positions[:, 0], rotations[:, 0]
     for joint in range(1, first + 1):
         position = position + quat_rotate(rotation, positions[:, joint])
         rotation = quat_multiply(rotation, rotations[:, joint])
     positions, rotations = positions[:, first:].copy(), rotations[:, first:].copy()
     positions[:, 0], rotations[:, 0] = position, rotation
-    kept = joints[first:]
-    parents = np.array([-1] + [joint.parent - first for joint in kept[1:]])
+    return *_tree(joints[first:]), positions, rotations
+
+
+def _first_kept(joints: list[BvhJoint]) -> int:
+    """Returns the index of the joint that becomes joint 0."""
+    first = 0
+    while joints[first].num_children == 1 and not joints[first].end_sites and not _is_body_name(joints[first].name):
+        first += 1  # the only child follows its parent
+    if joints[first].num_children < 2 and not is_hips_name(joints[first].name):
+        first = 0  # a chain without hips is kept whole
+    return first
+
+
+def _tree(kept: list[BvhJoint]) -> tuple[tuple[str, ...], np.ndarray, tuple[tuple[int, np.ndarray], ...]]:
+    """Returns names, parents and end sites of joints of which the first becomes joint 0."""
+    parents = np.array([-1] + [joint.parent - kept[0].parent - 1 for joint in kept[1:]])
     end_sites = tuple((index, site) for index, joint in enumerate(kept) for site in joint.end_sites)
-    return tuple(joint.name for joint in kept), parents, positions, rotations, end_sites
+    return tuple(joint.name for joint in kept), parents, end_sites
 
 
 def _is_body_name(name: str) -> bool:

@@ -69,7 +69,7 @@ def _insert(skeleton: Skeleton, roles: Roles, sites: dict[int, int], order: np.n
     ends = tuple(
         (int(place[joint]), site) for i, (joint, site) in enumerate(skeleton.end_sites) if i not in sites.values()
     )
-    moved = _move(roles, place)
+    moved = move_roles(roles, place)
     moved = replace(moved, left_hand=moved.left_hand + 1, right_hand=moved.right_hand + 1)
     return Skeleton(
         names=tuple(names),
@@ -89,7 +89,7 @@ def _with_tips(rotations: np.ndarray, order: np.ndarray) -> np.ndarray:
     return rotations[rows]
 
 
-def _move(roles: Roles, place: np.ndarray) -> Roles:
+def move_roles(roles: Roles, place: np.ndarray) -> Roles:
     """Returns the roles with each old joint index replaced by its new one, `place[joint]`."""
     moved: dict[str, Any] = {
         role: tuple(int(place[joint]) for joint in joints) if isinstance(joints, tuple) else int(place[joints])

@@ -255,6 +255,27 @@ def forward_kinematics(
     return positions, world
 
 
+def joint_positions(skeleton: Skeleton, rotations: np.ndarray) -> np.ndarray:
+    """Returns the positions [T, J, 3] of all joints relative to joint 0, for few frames faster than with rotations.
+
+    Args:
+        skeleton: J joints.
+        rotations: [T, J, 4] local rotations.
+    """
+    local, parents = quat_to_matrix(rotations), skeleton.parents
+    positions, world = np.zeros(rotations.shape[:-1] + (3,)), local.copy()
+    depth = np.zeros(len(parents), dtype=int)
+    for joint in range(1, len(parents)):
+        depth[joint] = depth[parents[joint]] + 1
+    for level in range(1, int(depth.max()) + 1):
+        joints = np.flatnonzero(depth == level)
+        above = parents[joints]
+        turn = world[:, above]
+        positions[:, joints] = positions[:, above] + (turn @ skeleton.offsets[joints, :, None])[..., 0]
+        world[:, joints] = turn @ local[:, joints]
+    return positions
+
+
 def _parity(i: int, j: int) -> float:
     """Returns +1 if the axes i, j and the third are a cyclic permutation of X, Y, Z, otherwise -1."""
     return 1.0 if j == (i + 1) % 3 else -1.0

@@ -43,11 +43,13 @@ def find_up(positions: np.ndarray, roles: Roles) -> tuple[Axis, bool]:
         The axis, and whether the body stands along it.
     """
     body = positions[:, roles.head] - (positions[:, roles.left_foot[0]] + positions[:, roles.right_foot[0]]) / 2
-    shares = body / np.maximum(np.linalg.norm(body, axis=-1, keepdims=True), 1e-9)
-    middle = np.median(shares, axis=0)
+    shares = np.sort(body / np.maximum(np.linalg.norm(body, axis=-1, keepdims=True), 1e-9), axis=0)
+    middle = shares[len(shares) // 2]
     axis = int(np.argmax(np.abs(middle)))
     sign = 1.0 if middle[axis] > 0 else -1.0
-    stands = abs(middle[axis]) > STANDING and np.percentile(sign * shares[:, axis], 10) > BENDING
+    tenth = len(shares) // 10
+    bent = shares[tenth if sign > 0 else -1 - tenth, axis]
+    stands = abs(middle[axis]) > STANDING and sign * bent > BENDING
     if not stands:
         return "y", bool(middle[1] > BENDING)
     return (AXES[axis] if sign > 0 else AXES[axis + 3]), True

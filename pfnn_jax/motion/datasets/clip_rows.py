@@ -22,6 +22,7 @@ from pfnn_jax.motion.features.encode import Features, clip_features, select_rows
 from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Moments, moments_of
 from pfnn_jax.motion.hands import extend_hands
+from pfnn_jax.motion.joint_order import match_joints
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import clip_local_phases, end_effectors, fit_axes, mirror_local_phases
 from pfnn_jax.motion.labels.phase import mirror_phase
@@ -54,6 +55,7 @@ class ClipGroup:
         seed: determines where those shares lie.
         roles_file: JSON file that names the joints' roles.
         hands: whether to add the ends of the hands as joints if the layout has them.
+        joint_names: of the data set's skeleton; clips with the same joints in another order are brought to this one.
     """
 
     sources: tuple[Source, ...]
@@ -64,6 +66,7 @@ class ClipGroup:
     seed: int
     roles_file: Path | None = None
     hands: bool = True
+    joint_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,8 +174,8 @@ def match_hands(labelled: LabelledClip, layout: FrameLayout) -> LabelledClip:
 def match_skeleton(labelled: LabelledClip, skeleton: Skeleton) -> LabelledClip:
     """Returns the clip on a skeleton: retargeted, and with a note that says so, if it has another.
 
-    A skeleton with the same joints and the same rest pose counts as the same, whatever its bones' lengths, because
-    features hold joint positions. Labels stay: they are those of the clip's own feet.
+    A skeleton with the same joints, in any order, and the same rest pose counts as the same, whatever its bones'
+    lengths, because features hold joint positions. Labels stay: they are those of the clip's own feet.
 
     Args:
         labelled: the clip.
@@ -181,9 +184,9 @@ def match_skeleton(labelled: LabelledClip, skeleton: Skeleton) -> LabelledClip:
     Raises:
         InputError: if either skeleton has no humanoid map.
     """
-    clip = labelled.clip
+    clip = match_joints(labelled.clip, skeleton.names)
     if same_joints(skeleton, clip.skeleton):
-        return labelled
+        return labelled if clip is labelled.clip else replace(labelled, clip=clip, world=world_motion(clip))
     moved = retarget(clip, skeleton)
     note = "; ".join(filter(None, (labelled.note, moved.summary)))
     return replace(labelled, clip=moved.clip, note=note, world=world_motion(moved.clip))
@@ -223,7 +226,7 @@ def prepare_group(group: ClipGroup) -> list[PreparedClip]:
 def _load(source: Source, group: ClipGroup) -> LabelledClip | str | InputError:
     """Returns the labelled clip, the reason why it is skipped, or what is wrong with its file."""
     layout = LAYOUTS[group.layout](1)
-    fit = extend_hands if group.hands and layout.next_frame else _unchanged
+    fit = partial(_fit_group, names=group.joint_names, hands=group.hands and layout.next_frame)
     if layout.next_frame and content_of(source) == IDLE:
         return "an idle clip; the layout is for locomotion"
     try:
@@ -247,8 +250,10 @@ def _fit_joints(clip: MotionClip, layout: FrameLayout) -> MotionClip:
     return extend_hands(clip) if needs_hands else clip
 
 
-def _unchanged(clip: MotionClip) -> MotionClip:
-    return clip
+def _fit_group(clip: MotionClip, names: tuple[str, ...], hands: bool) -> MotionClip:
+    """Returns the clip with the joints in the group's order and, with `hands`, with hand ends as joints."""
+    clip = match_joints(clip, names)
+    return extend_hands(clip) if hands else clip
 
 
 def _fitted(labelled: LabelledClip, fit: Fit) -> LabelledClip:

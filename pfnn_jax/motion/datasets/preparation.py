@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from itertools import groupby
@@ -16,6 +16,7 @@ import numpy as np
 from pfnn_jax.errors import BadFilesError, InputError, check_field, check_not_negative, check_one_of
 from pfnn_jax.io.files import failure, refuse_existing, replacing
 from pfnn_jax.io.npy import NpyWriter
+from pfnn_jax.motion.bvh import read_skeleton
 from pfnn_jax.motion.datasets.clip_rows import (
     ClipGroup,
     ClipRows,
@@ -29,6 +30,7 @@ from pfnn_jax.motion.datasets.clip_rows import (
 )
 from pfnn_jax.motion.datasets.dataset import FORMAT, Dataset, load_dataset, split_folder
 from pfnn_jax.motion.datasets.labelled import LabelledClip
+from pfnn_jax.motion.datasets.shared_unit import share_units
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.datasets.splits import SPLITS, WINDOW_ROWS
 from pfnn_jax.motion.datasets.workers import default_workers, map_in_order
@@ -117,7 +119,7 @@ def prepare(
     """
     out, config = Path(out), config or PrepareConfig()
     refuse_existing(out, overwrite)
-    sources = _as_sources(clips, out)
+    sources = _share_units(_as_sources(clips, out))
     if workers is not None and workers < 1:
         raise InputError(out, "workers", workers, "must be at least 1")
     roles_file = None if roles_file is None else Path(roles_file)
@@ -146,6 +148,22 @@ def _as_sources(clips: str | Path | Iterable[Source], out: Path) -> list[Source]
     if not sources:
         raise InputError(out, "clips", "none", "must be at least one")
     return sources
+
+
+def _share_units(sources: list[Source]) -> list[Source]:
+    files = [source for source in sources if isinstance(source, ClipFile)]
+    shared = iter(share_units(files))
+    return [next(shared) if isinstance(source, ClipFile) else source for source in sources]
+
+
+def _joint_names(sources: Sequence[Source]) -> tuple[str, ...]:
+    """Returns the names of the joints of the first source that can be read, whose order the others take."""
+    for source in sources:
+        if isinstance(source, LabelledClip):
+            return source.clip.skeleton.names
+        with suppress(InputError):
+            return read_skeleton(source.path).names
+    return ()
 
 
 def _write_dataset(
@@ -185,9 +203,11 @@ def _groups(sources: Sequence[Source], config: PrepareConfig, roles_file: Path |
 
     hands = layout.next_frame and all(map(has_hand_ends, sources))
     shares = config.validation, config.test
+    ordered = sorted(sources, key=place)
+    names = _joint_names(ordered)
     return [
-        ClipGroup(tuple(members), config.layout, config.mirror, *shares, config.seed, roles_file, hands)
-        for _, members in groupby(sorted(sources, key=place), key=key)
+        ClipGroup(tuple(members), config.layout, config.mirror, *shares, config.seed, roles_file, hands, names)
+        for _, members in groupby(ordered, key=key)
     ]
 
 

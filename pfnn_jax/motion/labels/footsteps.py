@@ -107,23 +107,27 @@ def find_steps(clip: MotionClip | WorldMotion) -> list[StepRun]:
         raise NoGaitError(clip.source, "frames", clip.num_frames, "steps need at least 3")
     leg = measured_leg_length(positions, roles)
     joints = [*foot_joints(roles), roles.hips]
-    smooth = gaussian_filter(positions[:, joints], SPEED_SMOOTHING * motion.fps)
-    speed = np.linalg.norm(np.gradient(smooth, 1 / clip.fps, axis=0), axis=-1) / leg
+    points = positions[:, joints] / leg
+    speed = _speeds(points, clip.fps)
+    frames = np.flatnonzero(~_pauses(points, speed, clip.fps))
+    if len(frames) < 3:
+        raise _no_steps(clip, 0)
+    if len(frames) < clip.num_frames:
+        speed = _speeds(_without_pauses(points, frames), clip.fps)
     moving = gaussian_filter(speed.max(axis=1), SWING_SMOOTHING * motion.fps) > MOVING
-    frames = np.flatnonzero(~_pauses(speed.max(axis=1) > MOVING, STANDING_SECONDS * clip.fps))
-    contacts, missed = _contacts(speed[frames, :4].reshape(-1, 2, 2), clip.fps)
+    contacts, missed = _contacts(speed[:, :4].reshape(-1, 2, 2), clip.fps)
     hips = positions[frames, roles.hips][:, [0, 2]] / leg
     runs = [run for run in _split(contacts, missed, clip.fps) if _is_gait(run.times, hips)]
     if not runs:
-        seconds = f"{clip.num_frames} frames ({clip.num_frames / clip.fps:.1f} s)"
-        raise NoGaitError(
-            clip.source,
-            "phase",
-            f"{len(contacts)} foot contacts in {seconds}",
-            "no steps: feet must come down alternately while the character travels; "
-            f"if {clip.fps:.4g} frames per second are wrong, pass `--source-fps`",
-        )
-    return [_in_clip(run, frames) for run in _bound(runs, missed, moving[frames])]
+        raise _no_steps(clip, len(contacts))
+    return [_in_clip(run, frames) for run in _bound(runs, missed, moving)]
+
+
+def _no_steps(clip: MotionClip, contacts: int) -> NoGaitError:
+    found = f"{contacts} foot contacts in {clip.num_frames} frames ({clip.num_frames / clip.fps:.1f} s)"
+    rule = "no steps: feet must come down alternately while the character travels"
+    doubt = f"if {clip.fps:.4g} frames per second are wrong, pass `--source-fps`"
+    return NoGaitError(clip.source, "phase", found, f"{rule}; {doubt}")
 
 
 def half_cycles(times: np.ndarray, halves: np.ndarray) -> tuple[float, float]:
@@ -140,13 +144,32 @@ def half_cycles(times: np.ndarray, halves: np.ndarray) -> tuple[float, float]:
     return (lengths[1], lengths[-2]) if len(lengths) > 1 else (lengths[0], lengths[0])
 
 
-def _pauses(moving: np.ndarray, frames: float) -> np.ndarray:
-    """Returns which frames lie in stretches of at least `frames` frames without movement."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], moving, [True]]).astype(np.int8)))
-    pause = np.zeros(len(moving), bool)
+def _speeds(points: np.ndarray, fps: float) -> np.ndarray:
+    """Returns the speeds [T, P] of points [T, P, 3], smoothed, per second."""
+    smooth = gaussian_filter(points, SPEED_SMOOTHING * fps)
+    return np.linalg.norm(np.gradient(smooth, 1 / fps, axis=0), axis=-1)
+
+
+def _pauses(points: np.ndarray, speed: np.ndarray, fps: float) -> np.ndarray:
+    """Returns which frames [T] lie in a pause, in which no point moves; whatever is left begins and ends in motion.
+
+    Smoothed speeds [T, P] bridge the noise of a pause, and those of single steps find its first and last frame.
+    """
+    step = np.linalg.norm(np.diff(points, axis=0), axis=-1).max(axis=1) * fps
+    still = (speed.max(axis=1) < MOVING) | (np.append(step, step[-1]) < MOVING)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    pause = np.zeros(len(still), bool)
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        pause[start:stop] = stop - start >= frames
+        pause[start:stop] = stop - start >= STANDING_SECONDS * fps
     return pause
+
+
+def _without_pauses(points: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Returns points [M, P, 3] that move as in the frames [M] that are left, as if there were no pauses between."""
+    steps = np.diff(points[frames], axis=0)
+    seams = np.flatnonzero(np.diff(frames) > 1)
+    steps[seams] = (steps[np.maximum(seams - 1, 0)] + steps[np.minimum(seams + 1, len(steps) - 1)]) / 2
+    return np.concatenate([points[frames[:1]], points[frames[:1]] + np.cumsum(steps, axis=0)])
 
 
 def _contacts(speed: np.ndarray, fps: float) -> tuple[list[tuple[float, int]], np.ndarray]:

@@ -1,0 +1,53 @@
+"""Finds one unit for files of one skeleton whose own lengths leave it open: children are recorded with adults."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.motion.bvh import read_skeleton
+from pfnn_jax.motion.datasets.sources import ClipFile
+from pfnn_jax.motion.length_unit import UNITS, log_likelihoods
+from pfnn_jax.motion.roles import find_roles, leg_length
+from pfnn_jax.motion.skeleton import plain_names
+
+DOUBT = math.log(1000.0)
+"""Log ratio of likelihoods up to which a file may have the unit of the others instead of its own likeliest."""
+
+
+def share_units(clips: Sequence[ClipFile]) -> list[ClipFile]:
+    """Returns the clips with their unit where files with the same joints would be given different ones.
+
+    Files whose unit is known keep it. A file far from human size in the others' unit keeps its own guess.
+
+    Args:
+        clips: of one data set.
+    """
+    groups: dict[tuple[str, ...], dict[int, dict[str, float]]] = defaultdict(dict)
+    for index, clip in enumerate(clips):
+        if clip.read_options.unit is None and (found := _likely_units(clip.path)) is not None:
+            names, likely = found
+            groups[names][index] = likely
+    shared = list(clips)
+    for group in groups.values():
+        best = {index: max(each.values()) for index, each in group.items()}
+        losses = {name: sum(min(best[index] - each[name], DOUBT) for index, each in group.items()) for name in UNITS}
+        unit = min(losses, key=losses.__getitem__)
+        for index, each in group.items():
+            if best[index] - DOUBT < each[unit] < best[index]:
+                shared[index] = replace(clips[index], unit=UNITS[unit])
+    return shared
+
+
+def _likely_units(path: Path) -> tuple[tuple[str, ...], dict[str, float]] | None:
+    """Returns a file's joints and the log likelihood of each unit; None if it has no legs or is bad."""
+    try:
+        skeleton = read_skeleton(path)
+        leg = leg_length(skeleton, find_roles(skeleton, source=str(path)))
+    except (InputError, ValueError):
+        return None  # reading the clip reports what is wrong
+    return (plain_names(skeleton.names), log_likelihoods(leg)) if leg > 0 else None
