@@ -15,6 +15,8 @@ from .labels.phase import label_phase as label_phase
 from .paths import circle as circle
 from .paths import figure_eight as figure_eight
 from .paths import straight as straight
+from .retargeting.retarget import Retargeted as Retargeted
+from .retargeting.retarget import retarget as retarget
 from .skeleton import Skeleton as Skeleton
 from .synthetic.walks import synthesise as synthesise
 from .synthetic.walks import synthetic_clips as synthetic_clips

@@ -51,8 +51,8 @@ PAIRS = list(permutations(SOURCES, 2))
 
 
 def ankles(clip: MotionClip) -> np.ndarray:
-    body = humanoid_of(clip.skeleton)
-    return world(clip)[0][:, [body.left_foot, body.right_foot]]
+    roles = need_roles(clip.skeleton)
+    return world(clip)[0][:, [roles.left_foot[0], roles.right_foot[0]]]
 
 
 def counterparts(skeleton: Skeleton, other: Skeleton) -> list[int]:
@@ -61,8 +61,10 @@ def counterparts(skeleton: Skeleton, other: Skeleton) -> list[int]:
     joints = []
     for part, joint in own.items():
         if isinstance(joint, tuple):
+            other_joint = there[part]
+            assert isinstance(other_joint, tuple)
             numbers = np.arange(len(joint) + 1)[:, None, None] * np.ones((1, 1, 4))
-            count = len(there[part])
+            count = len(other_joint)
             if part == "neck":  # whose last joint is the head
                 numbers = np.arange(len(joint) + 2)[:, None, None] * np.ones((1, 1, 4))
                 held = resample_chain(np.swapaxes(numbers, 0, 1), count + 1, lower=True)[0, :-1, 0]
@@ -339,8 +341,8 @@ def arms(skeleton: Skeleton, raised: float, forward: float) -> np.ndarray:
 
 def below_arms(skeleton: Skeleton) -> set[int]:
     """Returns the arms and all joints below them."""
-    body = humanoid_of(skeleton)
-    found = {body.left_upper_arm, body.right_upper_arm}
+    roles = need_roles(skeleton)
+    found = {roles.left_shoulder, roles.right_shoulder}
     for joint in range(skeleton.num_joints):
         if skeleton.parents[joint] in found:
             found.add(joint)

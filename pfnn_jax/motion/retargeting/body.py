@@ -95,10 +95,10 @@ def _limb_parts(
     body: HumanoidMap, side: str, names: tuple[str, ...], above: int, directions: list[np.ndarray]
 ) -> Iterator[Part]:
     """Yields those parts of an arm or leg that the skeleton has, from the body outwards."""
-    chain = [(*row, joint) for *row, joint in zip(names, directions, body.limb(side, names), strict=True)]
-    chain = [row for row in chain if row[-1] is not None]
+    rows = zip(names, directions, body.limb(side, names), strict=True)
+    chain = [(name, direction, joint) for name, direction, joint in rows if joint is not None]
     for number, (name, direction, joint) in enumerate(chain):
-        below = chain[number + 1][-1] if number + 1 < len(chain) else None
+        below = chain[number + 1][2] if number + 1 < len(chain) else None
         yield Part(f"{side}_{name}", joint, above, below, direction)
         above = joint
 
