@@ -59,8 +59,10 @@ class Skeleton:
         roles: of the joints, or None if they were not found: a view of `humanoid`, except that `extend_hands` moves the
             hands to their tips.
         humanoid: the humanoid map, or None if it was not found.
-        reference: [J, 4] world rotations of the joints in a T pose that faces +Z, where the zero pose does not show
-            it (see `retargeting.reference`); else None.
+        poses: [N, J, 4] local rotations of some poses of a motion, or None. They show how the body stands where the
+            zero pose does not.
+        reference: [J, 4] world rotations of the joints in the reference pose (`retargeting.reference`), or None where
+            the zero pose or `poses` show it.
     """
 
     names: tuple[str, ...]
@@ -70,6 +72,7 @@ class Skeleton:
     mirror: np.ndarray
     roles: Roles | None = None
     humanoid: HumanoidMap | None = None
+    poses: np.ndarray | None = None
     reference: np.ndarray | None = None
 
     @property
@@ -179,7 +182,7 @@ def check_same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path)
 
 
 def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
-    """Returns the skeleton as JSON data, exact to the last bit."""
+    """Returns the skeleton as JSON data, exact to the last bit, with its reference pose in place of `poses`."""
     return {
         "names": list(skeleton.names),
         "parents": [int(p) for p in skeleton.parents],
@@ -188,7 +191,7 @@ def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
         "mirror": [int(m) for m in skeleton.mirror],
         "roles": None if skeleton.roles is None else {k: _plain(v) for k, v in asdict(skeleton.roles).items()},
         "humanoid": None if skeleton.humanoid is None else map_to_json(skeleton.humanoid),
-        "reference": None if skeleton.reference is None else np.asarray(skeleton.reference, np.float64).tolist(),
+        "reference": None if (reference := _reference(skeleton)) is None else np.asarray(reference).tolist(),
     }
 
 
@@ -221,6 +224,16 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         humanoid=None if humanoid is None else map_from_json(humanoid, source),
         reference=None if reference is None else np.array(reference, np.float64).reshape(joints, 4),
     )
+
+
+def _reference(skeleton: Skeleton) -> np.ndarray | None:
+    """Returns the reference pose [J, 4] that is stored with a skeleton: its own, or that which its poses show."""
+    body = skeleton.humanoid
+    if skeleton.reference is not None or skeleton.poses is None or body is None or body.left_foot is None:
+        return skeleton.reference
+    from pfnn_jax.motion.retargeting.reference import reference_pose, stands  # which imports this module
+
+    return None if stands(skeleton, body) else reference_pose(skeleton, body)
 
 
 def _roles(data: Mapping[str, Any]) -> Roles:

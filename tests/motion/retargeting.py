@@ -12,6 +12,7 @@ import numpy as np
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_from_yaw, quat_multiply, quat_rotate
+from pfnn_jax.motion.retargeting.reference import some_poses
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise
 
@@ -79,16 +80,18 @@ def with_rest(clip: MotionClip, pose: np.ndarray) -> MotionClip:
     parents = clip.skeleton.parents
     local = quat_multiply(quat_conjugate(turned[:, np.maximum(parents, 0)]), turned)
     local[:, 0] = turned[:, 0]
-    return replace(clip, skeleton=skeleton_with_rest(clip.skeleton, pose), rotations=local)
+    skeleton = skeleton_with_rest(clip.skeleton, pose)
+    return replace(clip, skeleton=replace(skeleton, poses=some_poses(local)), rotations=local)
 
 
 def skeleton_with_rest(skeleton: Skeleton, pose: np.ndarray) -> Skeleton:
     """Returns the skeleton with another zero pose; see `with_rest`."""
-    reference = skeleton.reference
+    reference = skeleton.reference  # its poses are those of the old axes
     return replace(
         skeleton,
         offsets=quat_rotate(pose[np.maximum(skeleton.parents, 0)], skeleton.offsets),
         end_sites=tuple((joint, quat_rotate(pose[joint], site)) for joint, site in skeleton.end_sites),
+        poses=None,
         reference=None if reference is None else quat_multiply(reference, quat_conjugate(pose)),
     )
 

@@ -17,7 +17,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -62,7 +61,9 @@ Twist = Callable[[Part, np.ndarray], np.ndarray]
 def reference_pose(skeleton: Skeleton, body: HumanoidMap) -> np.ndarray:
     """Returns the world rotation [J, 4] of every joint in the reference pose.
 
-    It is the one stored in the skeleton, if there is one. Joints that are no part of the body turn with their parents.
+    It is the one stored in the skeleton, that of the zero pose, or that of the poses stored in the skeleton. Without
+    any of these the twist about bones is arbitrary, which positions do not show, and the pitch of the feet is a guess.
+    Joints that are no part of the body turn with their parents.
 
     Args:
         skeleton: J joints.
@@ -72,45 +73,40 @@ def reference_pose(skeleton: Skeleton, body: HumanoidMap) -> np.ndarray:
         return skeleton.reference
     if stands(skeleton, body):
         return _from_zero_pose(skeleton, body)
+    if skeleton.poses is not None:
+        return find_reference(skeleton, skeleton.poses, body)
     return _from_bones(skeleton, body, {side: FOOT_PITCH for side in SIDES}, lambda part, turn: turn)
 
 
-def with_reference(clip: MotionClip) -> MotionClip:
-    """Returns the clip with the reference pose stored in its skeleton, if only a motion shows it.
-
-    Where the zero pose is a standing person, a reference is stored already, or the skeleton has no humanoid map with
-    ankles, the clip is returned unchanged.
-    """
-    skeleton, body = clip.skeleton, clip.skeleton.humanoid
-    if skeleton.reference is not None or body is None or None in (body.left_foot, body.right_foot):
-        return clip
-    if leg_length_of(skeleton, body) == 0 or stands(skeleton, body):
-        return clip
-    return replace(clip, skeleton=replace(skeleton, reference=find_reference(clip, body)))
+def some_poses(rotations: np.ndarray) -> np.ndarray:
+    """Returns at most `NUM_POSES` of T poses [T, J, 4], evenly spread."""
+    return rotations[:: -(-len(rotations) // NUM_POSES)].copy()
 
 
-def find_reference(clip: MotionClip, body: HumanoidMap) -> np.ndarray:
-    """Returns the reference pose [J, 4] of a skeleton whose zero pose says nothing, from a motion.
+def find_reference(skeleton: Skeleton, poses: np.ndarray, body: HumanoidMap) -> np.ndarray:
+    """Returns the reference pose [J, 4] of a skeleton whose zero pose says nothing, from poses of a motion.
 
-    The twist of each bone against the part that carries it is zero on average, and a foot is flat where it is lowest.
+    The twist of each bone against the part that carries it is zero on average, and a foot is flat where it is lowest
+    below the hips.
 
     Args:
-        clip: T frames on J joints.
+        skeleton: J joints.
+        poses: [N, J, 4] local rotations, as in a clip.
         body: the skeleton's humanoid map.
     """
-    every = max(1, clip.num_frames // NUM_POSES)
-    positions, world = forward_kinematics(clip.skeleton, clip.root_positions[::every], clip.rotations[::every])
+    positions, world = forward_kinematics(skeleton, np.zeros((len(poses), 3)), poses)
+    positions = positions - positions[:, body.hips, None]
     pitches = {side: _foot_pitch(positions, body, side) for side in SIDES}
     turns: dict[int, np.ndarray] = {}  # [N, 4] of each part in the world, from the reference pose
 
     def twist(part: Part, turn: np.ndarray) -> np.ndarray:
         if part.above in turns:
             relative = quat_multiply(quat_conjugate(turns[part.above]), world[:, part.joint])
-            turn = _mean_twist(part, turn, relative, clip.skeleton)
+            turn = _mean_twist(part, turn, relative, skeleton)
         turns[part.joint] = quat_multiply(world[:, part.joint], quat_conjugate(turn))
         return turn
 
-    return _from_bones(clip.skeleton, body, pitches, twist)
+    return _from_bones(skeleton, body, pitches, twist)
 
 
 def stands(skeleton: Skeleton, body: HumanoidMap) -> bool:

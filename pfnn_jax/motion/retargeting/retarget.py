@@ -36,7 +36,7 @@ from pfnn_jax.motion.retargeting.feet import (
     sole_heights,
 )
 from pfnn_jax.motion.retargeting.legs import leg_extension, place_legs
-from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
+from pfnn_jax.motion.retargeting.reference import reference_pose, some_poses
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 STANCE_SECONDS = 1.0
@@ -152,9 +152,10 @@ def _window(fps: float) -> int:
 
 def _source_reference(clip: MotionClip, body: HumanoidMap) -> np.ndarray:
     """Returns the reference pose [J, 4] of a clip's skeleton, from its motion where nothing else shows it."""
-    if clip.skeleton.reference is not None or stands(clip.skeleton, body):
-        return reference_pose(clip.skeleton, body)
-    return find_reference(clip, body)
+    skeleton = clip.skeleton
+    if skeleton.poses is None:
+        skeleton = replace(skeleton, poses=some_poses(clip.rotations))
+    return reference_pose(skeleton, body)
 
 
 def _middle_of_legs(skeleton: Skeleton, body: HumanoidMap) -> np.ndarray:
