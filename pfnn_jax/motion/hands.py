@@ -79,9 +79,7 @@ def _insert(skeleton: Skeleton, roles: Roles, sites: dict[int, int], order: np.n
         roles=moved,
         humanoid=None if skeleton.humanoid is None else skeleton.humanoid.move(lambda joint: int(place[joint])),
         poses=None if skeleton.poses is None else _with_tips(skeleton.poses, order),
-        reference=None
-        if skeleton.reference is None
-        else skeleton.reference[np.where(order >= 0, order, np.roll(order, 1))],
+        reference=None if skeleton.reference is None else skeleton.reference[with_hand],
     )
 
 
