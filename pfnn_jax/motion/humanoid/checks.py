@@ -95,13 +95,6 @@ class Body:
     poses: np.ndarray
     by_geometry: bool = False
 
-    def length(self, one: str, other: str) -> float:
-        """Returns the distance between the joints of two bones, 0 if either is missing."""
-        first, second = self.found.get(one), self.found.get(other)
-        if first is None or second is None:
-            return 0.0
-        return float(np.linalg.norm(self.poses[0, first] - self.poses[0, second]))
-
     def trunk(self) -> np.ndarray | None:
         """Returns the vector [N, 3] from the hips to the end of the spine, or the first joint above it; else None."""
         above = [*self.found["spine"][::-1], *self.found["neck"], self.found["head"]]
@@ -113,9 +106,9 @@ class Body:
     def middle(self, *parts: str) -> np.ndarray | None:
         """Returns the middle [N, 3] of both sides' first part that the body has, or None."""
         for part in parts:
-            joints = [self.found[f"{side}_{part}"] for side in SIDES]
-            if None not in joints:
-                return self.poses[:, joints].mean(axis=1)
+            left, right = (self.found[f"{side}_{part}"] for side in SIDES)
+            if left is not None and right is not None:
+                return (self.poses[:, left] + self.poses[:, right]) / 2
         return None
 
 
@@ -131,7 +124,7 @@ def check_geometry(body: Body, finding: Finding, source: str | Path, *, insist: 
     Raises:
         InputError: if the body is not a human one.
     """
-    if _is_no_pose(body):
+    if is_no_pose(body.found, body.poses):
         finding.doubt("the pose is not that of a body, so geometry cannot confirm the names", NO_POSE)
         return
     _check_lengths(body, finding)
@@ -158,33 +151,36 @@ def _rise(vectors: np.ndarray) -> np.ndarray:
     return vectors[:, 1] / np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)
 
 
-def _is_no_pose(body: Body) -> bool:
+def is_no_pose(limbs: Mapping[str, Any], poses: np.ndarray) -> bool:
     """Returns whether the legs have no length, or point away from each other.
 
     So they do where a file's positions are all zero, and where bones lie along one axis of their joints.
+
+    Args:
+        limbs: bone -> joint, with thighs and shins.
+        poses: [N, J, 3].
     """
-    if body.length("left_thigh", "left_shin") <= NO_LENGTH * body_size(body.poses[0]):
+    left, right = (poses[:, limbs[f"{side}_shin"]] - poses[:, limbs[f"{side}_thigh"]] for side in SIDES)
+    size = np.linalg.norm(left, axis=1), np.linalg.norm(right, axis=1)
+    if size[0][0] <= NO_LENGTH * body_size(poses[0]):
         return True
-    left, right = (
-        body.poses[:, body.found[f"{side}_shin"]] - body.poses[:, body.found[f"{side}_thigh"]] for side in SIDES
-    )
-    along = np.einsum("nc,nc->n", left, right)
-    return bool((along < -0.5 * np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=1)).all())
+    return bool((np.einsum("nc,nc->n", left, right) < -0.5 * size[0] * size[1]).all())
 
 
 def _check_lengths(body: Body, finding: Finding) -> None:
     """Doubts limbs whose sides differ in length, or whose upper and lower bones do not belong to one limb."""
-    for what, upper, lower, end in (("legs", "thigh", "shin", "foot"), ("arms", "upper_arm", "lower_arm", "hand")):
-        sides = [
-            (body.length(f"{side}_{upper}", f"{side}_{lower}"), body.length(f"{side}_{lower}", f"{side}_{end}"))
-            for side in SIDES
-        ]
-        total = [sum(bones) for bones in sides]
+    for what, parts in (("legs", ("thigh", "shin", "foot")), ("arms", ("upper_arm", "lower_arm", "hand"))):
+        left, right = ([body.found[f"{side}_{part}"] for part in parts] for side in SIDES)
+        count = 3 - (left + right).count(None) // 2  # joints of each side
+        if None in left[:count] or None in right[:count] or count < 2:
+            continue
+        chains = body.poses[0][[left[:count], right[:count]]]
+        one, other = np.sqrt(((chains[:, 1:] - chains[:, :-1]) ** 2).sum(axis=2)).tolist()
+        total = sum(one), sum(other)
         if abs(total[0] - total[1]) > UNEQUAL * max(total):
             finding.doubt(f"left and right {what} differ in length: {total[0]:.3g} and {total[1]:.3g} units")
-        first, second = sides[0]
-        if first and second and not SHORTEST_PART <= first / second <= LONGEST_PART:
-            finding.doubt(f"the bones of the {what} are {first:.3g} and {second:.3g} units long")
+        if count == 3 and one[1] and not SHORTEST_PART <= one[0] / one[1] <= LONGEST_PART:
+            finding.doubt(f"the bones of the {what} are {one[0]:.3g} and {one[1]:.3g} units long")
 
 
 def _check_sides(body: Body, finding: Finding) -> None:
@@ -196,8 +192,11 @@ def _check_sides(body: Body, finding: Finding) -> None:
         return
     up, forward = hips - feet, toes - feet
     across = body.poses[:, body.found["left_thigh"]] - body.poses[:, body.found["right_thigh"]]
-    left = np.einsum("nc,nc->n", np.cross(up, forward), across)
-    if np.median(left) < 0:
+    x, y, z = (across[:, axis] for axis in range(3))  # (up × forward) · across, in components as arrays are short
+    left = x * (up[:, 1] * forward[:, 2] - up[:, 2] * forward[:, 1])
+    left += y * (up[:, 2] * forward[:, 0] - up[:, 0] * forward[:, 2])
+    left += z * (up[:, 0] * forward[:, 1] - up[:, 1] * forward[:, 0])
+    if np.count_nonzero(left < 0) > len(left) / 2:
         finding.doubt("the toes point to where the left leg is the right one", 0.5)
 
 
@@ -227,14 +226,17 @@ def _many_legs(body: Body) -> str:
         return ""
     pose, down = body.poses[0], feet[0] - hips[0]
     length = float(np.linalg.norm(down))
-    mapped = {joint for joint in body.found.values() if isinstance(joint, int)}
     inner = set(body.tree.parents)
+    tips = np.array([joint for joint in range(len(body.tree.parents)) if joint not in inner])
+    low = (pose[tips] - hips[0]) @ down >= (1 - UNEQUAL) * length**2
+    mapped = {joint for joint in body.found.values() if isinstance(joint, int)}
     more: dict[int, bool] = {}  # first joint of a limb -> whether it reaches as low as the feet
-    for tip in (joint for joint in range(len(body.tree.parents)) if joint not in inner):
+    for tip, is_low in zip(tips.tolist(), low.tolist(), strict=True):
+        if not (is_low or body.by_geometry):
+            continue
         limb = _own_limb(body, tip, mapped)
         if limb and _reach(pose, limb) >= LIKE_A_LEG * length:
-            low = (pose[tip] - hips[0]) @ down >= (1 - UNEQUAL) * length**2
-            more[limb[0]] = more.get(limb[0], False) or bool(low)
+            more[limb[0]] = more.get(limb[0], False) or is_low
     if sum(more.values()) >= 2:
         return f"{sum(more.values())} more limbs reach as low as the feet"
     return f"there are {len(more)} more limbs as long as legs" if body.by_geometry and len(more) >= 3 else ""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.humanoid.checks import NO_POSE, Body, Finding, check_geometry, stands
+from pfnn_jax.motion.humanoid.checks import Body, Finding, check_geometry, is_no_pose, stands
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.measured import measured_limbs
 from pfnn_jax.motion.humanoid.named import detached_foot, named_limbs, named_trunk
@@ -137,8 +137,9 @@ def _by_names(
     """
     best: HumanoidMap | None = None
     refusal: InputError | None = None
-    for choice in (rest_pose(skeleton)[None], poses):
-        if choice is None:
+    rest = rest_pose(skeleton)[None]
+    for choice in (rest, poses):
+        if choice is None or (choice is rest and poses is not None and is_no_pose(limbs, rest)):
             continue
         finding = Finding(list(notes))
         try:
@@ -148,9 +149,8 @@ def _by_names(
             continue
         if not finding.doubtful:
             return found
-        if best is None or finding.confidence > best.confidence or best.confidence <= NO_POSE:
-            best = found
-    if best is None or (refusal is not None and best.confidence <= NO_POSE):
+        best = found if best is None or found.confidence > best.confidence else best
+    if best is None:
         assert refusal is not None
         raise refusal
     return best

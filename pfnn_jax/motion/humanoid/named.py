@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import functools
 
+import numpy as np
+
 from pfnn_jax.motion.humanoid.lexicon import limb_points, trunk_part
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES
 from pfnn_jax.motion.humanoid.names import natural_order, read_names
 from pfnn_jax.motion.humanoid.tree import JointTree, joint_tree
 
 REQUIRED = {LEG: ("thigh", "shin"), ARM: ("upper_arm", "lower_arm")}
+MISSING = 20.0  # points that a limb without thigh, shin, upper or lower arm loses
 NEARER = 0.01  # points by which the joint nearer to the body is preferred: upperleg01 before upperleg02
 
 
@@ -57,7 +60,7 @@ def _best_limb(
     """
     inner = {joint for end in joints for joint in tree.above(end)[1:]}
     tips = sorted((joint for joint in joints if joint not in inner), key=lambda joint: natural_order(names[joint]))
-    best: tuple[float, dict[str, int]] = (0.0, {})
+    best: tuple[float, dict[str, int]] = (-np.inf, {})
     for tip in tips:
         chain = [joint for joint in tree.above(tip)[::-1] if joint in joints]
         chain = [joint for joint in chain if tree.is_above(body, joint)] or chain
@@ -69,18 +72,22 @@ def _best_limb(
 
 
 def _assign(limb: tuple[str, ...], chain: list[int], points: list[dict[str, float]]) -> tuple[float, dict[str, int]]:
-    """Returns the most points for parts in their order along a chain, and part -> joint."""
-    best: list[tuple[float, dict[str, int]]] = [(0.0, {})] * (len(limb) + 1)  # by number of parts passed
+    """Returns the most points for parts in their order along a chain, and part -> joint.
+
+    A limb without one of the parts that every limb has costs more than any part gives.
+    """
+    skipped = [MISSING * (part in REQUIRED[limb]) for part in limb]
+    # by number of parts that are assigned or skipped
+    best: list[tuple[float, dict[str, int]]] = [(-sum(skipped[:passed]), {}) for passed in range(len(limb) + 1)]
     for place, joint in enumerate(chain):
-        for passed in range(len(limb), 0, -1):
-            part = limb[passed - 1]
-            if part not in points[joint]:
-                continue
-            before = max(best[:passed], key=lambda one: one[0])
-            score = before[0] + points[joint][part] - NEARER * place
-            if score > best[passed][0] + 1e-9:
-                best[passed] = (score, {**before[1], part: joint})
-    return max(best, key=lambda one: one[0])
+        for at in range(len(limb) - 1, -1, -1):
+            if limb[at] in points[joint]:
+                score = best[at][0] + points[joint][limb[at]] - NEARER * place
+                for passed in range(at + 1, len(limb) + 1):
+                    whole = score - sum(skipped[at + 1 : passed])
+                    if whole > best[passed][0] + 1e-9:
+                        best[passed] = (whole, {**best[at][1], limb[at]: joint})
+    return best[-1]
 
 
 def detached_foot(names: tuple[str, ...], side: str, limb: set[int]) -> int | None:

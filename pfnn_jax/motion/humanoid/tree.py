@@ -13,8 +13,10 @@ class JointTree:
         self.parents = parents
         self.children: list[list[int]] = [[] for _ in parents]
         self._above: list[tuple[int, ...]] = []
+        self._ancestors: list[frozenset[int]] = []
         for joint, parent in enumerate(parents):
             self._above.append((joint, *self._above[parent]) if parent >= 0 else (joint,))
+            self._ancestors.append(frozenset(self._above[joint]))
             if parent >= 0:
                 self.children[parent].append(joint)
 
@@ -28,12 +30,13 @@ class JointTree:
 
     def is_above(self, joint: int, other: int) -> bool:
         """Returns whether `joint` is `other` or one of its ancestors."""
-        return joint in self._above[other]
+        return joint in self._ancestors[other]
 
     def fork(self, joints: Iterable[int]) -> int:
         """Returns the lowest joint that is an ancestor of all the joints, or is one of them."""
         first, *others = joints
-        return next(joint for joint in self._above[first] if all(joint in self._above[other] for other in others))
+        common = self._ancestors[first].intersection(*(self._ancestors[other] for other in others))
+        return next(joint for joint in self._above[first] if joint in common)
 
     def down(self, start: int, end: int) -> list[int]:
         """Returns the joints from below `start`, an ancestor of `end`, down to `end`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -32,6 +33,11 @@ class Trunk:
     pose: np.ndarray
     limbs: dict[str, int]
     dead_ends: frozenset[int] = frozenset()
+
+    @functools.cached_property
+    def gap(self) -> float:
+        """The distance up to which two joints are at one place."""
+        return COINCIDENT * body_size(self.pose)
 
     @property
     def thighs(self) -> tuple[int, int]:
@@ -85,7 +91,7 @@ def _end_of_chain(trunk: Trunk, start: int, tip: int) -> int:
         if len(children) > 1:
             return joint
     kept = [joint for joint in chain if not trunk.labels[joint].helper and joint not in trunk.dead_ends] or chain[:1]
-    gap = COINCIDENT * body_size(trunk.pose)
+    gap = trunk.gap
     while len(kept) > 1 and np.linalg.norm(trunk.pose[kept[-1]] - trunk.pose[kept[-2]]) <= gap:
         kept.pop()
     return kept[-1]
@@ -136,7 +142,7 @@ def _way(tree: JointTree, hips: int, end: int) -> list[int]:
 
 def _apart(trunk: Trunk, path: list[int], hips: int, head: int | None) -> set[int]:
     """Returns the joints of a path that are neither helpers nor duplicates at the place of another joint."""
-    gap = COINCIDENT * body_size(trunk.pose)
+    gap = trunk.gap
     kept: list[int] = []
     for joint in path:
         at_head = head is not None and np.linalg.norm(trunk.pose[joint] - trunk.pose[head]) <= gap
