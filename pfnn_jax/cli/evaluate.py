@@ -43,7 +43,7 @@ class Evaluate(Command):
         result = evaluate_clips(load_run(self.run_path), clips, self.style, self.roles)
         print("mean squared one-step error / variance of the training data: lower is better, 1.0 = predicting the mean")
         for style, errors in result.items():
-            for file, note in errors["notes"].items():
+            for file, note in errors.get("notes", {}).items():
                 print_notes(file, [note])
             print(f"{style}: {_groups(errors)}")
             if "without_style" in errors:

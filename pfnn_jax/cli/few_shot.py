@@ -78,7 +78,7 @@ class FewShot(Command):
                 info = tune_style(run, clip, replace(self.tuning, seed=self.config.seed), **options)
             else:
                 info = learn_style(run, clip, self._grid(run), **options)
-        print_notes(self.clip, info["notes"])
+        print_notes(self.clip, info.get("notes", ()))
         self._print(info, mirror)
         return info
 

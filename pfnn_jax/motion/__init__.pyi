@@ -15,6 +15,8 @@ from .labels.phase import label_phase as label_phase
 from .paths import circle as circle
 from .paths import figure_eight as figure_eight
 from .paths import straight as straight
+from .reading import Reading as Reading
+from .reading import ReadOptions as ReadOptions
 from .retargeting.retarget import Retargeted as Retargeted
 from .retargeting.retarget import retarget as retarget
 from .skeleton import Skeleton as Skeleton

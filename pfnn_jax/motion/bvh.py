@@ -29,17 +29,17 @@ from pfnn_jax.motion.kinematics import (
     quat_to_euler,
 )
 from pfnn_jax.motion.length_unit import CENTIMETRE
-from pfnn_jax.motion.reading import Reading, ReadOptions, Travel, Up, check_options
+from pfnn_jax.motion.reading import Axis, Reading, ReadOptions, Travel, Up, check_options
 from pfnn_jax.motion.retargeting.reference import some_poses
 from pfnn_jax.motion.roles import assign_roles, is_hips_name, is_upper_body_name, leg_length, longest_chain
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.up_axis import stand_up
+from pfnn_jax.motion.up_axis import TURNS, stand_up
 
 LIMIT = 1e7  # far above any length or angle of a person, far below where squares overflow
 CHANNELS = {f"{axis}{kind}": f"{kind[0]}{axis}" for axis in "XYZ" for kind in ("POSITION", "ROTATION")}
 LONGEST_FRAME, SHORTEST_FRAME = 1.0, 1e-5  # seconds
 STRETCH = 0.02  # share of the longest limb by which bones may vary and still count as rigid
-NO_OFFSET = 1e-3  # share of OFFSET's length up to which position channels count as zero
+NO_OFFSET = 1e-4  # share of OFFSET's length up to which position channels count as zero
 NUM_POSES = 30  # enough to tell left from right in a walk or a run
 RATE_STEP = 2e-4  # relative; printed frame times have few decimals: 0.008333 means 120 fps
 
@@ -262,7 +262,7 @@ def _parse_hierarchy(path: Path, text: str) -> list[BvhJoint]:
 
 
 def _open_joint(tokens: _Tokens, joints: list[BvhJoint], open_joints: list[int]) -> None:
-    line = tokens.words[tokens.next - 1][1]
+    line = tokens.lines[tokens.next - 1]
     name = tokens.rest_of_line("a joint must have a name")
     if name in tokens.names:
         raise tokens.fail(name, "joint names must differ")
@@ -422,18 +422,11 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     names, parents, end_sites, positions, rotations = _fold(text.joints, *_channels(text.joints, text.values))
     offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
-
-    @functools.cache
-    def poses() -> np.ndarray:
-        some = rotations[:: max(1, len(rotations) // NUM_POSES)]
-        return joint_positions(bare, some)
-
     _require_rigid(path, bare, positions)
-    skeleton = assign_roles(bare, None if roles_file is None else Path(roles_file), str(path), poses=poses)
+    skeleton, axis, lying = _find_body(bare, rotations, options, roles_file, path)
     known = skeleton.roles is not None
     leg = leg_length(skeleton, skeleton.roles) if skeleton.roles is not None else 0.75 * longest_chain(bare)
     unit, doubt = decide_unit(leg, known, options, path)
-    axis, lying = decide_up(poses() if known else np.empty(0), skeleton.roles, options)
     sites = tuple((joint, site * unit) for joint, site in end_sites)
     skeleton = replace(skeleton, offsets=offsets * unit, end_sites=sites)
     fps = _frame_rate(text.frame_time) if options.source_fps is None else float(options.source_fps)
@@ -441,6 +434,32 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     clip = MotionClip(skeleton, fps, positions[:, 0] * unit, rotations, source=str(path), reading=reading)
     clip = stand_up(clip, axis)
     return replace(clip, skeleton=replace(clip.skeleton, poses=some_poses(clip.rotations)))
+
+
+def _find_body(
+    bare: Skeleton, rotations: np.ndarray, options: ReadOptions, roles_file: str | Path | None, path: Path
+) -> tuple[Skeleton, Axis, str]:
+    """Returns the skeleton with its roles, the axis of the file that points up, and a note on it.
+
+    Where names do not tell left from right, poses that stand do: roles are found again once the axis is known.
+    """
+
+    @functools.cache
+    def poses() -> np.ndarray:
+        return joint_positions(bare, rotations[:: max(1, len(rotations) // NUM_POSES)])
+
+    def assign(axis: Axis) -> Skeleton:
+        file = None if roles_file is None else Path(roles_file)
+        standing = poses if axis == "y" else lambda: quat_rotate(TURNS[axis], poses())
+        return assign_roles(bare, file, str(path), poses=standing)
+
+    first: Axis = "y" if options.up == "auto" else options.up
+    skeleton = assign(first)
+    if skeleton.roles is None:
+        return skeleton, first, ""
+    axis, note = decide_up(poses(), skeleton.roles, options)
+    again = skeleton if axis == first else assign(axis)
+    return skeleton if again.roles is None else again, axis, note
 
 
 def _text_notes(text: BvhText) -> list[str]:

@@ -14,6 +14,9 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.humanoid.map import HumanoidMap, map_from_json, map_to_json
 
+ALIKE = 10.0
+"""Degrees by which bones of two people on one rig may differ in direction at rest; others are retargeted."""
+
 SAME_DIRECTION = 35.0
 """Degrees by which bones of people of other build may differ in the rest pose."""
 
@@ -119,7 +122,9 @@ def plain_names(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(plain)
 
 
-def rest_directions_differ(skeleton: Skeleton, other: Skeleton) -> tuple[int, float] | None:
+def rest_directions_differ(
+    skeleton: Skeleton, other: Skeleton, limit: float = SAME_DIRECTION
+) -> tuple[int, float] | None:
     """Returns the joint whose bones differ most in direction between two skeletons with the same joints.
 
     Rotations mean the same on both only if their bones point the same way where all rotations are zero. People of other
@@ -127,10 +132,11 @@ def rest_directions_differ(skeleton: Skeleton, other: Skeleton) -> tuple[int, fl
 
     Args:
         skeleton, other: with the same parents.
+        limit: degrees.
 
     Returns:
         The index of the joint at the end of the bone and the angle in degrees, or None if no long bone differs by more
-        than `SAME_DIRECTION`.
+        than the limit.
     """
     lengths = [np.linalg.norm(each.offsets, axis=-1) for each in (skeleton, other)]
     long = np.all([length > LONG_BONE * length.max() for length in lengths], axis=0)
@@ -140,16 +146,18 @@ def rest_directions_differ(skeleton: Skeleton, other: Skeleton) -> tuple[int, fl
     cosine = np.sum(skeleton.offsets * other.offsets, axis=-1)[long] / (lengths[0][long] * lengths[1][long])
     worst = int(np.argmin(cosine))
     degrees = float(np.degrees(np.arccos(np.clip(cosine[worst], -1.0, 1.0))))
-    return (int(np.flatnonzero(long)[worst]), degrees) if degrees > SAME_DIRECTION else None
+    return (int(np.flatnonzero(long)[worst]), degrees) if degrees > limit else None
 
 
 def same_joints(skeleton: Skeleton, other: Skeleton) -> bool:
-    """Returns whether rotations of one skeleton mean the same on the other; `check_same_topology` says where not."""
-    try:
-        check_same_topology(skeleton, other, "skeleton")
-    except InputError:
+    """Returns whether rotations of one skeleton mean the same on the other.
+
+    They have the same joints in the same order, and no long bone differs by more than `ALIKE` degrees in direction.
+    """
+    if plain_names(skeleton.names) != plain_names(other.names):
         return False
-    return True
+    same = np.array_equal(skeleton.parents, other.parents)
+    return same and rest_directions_differ(skeleton, other, ALIKE) is None
 
 
 def check_same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path) -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.kinematics import quat_from_euler, quat_normalise
+from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_euler, quat_multiply, quat_normalise, quat_rotate
+from pfnn_jax.motion.reading import Axis
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.up_axis import TURNS
 
 # part, parent, offset in metres of an adult in T-pose; the parts are numbered as here in every naming convention
 BODY = (
@@ -51,6 +55,14 @@ def body_clip(seed: int = 0, frames: int = 5, fps: float = 60.0, scale: float = 
     rotations = quat_from_euler(random.normal(0.0, spread, (frames, len(PARENTS), 3)), "ZYX")
     roots = random.normal(0.0, 0.05, (frames, 3)) + np.array([0.0, 0.9 * scale, 0.0])
     return MotionClip(assign_roles(body(scale=scale)), fps, roots, rotations, "plain", "walk-turn-left")
+
+
+def tipped(clip: MotionClip, up: Axis) -> MotionClip:
+    """The clip as a file has it whose `up` axis points up."""
+    turn = quat_conjugate(TURNS[up])
+    rotations = clip.rotations.copy()
+    rotations[:, 0] = quat_multiply(turn, rotations[:, 0])
+    return dataclasses.replace(clip, root_positions=quat_rotate(turn, clip.root_positions), rotations=rotations)
 
 
 def random_clip(random: np.random.Generator, joints: int, frames: int) -> MotionClip:

@@ -55,6 +55,7 @@ def bvh_files(draw):
             above.append(parents[above[-1]])
         parents.append(draw(st.sampled_from(above)))
     numbers = st.floats(-1e3, 1e3).map(lambda value: round(value, 6))
+    far_from_zero = numbers.filter(lambda value: abs(value) >= 1)  # zero positions leave OFFSET as it is
     joints, columns, frames = [], [], draw(st.integers(1, 3))
     for joint in range(count):
         kinds = [f"{axis}rotation" for axis in "XYZ"][: draw(st.sampled_from([3, 3, 3, 2, 1, 0]))]
@@ -65,7 +66,9 @@ def bvh_files(draw):
         joints.append((f"Hips {joint}" if joint else "Hips", parents[joint], offset, " ".join(channels)))
         for channel in channels:
             still = joint > 0 and channel.endswith("position")  # bones are rigid
-            values = [draw(numbers)] * frames if still else draw(st.lists(numbers, min_size=frames, max_size=frames))
+            values = (
+                [draw(far_from_zero)] * frames if still else draw(st.lists(numbers, min_size=frames, max_size=frames))
+            )
             columns.append(values)
     rows = np.array(columns).T
     text = bvh_text(joints, rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,17 +21,16 @@ from pfnn_jax.motion.datasets.shared_unit import share_units
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, unlisted_files
 from pfnn_jax.motion.ground import wrap_angle
 from pfnn_jax.motion.joint_order import match_joints
-from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
 from pfnn_jax.motion.labels.footsteps import NoGaitError, find_steps
 from pfnn_jax.motion.labels.phase import CYCLE, PhaseLabels, label_phase, pad_phase
 from pfnn_jax.motion.length_unit import CMU, DECIMETRE, FOOT, INCH, UNITS, guess_unit
-from pfnn_jax.motion.reading import AXES, ReadOptions
+from pfnn_jax.motion.reading import AXES, Axis, Reading, ReadOptions
 from pfnn_jax.motion.roles import leg_length
 from pfnn_jax.motion.skeleton import check_same_topology, need_roles, plain_names, rest_directions_differ
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise
-from pfnn_jax.motion.up_axis import TURNS
 from pfnn_jax.motion.world_motion import world_motion
-from tests.motion.skeletons import body_clip
+from tests.motion.skeletons import body_clip, tipped
 from tests.raising import assert_refused
 
 FLOAT64 = 1e-9  # metres after products of a few rotations
@@ -50,12 +50,9 @@ def saved(folder: Path, clip: MotionClip, name: str = "clip", unit: float = 0.01
     return path
 
 
-def tipped(clip: MotionClip, up: str) -> MotionClip:
-    """The clip as a file has it whose `up` axis points up."""
-    turn = quat_conjugate(TURNS[up])
-    rotations = clip.rotations.copy()
-    rotations[:, 0] = quat_multiply(turn, rotations[:, 0])
-    return dataclasses.replace(clip, root_positions=quat_rotate(turn, clip.root_positions), rotations=rotations)
+def reading(clip: MotionClip) -> Reading:
+    assert clip.reading is not None
+    return clip.reading
 
 
 def head_above_ankles(clip: MotionClip) -> float:
@@ -119,7 +116,7 @@ def test_published_data_sets_read_as_before(mocap, name):
 def test_files_that_are_right_stay_so(mocap, name, fps, wanted):
     clip = read_bvh(mocap / "field" / f"{name}.bvh")
     assert clip.fps == pytest.approx(fps, rel=FILE_DECIMALS) and 0.75 < leg(clip) < 1.0
-    assert clip.reading is not None and clip.reading.up == "y"
+    assert reading(clip).up == "y"
     if wanted == (0, 0):
         with pytest.raises(NoGaitError):
             label_phase(clip)
@@ -135,7 +132,7 @@ def test_a_z_up_walk_stands_up(mocap):
     clip = read_bvh(mocap / "field" / "sway.bvh")
     assert head_above_ankles(clip) == pytest.approx(1.50, abs=0.02)
     assert np.linalg.norm(np.diff(clip.root_positions[:, [0, 2]], axis=0), axis=1).sum() > 5.0
-    assert clip.reading is not None and clip.reading.up == "z" and any("along z" in note for note in clip.notes)
+    assert reading(clip).up == "z" and any("along z" in note for note in clip.notes)
 
 
 @pytest.mark.parametrize("up", AXES)
@@ -144,7 +141,7 @@ def test_any_axis_that_points_up_is_found(tmp_path, up):
     path = saved(tmp_path, tipped(clip, up))
     for options in ({}, {"up": up}):
         found = read_bvh(path, **options)
-        assert found.reading is not None and found.reading.up == up
+        assert reading(found).up == up
         np.testing.assert_allclose(world_motion(found).positions, world_motion(clip).positions, atol=WRITTEN)
 
 
@@ -152,8 +149,9 @@ def test_the_given_axis_is_taken(tmp_path):
     path = saved(tmp_path, tipped(walk(), "z"))
     lying = read_bvh(path, up="y")
     assert head_above_ankles(lying) < 0.2
-    assert read_cut_clip(ClipFile(path, "walk", reading=ReadOptions(up="z"))).clip.reading.up == "z"
-    assert_refused(lambda: read_bvh(path, up="north"), place="up", value="north")
+    assert reading(read_cut_clip(ClipFile(path, "walk", reading=ReadOptions(up="z"))).clip).up == "z"
+    north: Any = "north"
+    assert_refused(lambda: read_bvh(path, up=north), place="up", value="north")
 
 
 def test_a_camera_that_looks_down_does_not_hide_the_axis(tmp_path):
@@ -162,7 +160,7 @@ def test_a_camera_that_looks_down_does_not_hide_the_axis(tmp_path):
     rotations = clip.rotations.copy()
     rotations[:, 0] = quat_multiply(tilt, rotations[:, 0])
     clip = dataclasses.replace(clip, rotations=rotations, root_positions=quat_rotate(tilt, clip.root_positions))
-    assert read_bvh(saved(tmp_path, clip)).reading.up == "-y"
+    assert reading(read_bvh(saved(tmp_path, clip))).up == "-y"
 
 
 # unit
@@ -170,7 +168,7 @@ def test_a_camera_that_looks_down_does_not_hide_the_axis(tmp_path):
 
 def test_a_child_in_inches_has_the_size_of_a_child(mocap):
     clip = read_bvh(mocap / "field" / "child5_inches.bvh")
-    assert clip.reading is not None and clip.reading.unit == INCH
+    assert reading(clip).unit == INCH
     assert leg(clip) == pytest.approx(0.52, abs=0.01)
     assert path_length(clip) / (clip.num_frames / clip.fps) == pytest.approx(0.9, abs=0.05)  # metres per second
     assert any("CMU" in note for note in clip.notes)
@@ -178,7 +176,7 @@ def test_a_child_in_inches_has_the_size_of_a_child(mocap):
 
 def test_decimetres_are_found(mocap):
     clip = read_bvh(mocap / "field" / "makehuman_walk_decimetres.bvh")
-    assert clip.reading is not None and clip.reading.unit == DECIMETRE
+    assert reading(clip).unit == DECIMETRE
     assert head_above_ankles(clip) == pytest.approx(1.33, abs=0.02)
 
 
@@ -229,7 +227,7 @@ def test_legs_of_no_person_are_refused_and_those_of_few_noted(tmp_path):
     assert any("legs of 1." in note for note in tall.notes)
     assert read_bvh(path, unit="centimetre").notes == read_bvh(path).notes == ()
     feet = saved(tmp_path, walk(), unit=FOOT)  # a leg of 2.9 units was taken for metres
-    assert read_bvh(feet).reading.unit == FOOT
+    assert reading(read_bvh(feet)).unit == FOOT
 
 
 def test_files_of_one_skeleton_share_a_unit(tmp_path):
@@ -241,7 +239,7 @@ def test_files_of_one_skeleton_share_a_unit(tmp_path):
     skeleton = dataclasses.replace(small.skeleton, offsets=small.skeleton.offsets * 0.52)
     alone = saved(tmp_path, dataclasses.replace(small, skeleton=skeleton), "toddler", INCH)
     clips = share_units([ClipFile(path, "walk") for path in sorted(tmp_path.glob("*.bvh"))])
-    found = [read_cut_clip(clip).clip.reading.unit for clip in clips]
+    found = [reading(read_cut_clip(clip).clip).unit for clip in clips]
     assert found == [INCH] * 4 and alone.is_file()
 
 
@@ -357,7 +355,7 @@ def test_a_t_pose_before_the_motion_is_cut(tmp_path, fps, held):
     )
     path = saved(tmp_path, posed)
     found = read_bvh(path)
-    assert found.reading is not None and found.reading.first_frame == held and len(found.notes) == 1
+    assert reading(found).first_frame == held and len(found.notes) == 1
     np.testing.assert_allclose(found.root_positions, clip.root_positions, atol=WRITTEN)
     labels = pad_phase(label_phase(found), held, posed.num_frames)
     assert labels.num_frames == posed.num_frames and not labels.labelled[:held].any()
@@ -369,7 +367,7 @@ def test_a_t_pose_on_the_same_place_is_cut(tmp_path):
     clip = walk()
     rotations = clip.rotations.copy()
     rotations[0, 1:] = (1.0, 0.0, 0.0, 0.0)
-    assert read_bvh(saved(tmp_path, dataclasses.replace(clip, rotations=rotations))).reading.first_frame == 1
+    assert reading(read_bvh(saved(tmp_path, dataclasses.replace(clip, rotations=rotations)))).first_frame == 1
 
 
 @pytest.mark.parametrize("metres", [1.0, 3.0, 20.0])
@@ -520,7 +518,8 @@ def test_all_bad_files_are_refused_together_or_skipped(tmp_path):
 
 
 def test_a_table_says_how_files_are_read(tmp_path):
-    for style, up, unit in (("old", "z", INCH), ("young", "y", CMU)):
+    kinds: tuple[tuple[str, Axis, float], ...] = (("old", "z", INCH), ("young", "y", CMU))
+    for style, up, unit in kinds:
         (tmp_path / "clips" / style).mkdir(parents=True)
         for name in ("a", "b"):
             saved(tmp_path / "clips" / style, tipped(walk(), up), name, unit)
