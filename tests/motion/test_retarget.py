@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import quat_from_axis_angle, quat_normalise
 from pfnn_jax.motion.labels.contacts import foot_contacts
@@ -43,7 +44,7 @@ ANKLES = 0.01  # metres, mean over the frames
 FLOOR = 0.01  # metres
 KNEES = 2e-3  # metres that a knee moves where the leg is straight: it bends by a quarter of a degree
 SLIDE, STILL = 1.2, 0.02  # times as far as in the source, and leg lengths per second that no eye sees
-TWIST = 3.0  # degrees about a bone by which another rest pose of the arms may turn it: two shortest arcs are not one
+LARGEST_STEP = 15.0  # degrees a frame at 120 fps
 SIDEWAYS = 0.95  # cosine of the angle by which the two-bone legs may differ from the source's thighs
 ANY_AXES = 0.06  # metres by which joints move where neither zero pose nor reference show how the body stands straight
 
@@ -132,6 +133,14 @@ def test_feet_stay_above_the_floor(mocap, source, target):
     roles = need_roles(skeleton)
     positions = world(moved_clip.clip)[0][:, [*roles.left_foot, *roles.right_foot], 1]
     assert positions.min() > floor - FLOOR
+
+
+@pytest.mark.parametrize("take", ("neutral_22_000", "proud_13_000"))
+def test_a_kick_and_a_run_do_not_make_joints_jump(mocap, take):
+    clip = read_bvh(mocap / "xia-test" / f"{take}.bvh")
+    for target in ("bandai", "procedural"):
+        rotations = retarget(clip, example(mocap, target).skeleton).clip.rotations
+        assert angles(rotations[1:], rotations[:-1]).max() < LARGEST_STEP
 
 
 def soles(clip: MotionClip) -> np.ndarray:

@@ -15,7 +15,8 @@ from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
 from pfnn_jax.motion.roles import chain_up
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
-UP, FORWARD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+LEFT, UP, FORWARD = np.eye(3)
+"""Axes of the reference pose."""
 SIDES = {"left": 1.0, "right": -1.0}
 """Sign of x of each side in a T pose that faces +Z."""
 

@@ -95,8 +95,7 @@ def pitch_foot(turns: np.ndarray, scale: float, source: FlatFoot, target: FlatFo
     now, wanted = _pitch_to_height(quat_rotate(turns, target.toe), axis, height)
     wanted = np.maximum(wanted, np.minimum(now, -STEEPEST))
     # a foot that hangs or points backwards has no pitch that raises it, and keeps that of the source
-    share = np.clip((HANGING + now) / (HANGING - STEEP), 0.0, 1.0)
-    return quat_multiply(quat_from_axis_angle(axis, share * (wanted - now)), turns)
+    return quat_multiply(quat_from_axis_angle(axis, _forward_share(now) * (wanted - now)), turns)
 
 
 def ankle_targets(
@@ -148,8 +147,12 @@ def _heading(turns: np.ndarray) -> np.ndarray:
     return np.where(size > 0.1, heading / np.maximum(size, 0.1), quat_rotate(turns, FORWARD))
 
 
-def keep_toes_above(turns: np.ndarray, foot: FlatFoot, ankles: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Returns the rotations [T, 4] of a foot, less steep where its toe joint would be below the floor.
+def keep_toes_above(
+    turns: np.ndarray, foot: FlatFoot, ankles: np.ndarray, floor: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the rotations [T, 4] and ankles [T, 3] of a foot whose toe joint is not below the floor.
+
+    The foot is turned less steep, or its ankle raised where it hangs or points backwards.
 
     Args:
         turns: [T, 4] from the reference pose.
@@ -158,9 +161,11 @@ def keep_toes_above(turns: np.ndarray, foot: FlatFoot, ankles: np.ndarray, floor
         floor: [T] metres.
     """
     if foot.toe is None:
-        return turns
+        return turns, ankles
     lowest = floor + foot.height + foot.toe[1] - ankles[:, 1]
-    return quat_multiply(_lift(quat_rotate(turns, foot.toe), quat_rotate(turns, RIGHT), lowest), turns)
+    turns = quat_multiply(_lift(quat_rotate(turns, foot.toe), quat_rotate(turns, RIGHT), lowest), turns)
+    below = np.maximum(lowest - quat_rotate(turns, foot.toe)[:, 1], 0.0)
+    return turns, ankles + below[:, None] * UP
 
 
 def lift_toes(
@@ -200,9 +205,17 @@ def lift_toes(
 
 
 def _lift(bones: np.ndarray, axis: np.ndarray, lowest: np.ndarray) -> np.ndarray:
-    """Returns the rotations [T, 4] about axes [T, 3] that raise the ends of bones [T, 3] to heights [T], if lower."""
+    """Returns the rotations [T, 4] about axes [T, 3] that raise the ends of bones [T, 3] to heights [T], if lower.
+
+    A bone that hangs is turned less, and one that points backwards not at all.
+    """
     now, wanted = _pitch_to_height(bones, axis, lowest)
-    return quat_from_axis_angle(axis, np.where(bones[:, 1] < lowest, wanted - now, 0.0))
+    return quat_from_axis_angle(axis, np.where(bones[:, 1] < lowest, _forward_share(now) * (wanted - now), 0.0))
+
+
+def _forward_share(pitch: np.ndarray) -> np.ndarray:
+    """Returns 1 for bones that point forward, falling to 0 for those that hang: no turn in between is continuous."""
+    return np.clip((HANGING - np.abs(pitch)) / (HANGING - STEEP), 0.0, 1.0)
 
 
 def _pitch_to_height(bones: np.ndarray, axis: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pfnn_jax.motion.humanoid.map import HumanoidMap
-from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import quat_from_axis_angle, quat_multiply, quat_rotate
 from pfnn_jax.motion.retargeting.body import SIDES, UP, limb
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 from pfnn_jax.motion.two_bone import SOFT, bend
@@ -15,6 +15,12 @@ STRAIGHTNESS = 0.02
 
 MOST_RAISED = 0.05
 """Share of the leg length by which matching the straightness of legs may move the hips up or down."""
+
+KICK = 0.5
+"""Share of the squared reach: legs less steep than that, as in a kick, lower the hips less, and level ones not."""
+
+MOST_BACKWARD = np.radians(5.0)
+"""Angle by which a knee may be bent backwards, as knees in captured motion are."""
 
 
 def leg_extension(positions: np.ndarray, body: HumanoidMap) -> np.ndarray:
@@ -32,7 +38,7 @@ def place_legs(
     skeleton: Skeleton,
     hips: np.ndarray,
     world: np.ndarray,
-    forward: np.ndarray,
+    left: np.ndarray,
     targets: np.ndarray,
     extension: np.ndarray,
 ) -> np.ndarray:
@@ -43,7 +49,7 @@ def place_legs(
         skeleton: J joints.
         hips: [T, 3] metres.
         world: [T, J, 4] world rotations; those of thighs and shins are changed in place.
-        forward: [T, 3] direction in which straight knees bend.
+        left: [T, 3] unit vector to the left of the hips, about which knees bend.
         targets: [T, 2, 3] metres of the left and the right ankle.
         extension: [T, 2] of the source's legs, as `leg_extension` returns it.
 
@@ -54,10 +60,27 @@ def place_legs(
     hips = hips - _excess_height(body, skeleton, hips, world, targets)[:, None] * UP
     for number, side in enumerate(SIDES):
         thigh, shin, _ = _joints(body, side)
-        over, under, _ = bend(*_leg(body, skeleton, hips, world, side), targets[:, number], forward)
+        _limit_backward_bend(body, skeleton, hips, world, side, left)
+        top, knee, ankle = _leg(body, skeleton, hips, world, side)
+        over, under, _ = bend(top, knee, ankle, targets[:, number], np.cross(knee - top, left))
         world[:, thigh] = quat_multiply(over, world[:, thigh])
         world[:, shin] = quat_multiply(over, quat_multiply(under, world[:, shin]))
     return hips
+
+
+def _limit_backward_bend(
+    body: HumanoidMap, skeleton: Skeleton, hips: np.ndarray, world: np.ndarray, side: str, left: np.ndarray
+) -> None:
+    """Turns shins in place whose knee is bent backwards by more than `MOST_BACKWARD`: it would bend on that way."""
+    top, knee, ankle = _leg(body, skeleton, hips, world, side)
+    upper, lower = knee - top, ankle - knee
+    across = np.sum(left * upper, axis=-1, keepdims=True) / np.maximum(np.sum(upper**2, axis=-1, keepdims=True), 1e-12)
+    hinge = left - across * upper
+    hinge = hinge / np.maximum(np.linalg.norm(hinge, axis=-1, keepdims=True), 1e-6)
+    bent = np.arctan2(np.sum(np.cross(upper, lower) * hinge, axis=-1), np.sum(upper * lower, axis=-1))
+    back = np.where((bent < -MOST_BACKWARD) & (bent > -np.pi / 2), -MOST_BACKWARD - bent, 0.0)
+    shin = _joints(body, side)[1]
+    world[:, shin] = quat_multiply(quat_from_axis_angle(hinge, back), world[:, shin])
 
 
 def _match_extension(
@@ -100,8 +123,9 @@ def _excess_height(
         longest = np.linalg.norm(knee - top, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
         reach = np.maximum(SOFT * longest, np.linalg.norm(ankle - top, axis=-1))
         above = top - targets[:, number]
-        allowed = np.sqrt(np.maximum(reach**2 - above[:, 0] ** 2 - above[:, 2] ** 2, 0.0))
-        sink = np.maximum(sink, np.where(allowed > 0, above[:, 1] - allowed, 0.0))
+        across = above[:, 0] ** 2 + above[:, 2] ** 2
+        steep = np.clip((reach**2 - across) / (KICK * reach**2), 0.0, 1.0)
+        sink = np.maximum(sink, steep * (above[:, 1] - np.sqrt(np.maximum(reach**2 - across, 0.0))))
     return sink
 
 

@@ -17,7 +17,7 @@ from pfnn_jax.motion.filters import moving_minimum
 from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_multiply, quat_rotate
 from pfnn_jax.motion.retargeting.body import (
-    FORWARD,
+    LEFT,
     SIDES,
     UP,
     humanoid_of,
@@ -131,14 +131,16 @@ def _retarget(
     for side, (own, other) in zip(SIDES, feet, strict=True):
         (ankle,), (foot,) = limb(source_map, side, "foot"), limb(target_map, side, "foot")
         turned = pitch_foot(turns[foot], scale, own, other)
-        ankles.append(ankle_targets(positions[:, ankle], turns[foot], turned, scale, own, other, floor, leg))
-        moved[:, foot] = quat_multiply(keep_toes_above(turned, other, ankles[-1], floor), references[1][foot])
+        places = ankle_targets(positions[:, ankle], turns[foot], turned, scale, own, other, floor, leg)
+        turned, places = keep_toes_above(turned, other, places, floor)
+        ankles.append(places)
+        moved[:, foot] = quat_multiply(turned, references[1][foot])
     raised = UP * np.mean([other.height - scale * own.height for own, other in feet])
     middle = (positions[:, source_map.left_thigh] + positions[:, source_map.right_thigh]) / 2
     hips = scale * middle + raised - quat_rotate(moved[:, target_map.hips], _middle_of_legs(target, target_map))
-    forward = quat_rotate(turns[target_map.hips], FORWARD)
+    left = quat_rotate(turns[target_map.hips], LEFT)
     targets = np.stack(ankles, axis=1)
-    hips = place_legs(target_map, target, hips, moved, forward, targets, leg_extension(positions, source_map))
+    hips = place_legs(target_map, target, hips, moved, left, targets, leg_extension(positions, source_map))
     lift_toes(target_map, target, references[1], moved, targets, floor)
     local = _fill(target, target_map, moved, set(turns))
     at_origin, _ = forward_kinematics(target, np.zeros((clip.num_frames, 3)), local)
