@@ -43,7 +43,7 @@ def describe_skeleton(clip: Any) -> dict[str, Any]:
     """
     import numpy as np
 
-    from pfnn_jax.motion.humanoid.describe import left_out, rest_axes, rest_pose_kind
+    from pfnn_jax.motion.humanoid.describe import left_out, leg_reach, rest_axes, rest_pose_kind
     from pfnn_jax.motion.humanoid.find import need_humanoid
 
     skeleton = clip.skeleton
@@ -52,7 +52,6 @@ def describe_skeleton(clip: Any) -> dict[str, Any]:
     up, facing = ("", "") if kind == "none" else rest_axes(skeleton, humanoid)
     own = np.arange(skeleton.num_joints)
     names = skeleton.names
-    leg = np.linalg.norm(skeleton.offsets[[j for j in (humanoid.left_shin, humanoid.left_foot) if j]], axis=1).sum()
     return {
         "file": clip.source,
         "joints": skeleton.num_joints,
@@ -61,7 +60,7 @@ def describe_skeleton(clip: Any) -> dict[str, Any]:
         "rest_pose": kind,
         "up": up,
         "facing": facing,
-        "leg_metres": float(leg),
+        "leg_metres": leg_reach(skeleton, humanoid),
         "pairs": [[names[j], names[k]] for j, k in enumerate(skeleton.mirror) if j < k],
         "midline": [names[j] for j in own[skeleton.mirror == own]],
         "confidence": round(humanoid.confidence, 3),

@@ -21,7 +21,7 @@ AXIS_TURNS = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.
 
 WORLD_TURN = AXIS_TURNS[0]
 
-SAME_DIRECTION = 1e-6
+SAME_DIRECTION = 1e-5
 """Distance between unit vectors below which two bones have the same direction."""
 
 DETERMINED = 1e-3
@@ -50,17 +50,20 @@ def frame_reflections(skeleton: Skeleton, rotations: np.ndarray) -> np.ndarray:
     axes = _axis_reflections(skeleton, rotations, bones)
     turns = AXIS_TURNS[axes].copy()
     matrices = REFLECTIONS[axes][:, :, None] * np.eye(3)
-    mean = None
-    for joint in _oblique_joints(skeleton, matrices, bones):
-        if mean is None:
-            mean = _mean_rotations(rotations)
+    oblique = _oblique_joints(skeleton, matrices, bones)
+    if not oblique:
+        return turns
+    mean = _mean_rotations(rotations)
+    for joint in oblique:
         partner = int(skeleton.mirror[joint])
         pairs = _bone_pairs(skeleton, joint, bones)
         likely = _likely_reflection(skeleton, joint, pairs, matrices, mean)
-        fitted = _fit_reflection(pairs, likely, midline=partner == joint)
-        matrices[joint], matrices[partner] = fitted, fitted.T
-        turns[joint] = quat_from_matrix(-fitted)
-        turns[partner] = quat_conjugate(turns[joint]) if partner != joint else turns[joint]
+        matrices[joint] = _fit_reflection(pairs, likely, midline=partner == joint)
+        matrices[partner] = matrices[joint].T
+    turns[oblique] = quat_from_matrix(-matrices[oblique])
+    partners = skeleton.mirror[oblique]
+    paired = partners != oblique
+    turns[partners[paired]] = quat_conjugate(turns[oblique][paired])
     return turns
 
 
@@ -89,7 +92,8 @@ def reflect_rotations(q: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np
     else:
         reflected = np.take_along_axis(q, source[None], axis=-1) * sign
     if len(oblique):
-        reflected[:, oblique] = np.einsum("tji,ijk->tjk", q[:, oblique], images[:, oblique])
+        maps = images[:, oblique].swapaxes(0, 1)  # [K, 4, 4]
+        reflected[:, oblique] = (q[:, oblique].swapaxes(0, 1) @ maps).swapaxes(0, 1)
     return reflected
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.humanoid.find import find_humanoid
 from pfnn_jax.motion.humanoid.lexicon import trunk_part
-from pfnn_jax.motion.humanoid.map import HumanoidMap
+from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.names import read_names, words_of
 from pfnn_jax.motion.humanoid.overrides import listed, read_overrides_file
 from pfnn_jax.motion.humanoid.pairs import find_mirror
-from pfnn_jax.motion.skeleton import Roles, Skeleton
+from pfnn_jax.motion.skeleton import Roles, Skeleton, rest_pose
 
 ROLE_NAMES = tuple(field.name for field in fields(Roles))
 
@@ -50,18 +50,28 @@ def roles_of(humanoid: HumanoidMap, names: tuple[str, ...], source: str | Path =
     Raises:
         InputError: if the body has no arms, feet or head.
     """
+    if missing := missing_roles(humanoid):
+        rule = f"must have a joint for {', '.join(missing)}; name it in a file of overrides (--roles)"
+        raise InputError(source, "skeleton", f"joints {listed(names)}", rule)
+    return Roles(**_joints_of_roles(humanoid))
+
+
+def missing_roles(humanoid: HumanoidMap) -> list[str]:
+    """Returns the roles that no joint of a map can take."""
+    joints = _joints_of_roles(humanoid)
+    return [role for role in ROLE_NAMES if joints[role] is None]
+
+
+def _joints_of_roles(humanoid: HumanoidMap) -> dict[str, Any]:
+    """Returns role -> joint, or (ankle, toe) for feet; None where the body has none."""
     roles: dict[str, Any] = {"hips": humanoid.hips, "head": humanoid.head}
-    for side in ("left", "right"):
-        thigh, _, foot, toe = humanoid.limb(side, ("thigh", "shin", "foot", "toe"))
-        upper, lower, hand = humanoid.limb(side, ("upper_arm", "lower_arm", "hand"))
+    for side in SIDES:
+        thigh, _, foot, toe = humanoid.limb(side, LEG)
+        _, upper, lower, hand = humanoid.limb(side, ARM)
         roles[f"{side}_hip"], roles[f"{side}_shoulder"] = thigh, upper
         roles[f"{side}_hand"] = lower if hand is None else hand
         roles[f"{side}_foot"] = None if foot is None else (foot, foot if toe is None else toe)
-    missing = [role for role in ROLE_NAMES if roles[role] is None]
-    if missing:
-        rule = f"must have a joint for {', '.join(missing)}; name it in a file of overrides (--roles)"
-        raise InputError(source, "skeleton", f"joints {listed(names)}", rule)
-    return Roles(**roles)
+    return roles
 
 
 def find_roles(
@@ -89,7 +99,8 @@ def assign_roles(
 ) -> Skeleton:
     """Returns the skeleton with humanoid map, roles and left-right partners filled in.
 
-    Without a file of overrides, map and roles are None if they cannot be found; with one, this is an error.
+    Without a file of overrides, the map is None if it cannot be found; with one, this is an error. Roles are None
+    without a map, and where the body has no arms, feet or head.
 
     Args:
         skeleton: the joints.
@@ -101,16 +112,15 @@ def assign_roles(
     Raises:
         InputError: if the file is not such a JSON object, or names an unknown bone, or an unknown or impossible joint.
     """
-    humanoid, roles = None, None
+    humanoid = None
     try:
         overrides = None if roles_file is None else read_overrides_file(Path(roles_file))
         humanoid = find_humanoid(skeleton, poses=poses, overrides=overrides, source=roles_file or source)
-        roles = roles_of(humanoid, skeleton.names, roles_file or source)
     except InputError:
         if roles_file is not None:
             raise
-    mirror = find_mirror(skeleton, humanoid)
-    return replace(skeleton, mirror=mirror, roles=roles, humanoid=humanoid)
+    roles = None if humanoid is None or missing_roles(humanoid) else roles_of(humanoid, skeleton.names, source)
+    return replace(skeleton, mirror=find_mirror(skeleton, humanoid), roles=roles, humanoid=humanoid)
 
 
 def is_hips_name(name: str) -> bool:
@@ -128,14 +138,15 @@ def is_upper_body_name(name: str) -> bool:
 def leg_length(skeleton: Skeleton, roles: Roles) -> float:
     """Returns the length of the bones from hip to ankle, averaged over both legs, in the skeleton's unit.
 
-    Raises:
-        ValueError: if an ankle is not a descendant of its hip.
+    An ankle that hangs elsewhere than under its hip counts by its distance in the rest pose.
     """
     lengths = np.linalg.norm(skeleton.offsets, axis=-1)
     total = 0.0
     for hip, (ankle, _) in ((roles.left_hip, roles.left_foot), (roles.right_hip, roles.right_foot)):
         chain = chain_up(skeleton.parents, ankle)
-        if hip not in chain:
-            raise ValueError(f"{skeleton.names[ankle]} is not a descendant of {skeleton.names[hip]}.")
-        total += float(lengths[chain[: chain.index(hip)]].sum())
+        if hip in chain:
+            total += float(lengths[chain[: chain.index(hip)]].sum())
+        else:
+            pose = rest_pose(skeleton)
+            total += float(np.linalg.norm(pose[ankle] - pose[hip]))
     return total / 2

@@ -11,7 +11,7 @@ from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_
 from pfnn_jax.motion.reflection import WORLD_REFLECTION, WORLD_TURN, frame_reflections, reflect_rotations
 from pfnn_jax.motion.skeleton import Roles, Skeleton, need_roles
 
-ROUNDING = 1e-14  # relative: bones that differ by less are equal
+ROUNDING = 1e-13  # relative: bones that differ by less are equal
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,10 @@ import pytest
 
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.humanoid.find import find_humanoid, need_humanoid
-from pfnn_jax.motion.humanoid.map import BONES, HumanoidMap, map_from_json, map_to_json
+from pfnn_jax.motion.humanoid.map import BONES, LEG, HumanoidMap, map_from_json, map_to_json
 from pfnn_jax.motion.humanoid.names import plain_names, read_names
-from pfnn_jax.motion.roles import assign_roles
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_axis_angle
+from pfnn_jax.motion.roles import assign_roles, leg_length
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, rest_pose, skeleton_from_json, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from tests.motion.expected_maps import CHARACTERS, MOCAP, NO_NAMES
@@ -62,6 +63,35 @@ def test_a_skeleton_without_names_is_mapped_by_geometry(characters):
     assert any("not by names" in line for line in found.explanation)
 
 
+def test_of_two_chains_like_legs_the_one_that_moves_is_taken():
+    """A rig without names has stiff copies of its legs under the root, which reach lower."""
+    adult = body()
+    legs = np.arange(12, 20)
+    parents = np.concatenate((adult.parents, [0 if adult.parents[j] == 0 else adult.parents[j] + 8 for j in legs]))
+    offsets = np.concatenate((adult.offsets, adult.offsets[legs] - [0.0, 0.01, 0.0]))
+    names = tuple(f"k{joint}" for joint in range(28))
+    skeleton = Skeleton(names, parents, offsets, (), np.arange(28))
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (20, 28, 1))
+    swing = np.sin(np.arange(20) / 3)
+    for thigh, sign in ((12, 1), (16, -1)):
+        rotations[:, thigh] = quat_from_axis_angle([1.0, 0.0, 0.0], 0.3 * sign * swing)
+        rotations[:, thigh + 1] = quat_from_axis_angle([1.0, 0.0, 0.0], 0.8 * np.abs(swing))
+    poses = forward_kinematics(skeleton, np.zeros((20, 3)), rotations)[0]
+    found = find_humanoid(skeleton, poses=poses)
+    assert found.limb("left", LEG) == (12, 13, 14, 15) and found.limb("right", LEG) == (16, 17, 18, 19)
+    assert find_humanoid(skeleton, poses=poses[:1]).left_thigh != 12  # one pose cannot tell
+
+
+def test_feet_that_hang_under_the_root_are_found(characters):
+    skeleton, poses, _ = character(characters, "quaternius_platformer")
+    found = assign_roles(skeleton, poses=poses)
+    roles, humanoid = need_roles(found), need_humanoid(found)
+    assert any("Foot.L is not under the leg" in line for line in humanoid.explanation)
+    assert found.mirror[roles.left_foot[0]] == roles.right_foot[0]
+    distance = np.linalg.norm(poses[0, roles.left_foot[0]] - poses[0, roles.left_hip])
+    assert leg_length(found, roles) == pytest.approx(distance)
+
+
 @pytest.mark.parametrize("name", ["vrm0_cryptovoxels", "vrm0_godette", "vrm1_example"])
 def test_a_vrm_humanoid_overrides_to_the_same_map(characters, name):
     skeleton, poses, _ = character(characters, name)
@@ -86,6 +116,13 @@ def test_a_skeleton_rooted_at_the_headset_keeps_its_head(mocap):
     # a body without arms has a map but not all roles
     assert clip.skeleton.roles is None
     assert_refused(lambda: need_roles(clip.skeleton), place="skeleton", rule_mentions="left_shoulder")
+
+
+def test_a_joint_above_the_hips_can_be_named(mocap, tmp_path):
+    (tmp_path / "roles.json").write_text('{"head": "HMD", "neck": ["Neck", "Head"]}')
+    clip = read_bvh(mocap / "field" / "slimevr_head_root.bvh", roles_file=tmp_path / "roles.json")
+    named = need_humanoid(clip.skeleton).names(clip.skeleton.names)
+    assert (named["head"], named["neck"], named["spine"]) == ("HMD", ["Neck", "Head"], ["Waist", "Chest"])
 
 
 def test_roles_are_a_view_of_the_map():

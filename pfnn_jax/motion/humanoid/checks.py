@@ -34,6 +34,9 @@ HANDS_AT_FEET = 0.65
 LIKE_A_LEG = 0.6
 """Share of a leg's reach from which another limb counts as a leg, if it ends as low as the feet."""
 
+CONTROL = 0.1
+"""Share of a leg's length from a joint of the body within which a chain ends that is a control of that joint."""
+
 LOOSE_WORDS = ("skirt", "dress", "cloth", "coat", "cape", "hair", "tail", "string", "ribbon", "belt", "strap", "wing")
 """Words for joints of clothes and hair, which may hang as low as the feet."""
 
@@ -207,13 +210,14 @@ def _on_all_fours(body: Body) -> str:
     if trunk is None or feet is None or hands is None or hips is None:
         return ""
     legs = hips - feet
-    length = np.linalg.norm(legs, axis=1)
-    cosine = np.einsum("nc,nc->n", legs, trunk) / np.maximum(length * np.linalg.norm(trunk, axis=1), 1e-9)
-    bent = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    depth = np.einsum("nc,nc->n", legs, hips - hands) / np.maximum(length, 1e-9) ** 2
-    if LYING[0] < bent.min() < LYING[1] and depth.min() > HANDS_AT_FEET:
-        return f"the trunk lies at {bent.min():.0f}° to the legs and the hands are as low as the feet"
-    return ""
+    size = np.maximum(np.einsum("nc,nc->n", legs, legs), 1e-18)
+    if (np.einsum("nc,nc->n", legs, hips - hands) / size).min() <= HANDS_AT_FEET:
+        return ""
+    cosine = np.einsum("nc,nc->n", legs, trunk) / np.maximum(np.sqrt(size) * np.linalg.norm(trunk, axis=1), 1e-9)
+    lying = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).min())
+    if not LYING[0] < lying < LYING[1]:
+        return ""
+    return f"the trunk lies at {lying:.0f}° to the legs and the hands are as low as the feet"
 
 
 def _many_legs(body: Body) -> str:
@@ -235,7 +239,8 @@ def _many_legs(body: Body) -> str:
         if not (is_low or body.by_geometry):
             continue
         limb = _own_limb(body, tip, mapped)
-        if limb and _reach(pose, limb) >= LIKE_A_LEG * length:
+        beside = np.linalg.norm(pose[list(mapped)] - pose[tip], axis=1).min() < CONTROL * length
+        if limb and not beside and _reach(pose, limb) >= LIKE_A_LEG * length:
             more[limb[0]] = more.get(limb[0], False) or is_low
     if sum(more.values()) >= 2:
         return f"{sum(more.values())} more limbs reach as low as the feet"

@@ -70,6 +70,13 @@ def _axis_name(vector: np.ndarray) -> str:
     return f"{'+' if vector[axis] > 0 else '-'}{'XYZ'[axis]}" if vector[axis] else ""
 
 
+def leg_reach(skeleton: Skeleton, humanoid: HumanoidMap) -> float:
+    """Returns the length of the left leg from thigh to ankle, in metres; to the shin where it has no ankle."""
+    pose = rest_pose(skeleton)
+    leg = [joint for joint in humanoid.limb("left", LEG)[:3] if joint is not None]
+    return float(np.linalg.norm(np.diff(pose[leg], axis=0), axis=1).sum())
+
+
 def left_out(skeleton: Skeleton, humanoid: HumanoidMap) -> list[str]:
     """Returns the names of the joints that are in no part of the map."""
     used: set[int] = set()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -17,6 +17,9 @@ LEAST_REACH = 0.15
 
 ALIKE = 0.25
 """Relative difference up to which the bones of a left and a right limb are alike."""
+
+BENDS = 1e-3
+"""Share of a limb's length by which the distance between its ends varies where it moves."""
 
 LOW = 0.25
 """Share of the height of the joints up to which legs reach down."""
@@ -44,7 +47,7 @@ def measured_limbs(tree: JointTree, poses: np.ndarray, helpers: Sequence[bool]) 
     inner = {parent for joint, parent in enumerate(tree.parents) if not helpers[joint]}
     tips = [joint for joint in range(len(tree.parents)) if joint not in inner and not helpers[joint]]
     low = height.min() + LOW * np.ptp(height)
-    pair = _two_limbs(tree, poses[0], sorted(tips, key=lambda joint: height[joint]), LEG)
+    pair = _two_limbs(tree, poses, sorted(tips, key=lambda joint: height[joint]), LEG)
     if pair is None or any(height[max(leg.values(), key=tree.depth)] > low for leg in pair[1]):
         return {}
     body, legs = pair
@@ -53,7 +56,7 @@ def measured_limbs(tree: JointTree, poses: np.ndarray, helpers: Sequence[bool]) 
     leftness = np.einsum("njc,nc->j", poses - poses[:, body, None], left)
     found = _sided(legs, leftness, "thigh")
     tips = [joint for joint in tips if not {leg["thigh"] for leg in legs} & set(tree.above(joint))]
-    pair = _two_limbs(tree, poses[0], sorted(tips, key=lambda joint: -abs(leftness[joint])), ARM)
+    pair = _two_limbs(tree, poses, sorted(tips, key=lambda joint: -abs(leftness[joint])), ARM)
     if pair is not None:
         found |= _sided(pair[1], leftness, "hand")
     return found
@@ -88,17 +91,38 @@ def body_size(pose: np.ndarray) -> float:
 
 
 def _two_limbs(
-    tree: JointTree, pose: np.ndarray, tips: list[int], parts: tuple[str, ...]
+    tree: JointTree, poses: np.ndarray, tips: list[int], parts: tuple[str, ...]
 ) -> tuple[int, list[dict[str, int]]] | None:
-    """Returns the joint where two chains fork, and both limbs: of the first tip that has a like one after it."""
+    """Returns the joint where two chains fork, and both limbs: of the first tip that has a like one after it.
+
+    Chains that bend in some poses come first: controls of a rig may have the shape of a limb, but do not move.
+    """
+    stiff: tuple[int, list[dict[str, int]]] | None = None
+    for fork, limbs in _limb_pairs(tree, poses[0], tips, parts):
+        if all(_bends(poses, limb) for limb in limbs):
+            return fork, limbs
+        stiff = stiff or (fork, limbs)
+    return stiff
+
+
+def _limb_pairs(
+    tree: JointTree, pose: np.ndarray, tips: list[int], parts: tuple[str, ...]
+) -> Iterator[tuple[int, list[dict[str, int]]]]:
+    """Yields the joint where two chains fork, and both limbs, for all pairs of tips with like limbs, in their order."""
     least = LEAST_REACH * body_size(pose)
     for at, tip in enumerate(tips):
         for other in tips[at + 1 :]:
             fork = tree.fork((tip, other))
-            limbs = [_limb(pose, tree.down(fork, end), parts, least) for end in (tip, other)]
-            if limbs[0] and limbs[1] and _alike(pose, fork, [limb for limb in limbs if limb]):
-                return fork, [limb for limb in limbs if limb]
-    return None
+            limbs = [limb for end in (tip, other) if (limb := _limb(pose, tree.down(fork, end), parts, least))]
+            if len(limbs) == 2 and _alike(pose, fork, limbs):
+                yield fork, limbs
+
+
+def _bends(poses: np.ndarray, limb: dict[str, int]) -> bool:
+    """Returns whether the distance between the ends of a limb's long bones varies, or only one pose is known."""
+    upper, end = ("upper_arm", "hand") if "hand" in limb else ("thigh", "foot")
+    distance = np.linalg.norm(poses[:, limb[end]] - poses[:, limb[upper]], axis=1)
+    return len(poses) < 2 or float(np.ptp(distance)) > BENDS * float(distance.max())
 
 
 def _limb(pose: np.ndarray, chain: list[int], parts: tuple[str, ...], least: float) -> dict[str, int] | None:

@@ -44,13 +44,13 @@ class JointName:
     Attributes:
         side: `left`, `right` or empty.
         part: the words in lower case and joined, without side, numbers and filler: `upleg`.
-        numbers: in the name, in order.
+        numbers: in the name, in order, without leading zeros; as text, since names may hold thousands of digits.
         helper: whether the name is that of a twist, helper, control or leaf joint.
     """
 
     side: str
     part: str
-    numbers: tuple[int, ...]
+    numbers: tuple[str, ...]
     helper: bool
 
 
@@ -115,7 +115,7 @@ def _read(name: str, words: list[str], whole: set[str]) -> JointName:
     part = "".join(word for word in rest if not word.isdigit() and word not in FILLER)
     if VERTEBRA.fullmatch(joined) and len([word for word in whole if VERTEBRA.fullmatch(word)]) > 2:
         part = "neck" if part == "c" else "spine"
-    return JointName(side, part, tuple(int(word) for word in rest if word.isdigit()), helper)
+    return JointName(side, part, tuple(word.lstrip("0") for word in rest if word.isdigit()), helper)
 
 
 def _split_side(words: list[str], whole: set[str]) -> tuple[str, list[str]]:
@@ -136,5 +136,6 @@ def _split_side(words: list[str], whole: set[str]) -> tuple[str, list[str]]:
 
 
 def natural_order(name: str) -> tuple:
-    """Returns a key that sorts names with numbers in order: toe2 before toe10."""
-    return tuple(int(word) if word.isdigit() else 0 for word in re.findall(r"\d+", name)), name
+    """Returns a key that sorts names by their numbers, toe2 before toe10, and then by their letters."""
+    numbers = (word.lstrip("0") for word in re.findall(r"[0-9]+", name))
+    return tuple((len(number), number) for number in numbers), name
