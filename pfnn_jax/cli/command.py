@@ -45,7 +45,7 @@ class Command:
         return nullcontext()
 
 
-def print_notes(file: Path, notes: Iterable[str]) -> None:
+def print_notes(file: Path | str, notes: Iterable[str]) -> None:
     """Prints what was assumed about a clip's file and may be wrong, a line each."""
     for note in notes:
         print(f"note: {file}: {note}")

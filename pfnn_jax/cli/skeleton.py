@@ -9,25 +9,28 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional
 
-from pfnn_jax.cli.command import Command
+from pfnn_jax.cli.command import Command, Reading, print_notes
+from pfnn_jax.motion.reading import ReadOptions
 
 
 @dataclass(frozen=True, kw_only=True)
 class Skeleton(Command):
-    """Show which joint of a skeleton is taken for which part of the body, and what is doubtful.
+    """Show which joint of a skeleton is taken for which part of the body, how the file is read, and what is doubtful.
 
     Attributes:
         clip: BVH file.
         roles: JSON file that names the joints of bones; the others are found.
+        reading: what is known about the file, where it is not found or wrong.
     """
 
     clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP.bvh")]
     roles: Path | None = None
+    reading: Reading = ReadOptions()
 
     def run(self) -> Any:
-        from pfnn_jax.motion.bvh import read_bvh
+        from pfnn_jax.motion.bvh import read_whole
 
-        about = describe_skeleton(read_bvh(self.clip, roles_file=self.roles))
+        about = describe_skeleton(read_whole(self.clip, self.reading, self.roles))
         _print(about)
         return about
 
@@ -61,6 +64,8 @@ def describe_skeleton(clip: Any) -> dict[str, Any]:
         "up": up,
         "facing": facing,
         "leg_metres": leg_reach(skeleton, humanoid),
+        "reading": None if clip.reading is None else clip.reading.to_json(),
+        "notes": list(clip.notes),
         "pairs": [[names[j], names[k]] for j, k in enumerate(skeleton.mirror) if j < k],
         "midline": [names[j] for j in own[skeleton.mirror == own]],
         "confidence": round(humanoid.confidence, 3),
@@ -80,11 +85,17 @@ def _print(about: dict[str, Any]) -> None:
         print(f"  {part:<10} {_shown(found[f'left_{part}']):<{width}}  {_shown(found[f'right_{part}'])}".rstrip())
     axes = f", {about['up']} up, faces {about['facing'] or 'no axis'}" if about["up"] else ""
     print(f"rest pose: {about['rest_pose']}{axes}")
-    print(f"legs: {about['leg_metres']:.2f} m, in the unit that the reader decided on")
+    if about["reading"] is not None:
+        from pfnn_jax.motion.length_unit import unit_name
+
+        read = about["reading"]
+        print(f"file: unit {unit_name(read['unit'])}, {read['up']} up, {read['fps']:.4g} frames per second")
+    print(f"legs: {about['leg_metres']:.2f} m")
     print(f"pairs: {len(about['pairs'])} of left and right, {len(about['midline'])} joints on the midline")
     print(f"confidence: {about['confidence']:.2f}")
     for line in about["explanation"]:
         print(f"  {line}")
+    print_notes(about["file"], about["notes"])
 
 
 def _shown(joint: str | list[str] | None) -> str:

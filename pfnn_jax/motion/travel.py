@@ -22,6 +22,9 @@ In dances and fights on the spot most standing feet are still."""
 MIN_FRAMES = 10
 """Frames below which a clip is left as it is."""
 
+FASTEST = 10.0
+"""Leg lengths per second that a walk or run on the spot travels at most; feet that move faster do not carry a body."""
+
 DRIFT = 0.25
 """Share of the rebuilt travel that the hips may cover already."""
 
@@ -57,6 +60,8 @@ def walks_on_the_spot(clip: MotionClip) -> bool:
         return False
     velocity, sliding = _support(clip, leg)
     if len(sliding) < MIN_FRAMES or np.percentile(sliding, SLIDING_PERCENTILE) < SLIDING * leg:
+        return False
+    if np.linalg.norm(velocity, axis=-1).mean() > FASTEST * leg:
         return False
     travelled = np.linalg.norm(np.cumsum(velocity / clip.fps, axis=0), axis=-1).max()
     return bool(np.linalg.norm(ground - ground[0], axis=-1).max() < DRIFT * travelled)
