@@ -11,12 +11,11 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.style_test import join_takes, one_step_test
 from pfnn_jax.inference.predictor import Predictor, make_predictor
-from pfnn_jax.motion.datasets.clip_rows import load_for_layout
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.run import Run
 from pfnn_jax.run_config import list_styles
-from pfnn_jax.workflows.learn import clip_parts
+from pfnn_jax.workflows.learn import clip_parts, load_for_run
 
 
 def evaluate_clips(
@@ -26,7 +25,7 @@ def evaluate_clips(
 
     Args:
         run: a loaded run.
-        clip_files: clips on the run's skeleton; those without steps are skipped and reported.
+        clip_files: clips of any skeleton, put onto the run's; those without steps are skipped and reported.
         style: the run's style that predicts all clips; None predicts each clip in the run's style of the same name.
         roles_file: JSON naming the joints' roles.
 
@@ -42,12 +41,12 @@ def evaluate_clips(
     for clip_file in clip_files:
         by_style.setdefault(clip_file.style, []).append(clip_file)
     std, result = np.asarray(run.normaliser.outputs.std), {}
-    # Clips are read before the style is looked up: a foreign skeleton is the more informative error.
+    # Clips are read before the style is looked up: what is wrong with a file is the more informative error.
     for own, files in sorted(by_style.items()):
         parts, names, left_out, notes = [], [], {}, {}
         for clip_file in files:
             try:
-                labelled = load_for_layout(clip_file, run.layout, roles_file)
+                labelled = load_for_run(clip_file, run, roles_file)
                 parts += clip_parts(labelled, run, mirror=False)
                 notes |= {clip_file.path.name: labelled.note} if labelled.note else {}
                 names.append(clip_file.path.stem)

@@ -17,6 +17,8 @@ from .paths import figure_eight as figure_eight
 from .paths import straight as straight
 from .reading import Reading as Reading
 from .reading import ReadOptions as ReadOptions
+from .retargeting.retarget import Retargeted as Retargeted
+from .retargeting.retarget import retarget as retarget
 from .skeleton import Skeleton as Skeleton
 from .synthetic.walks import synthesise as synthesise
 from .synthetic.walks import synthetic_clips as synthetic_clips

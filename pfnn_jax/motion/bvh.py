@@ -30,6 +30,7 @@ from pfnn_jax.motion.kinematics import (
 )
 from pfnn_jax.motion.length_unit import CENTIMETRE
 from pfnn_jax.motion.reading import Axis, Reading, ReadOptions, Travel, Up, check_options
+from pfnn_jax.motion.retargeting.reference import some_poses
 from pfnn_jax.motion.roles import assign_roles, is_hips_name, is_upper_body_name, leg_length, longest_chain
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.up_axis import TURNS, stand_up
@@ -431,7 +432,8 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     fps = _frame_rate(text.frame_time) if options.source_fps is None else float(options.source_fps)
     reading = Reading(unit, axis, fps, len(rotations)).noting(*_text_notes(text), doubt, lying)
     clip = MotionClip(skeleton, fps, positions[:, 0] * unit, rotations, source=str(path), reading=reading)
-    return stand_up(clip, axis)
+    clip = stand_up(clip, axis)
+    return replace(clip, skeleton=replace(clip.skeleton, poses=some_poses(clip.rotations)))
 
 
 def _find_body(

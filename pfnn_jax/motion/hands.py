@@ -41,9 +41,7 @@ def extend_hands(clip: MotionClip) -> MotionClip:
     if len(sites) < 2:
         return clip
     order = np.insert(np.arange(skeleton.num_joints), np.sort(hands) + 1, -1)
-    rotations = np.zeros((clip.num_frames, len(order), 4))
-    rotations[..., 0] = 1.0
-    rotations[:, order >= 0] = clip.rotations
+    rotations = _with_tips(clip.rotations, order)
     return replace(clip, skeleton=_insert(skeleton, roles, sites, order), rotations=rotations)
 
 
@@ -71,8 +69,26 @@ def _insert(skeleton: Skeleton, roles: Roles, sites: dict[int, int], order: np.n
     )
     moved = move_roles(roles, place)
     moved = replace(moved, left_hand=moved.left_hand + 1, right_hand=moved.right_hand + 1)
-    humanoid = None if skeleton.humanoid is None else skeleton.humanoid.move(lambda joint: int(place[joint]))
-    return Skeleton(tuple(names), np.array(parents), np.array(offsets), ends, np.array(mirror), moved, humanoid)
+    with_hand = np.where(order >= 0, order, np.roll(order, 1))  # a tip turns with the wrist before it
+    return Skeleton(
+        names=tuple(names),
+        parents=np.array(parents),
+        offsets=np.array(offsets),
+        end_sites=ends,
+        mirror=np.array(mirror),
+        roles=moved,
+        humanoid=None if skeleton.humanoid is None else skeleton.humanoid.move(lambda joint: int(place[joint])),
+        poses=None if skeleton.poses is None else _with_tips(skeleton.poses, order),
+        reference=None if skeleton.reference is None else skeleton.reference[with_hand],
+    )
+
+
+def _with_tips(rotations: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Returns local rotations [T, J + 2, 4] with new joints, where `order` is -1, at rest."""
+    extended = np.zeros((len(rotations), len(order), 4))
+    extended[..., 0] = 1.0
+    extended[:, order >= 0] = rotations
+    return extended
 
 
 def move_roles(roles: Roles, place: np.ndarray) -> Roles:

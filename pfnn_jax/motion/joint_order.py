@@ -47,4 +47,6 @@ def _reordered(skeleton: Skeleton, names: tuple[str, ...], parents: np.ndarray, 
         mirror=place[skeleton.mirror[order]],
         roles=None if skeleton.roles is None else move_roles(skeleton.roles, place),
         humanoid=None if skeleton.humanoid is None else skeleton.humanoid.move(lambda joint: int(place[joint])),
+        poses=None if skeleton.poses is None else skeleton.poses[:, order],
+        reference=None if skeleton.reference is None else skeleton.reference[order],
     )

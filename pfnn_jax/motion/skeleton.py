@@ -14,6 +14,9 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.humanoid.map import HumanoidMap, map_from_json, map_to_json
 
+ALIKE = 10.0
+"""Degrees by which bones of two people on one rig may differ in direction at rest; others are retargeted."""
+
 SAME_DIRECTION = 35.0
 """Degrees by which bones of people of other build may differ in the rest pose."""
 
@@ -59,6 +62,10 @@ class Skeleton:
         roles: of the joints, or None if they were not found: a view of `humanoid`, except that `extend_hands` moves the
             hands to their tips.
         humanoid: the humanoid map, or None if it was not found.
+        poses: [N, J, 4] local rotations of some poses of a motion, or None. They show how the body stands where the
+            zero pose does not.
+        reference: [J, 4] world rotations of the joints in the reference pose (`retargeting.reference`), or None where
+            the zero pose or `poses` show it.
     """
 
     names: tuple[str, ...]
@@ -68,6 +75,8 @@ class Skeleton:
     mirror: np.ndarray
     roles: Roles | None = None
     humanoid: HumanoidMap | None = None
+    poses: np.ndarray | None = None
+    reference: np.ndarray | None = None
 
     @property
     def num_joints(self) -> int:
@@ -113,7 +122,9 @@ def plain_names(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(plain)
 
 
-def rest_directions_differ(skeleton: Skeleton, other: Skeleton) -> tuple[int, float] | None:
+def rest_directions_differ(
+    skeleton: Skeleton, other: Skeleton, limit: float = SAME_DIRECTION
+) -> tuple[int, float] | None:
     """Returns the joint whose bones differ most in direction between two skeletons with the same joints.
 
     Rotations mean the same on both only if their bones point the same way where all rotations are zero. People of other
@@ -121,10 +132,11 @@ def rest_directions_differ(skeleton: Skeleton, other: Skeleton) -> tuple[int, fl
 
     Args:
         skeleton, other: with the same parents.
+        limit: degrees.
 
     Returns:
         The index of the joint at the end of the bone and the angle in degrees, or None if no long bone differs by more
-        than `SAME_DIRECTION`.
+        than the limit.
     """
     lengths = [np.linalg.norm(each.offsets, axis=-1) for each in (skeleton, other)]
     long = np.all([length > LONG_BONE * length.max() for length in lengths], axis=0)
@@ -134,7 +146,18 @@ def rest_directions_differ(skeleton: Skeleton, other: Skeleton) -> tuple[int, fl
     cosine = np.sum(skeleton.offsets * other.offsets, axis=-1)[long] / (lengths[0][long] * lengths[1][long])
     worst = int(np.argmin(cosine))
     degrees = float(np.degrees(np.arccos(np.clip(cosine[worst], -1.0, 1.0))))
-    return (int(np.flatnonzero(long)[worst]), degrees) if degrees > SAME_DIRECTION else None
+    return (int(np.flatnonzero(long)[worst]), degrees) if degrees > limit else None
+
+
+def same_joints(skeleton: Skeleton, other: Skeleton) -> bool:
+    """Returns whether rotations of one skeleton mean the same on the other.
+
+    They have the same joints in the same order, and no long bone differs by more than `ALIKE` degrees in direction.
+    """
+    if plain_names(skeleton.names) != plain_names(other.names):
+        return False
+    same = np.array_equal(skeleton.parents, other.parents)
+    return same and rest_directions_differ(skeleton, other, ALIKE) is None
 
 
 def check_same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path) -> None:
@@ -167,7 +190,7 @@ def check_same_topology(skeleton: Skeleton, other: Skeleton, source: str | Path)
 
 
 def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
-    """Returns the skeleton as JSON data, exact to the last bit."""
+    """Returns the skeleton as JSON data, exact to the last bit, with its reference pose in place of `poses`."""
     return {
         "names": list(skeleton.names),
         "parents": [int(p) for p in skeleton.parents],
@@ -176,6 +199,7 @@ def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
         "mirror": [int(m) for m in skeleton.mirror],
         "roles": None if skeleton.roles is None else {k: _plain(v) for k, v in asdict(skeleton.roles).items()},
         "humanoid": None if skeleton.humanoid is None else map_to_json(skeleton.humanoid),
+        "reference": None if (reference := _reference(skeleton)) is None else np.asarray(reference).tolist(),
     }
 
 
@@ -197,7 +221,7 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         if len(data[key]) != joints:
             rule = f"must have one for each of {joints} joints"
             raise InputError(source, f"skeleton.{key}", f"{len(data[key])} entries", rule)
-    roles, humanoid = data["roles"], data.get("humanoid")
+    roles, humanoid, reference = data["roles"], data.get("humanoid"), data.get("reference")
     return Skeleton(
         names=tuple(data["names"]),
         parents=np.array(data["parents"], np.int64),
@@ -206,7 +230,18 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         mirror=np.array(data["mirror"], np.int64),
         roles=None if roles is None else _roles(roles),
         humanoid=None if humanoid is None else map_from_json(humanoid, source),
+        reference=None if reference is None else np.array(reference, np.float64).reshape(joints, 4),
     )
+
+
+def _reference(skeleton: Skeleton) -> np.ndarray | None:
+    """Returns the reference pose [J, 4] that is stored with a skeleton: its own, or that which its poses show."""
+    body = skeleton.humanoid
+    if skeleton.reference is not None or skeleton.poses is None or body is None or body.left_foot is None:
+        return skeleton.reference
+    from pfnn_jax.motion.retargeting.reference import reference_pose, stands  # which imports this module
+
+    return None if stands(skeleton, body) else reference_pose(skeleton, body)
 
 
 def _roles(data: Mapping[str, Any]) -> Roles:

@@ -15,13 +15,16 @@ from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.models.config import AdapterConfig
-from pfnn_jax.motion.datasets.clip_rows import labelled_features, load_for_layout, match_hands
+from pfnn_jax.motion.datasets.clip_rows import (
+    labelled_features,
+    load_for_layout,
+    match_hands,
+    match_skeleton,
+)
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features
-from pfnn_jax.motion.joint_order import match_joints
-from pfnn_jax.motion.skeleton import check_same_topology
 from pfnn_jax.run import Run, load_generator, load_run, save_style
 from pfnn_jax.run_config import check_adapter, check_new_style
 from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig, TuningConfig
@@ -59,7 +62,7 @@ def learn_style(
         What is saved as `info` in style.json: source, frames, speed, the choice and the ranking behind it, seconds.
 
     Raises:
-        InputError: for a bad clip, a clip without steps or of another skeleton, a style that exists, a method that
+        InputError: for a bad clip, a clip without steps or of no humanoid, a style that exists, a method that
             trains a whole network, or an adapter of another rank than the run's. Nothing is trained before.
     """
     started = time.perf_counter()
@@ -68,7 +71,9 @@ def learn_style(
     check_new_style(run.path, clip_file.style, overwrite)
     _check_method(run, config)
     progress_callback(0.0, "labelling")
-    labelled = load_for_layout(clip_file, run.layout, roles_file)
+    labelled = load_for_run(clip_file, run, roles_file)
+    if labelled.note:
+        progress_callback(0.0, labelled.note)
     parts = clip_parts(labelled, run, mirror)
     _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
     about = _about_clip(run, labelled, parts, mirror)
@@ -110,7 +115,7 @@ def tune_style(
         What is saved as `info` in style.json: source, frames, speed, settings, seconds, the last loss.
 
     Raises:
-        InputError: for a bad clip or one of another skeleton, a style that exists, or a run without a generator.
+        InputError: for a bad clip or one of no humanoid, a style that exists, or a run without a generator.
         TrainingError: when a loss is not finite.
     """
     started = time.perf_counter()
@@ -119,7 +124,9 @@ def tune_style(
     check_new_style(run.path, clip_file.style, overwrite)
     generator = load_generator(run)
     progress_callback(0.0, "labelling")
-    labelled = load_for_layout(clip_file, run.layout, roles_file)
+    labelled = load_for_run(clip_file, run, roles_file)
+    if labelled.note:
+        progress_callback(0.0, labelled.note)
     parts = clip_parts(labelled, run, mirror)
     _check_length(parts, config.batch_size, clip_file.path)
     about = _about_clip(run, labelled, parts, mirror)
@@ -168,18 +175,31 @@ def precompile(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
     _fit(run, [features, features], replace(config, eval_epochs=(1,)))
 
 
-def clip_parts(labelled: LabelledClip, run: Run, mirror: bool) -> list[Features]:
-    """Returns a clip's rows and, with `mirror`, those of its mirror image.
+def load_for_run(clip_file: ClipFile, run: Run, roles_file: str | Path | None = None) -> LabelledClip:
+    """Reads and labels a clip of any skeleton, and puts it onto the run's; its `note` says what was done.
 
     Raises:
-        InputError: if its skeleton is not the run's, or it has no usable frames.
+        InputError: as `load_for_layout`; or if the clip's skeleton is no humanoid.
     """
-    labelled = match_hands(labelled, run.layout)
-    clip = match_joints(labelled.clip, run.skeleton.names)
-    if clip is not labelled.clip:
-        labelled = replace(labelled, clip=clip, world=None)
-    check_same_topology(run.skeleton, labelled.clip.skeleton, labelled.clip.source)
-    return labelled_features(labelled, run.layout, mirror)
+    return match_run(load_for_layout(clip_file, run.layout, roles_file), run)
+
+
+def match_run(labelled: LabelledClip, run: Run) -> LabelledClip:
+    """Returns the clip on the run's skeleton, retargeted if it has another.
+
+    Raises:
+        InputError: if its skeleton is no humanoid.
+    """
+    return match_skeleton(match_hands(labelled, run.layout), run.skeleton)
+
+
+def clip_parts(labelled: LabelledClip, run: Run, mirror: bool) -> list[Features]:
+    """Returns a clip's rows on the run's skeleton and, with `mirror`, those of its mirror image.
+
+    Raises:
+        InputError: if its skeleton is no humanoid, or it has no usable frames.
+    """
+    return labelled_features(match_run(labelled, run), run.layout, mirror)
 
 
 def _fit(

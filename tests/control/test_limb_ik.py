@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pfnn_jax.control.ik.limb import SOFT, bend, reach_arms, two_bone
+from pfnn_jax.control.ik.limb import reach_arms, two_bone
 from pfnn_jax.control.ik.pose import Pose, forward_kinematics, make_rig
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply, quat_rotate
+from pfnn_jax.motion.two_bone import SOFT, bend
 from tests.motion.skeletons import body_clip
 
 FLOAT32 = 2e-5  # metres: a target on a leg of 0.84 m, through one arccos near its steep end

@@ -17,11 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.ik.limb import bend, forward_of
+from pfnn_jax.control.ik.limb import forward_of
 from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics
 from pfnn_jax.control.vectors import length
 from pfnn_jax.errors import check_positive
 from pfnn_jax.motion.kinematics import quat_between, quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.motion.two_bone import bend
 
 PARTNER = (1, 0, 3, 2)
 """The other joint of the same foot, in the order of contacts: left heel, left toe, right heel, right toe."""

@@ -26,7 +26,8 @@ from pfnn_jax.motion.joint_order import match_joints
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import clip_local_phases, end_effectors, fit_axes, mirror_local_phases
 from pfnn_jax.motion.labels.phase import mirror_phase
-from pfnn_jax.motion.skeleton import Skeleton, need_roles
+from pfnn_jax.motion.retargeting.retarget import retarget
+from pfnn_jax.motion.skeleton import Skeleton, need_roles, same_joints
 from pfnn_jax.motion.world_motion import world_motion
 
 MAX_HIERARCHY_LINES = 10_000
@@ -168,6 +169,27 @@ def load_for_layout(clip_file: ClipFile, layout: FrameLayout, roles_file: str | 
 def match_hands(labelled: LabelledClip, layout: FrameLayout) -> LabelledClip:
     """Returns the clip with the ends of its hands as joints if the layout has those and the clip does not."""
     return _fitted(labelled, partial(_fit_joints, layout=layout))
+
+
+def match_skeleton(labelled: LabelledClip, skeleton: Skeleton) -> LabelledClip:
+    """Returns the clip on a skeleton: retargeted, and with a note that says so, if it has another.
+
+    A skeleton with the same joints, in any order, and the same rest pose counts as the same, whatever its bones'
+    lengths, because features hold joint positions. Labels stay: they are those of the clip's own feet.
+
+    Args:
+        labelled: the clip.
+        skeleton: such as a run's.
+
+    Raises:
+        InputError: if either skeleton has no humanoid map.
+    """
+    clip = match_joints(labelled.clip, skeleton.names)
+    if same_joints(skeleton, clip.skeleton):
+        return labelled if clip is labelled.clip else replace(labelled, clip=clip, world=world_motion(clip))
+    moved = retarget(clip, skeleton)
+    note = "; ".join(filter(None, (labelled.note, moved.summary)))
+    return replace(labelled, clip=moved.clip, note=note, world=world_motion(moved.clip))
 
 
 def labelled_features(labelled: LabelledClip, layout: FrameLayout, mirror: bool = False) -> list[Features]:

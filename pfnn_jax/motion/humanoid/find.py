@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.humanoid.checks import Body, Finding, check_geometry, is_no_pose, stands
+from pfnn_jax.motion.humanoid.checks import DOUBTFUL, Body, Finding, check_geometry, is_no_pose, stands
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.measured import measured_limbs
 from pfnn_jax.motion.humanoid.named import detached_foot, named_limbs, named_trunk
@@ -62,12 +63,48 @@ def find_humanoid(
         InputError: if legs or hips are missing, if the joints do not lie on chains, if the skeleton is not that of a
             human, or if an override names an unknown bone or joint or contradicts another.
     """
-    tree = joint_tree(tuple(map(int, skeleton.parents)))
+    parents = tuple(skeleton.parents.tolist())
+    if not overrides:
+        sites = tuple(joint for joint, site in skeleton.end_sites if not site.any())
+        offsets = np.ascontiguousarray(skeleton.offsets, float).tobytes()
+        confirmed = _confirmed_at_rest(skeleton.names, parents, offsets, sites, len(skeleton.end_sites))
+        if confirmed is not None:
+            return confirmed
+    tree = joint_tree(parents)
     chosen = choose_joints(overrides or {}, skeleton.names, source)
     limbs, notes = _named_limbs(skeleton.names, tree, chosen)
     if _has(limbs, "shin"):
         return _by_names(skeleton, tree, limbs, notes, chosen, poses, source)
     return _by_geometry(skeleton, tree, limbs, chosen, _positions(skeleton, poses), source)
+
+
+@functools.lru_cache(maxsize=16)
+def _confirmed_at_rest(
+    names: tuple[str, ...], parents: tuple[int, ...], offsets: bytes, dead_ends: tuple[int, ...], num_sites: int
+) -> HumanoidMap | None:
+    """Returns the map of a skeleton with telling names if its rest pose leaves no doubt.
+
+    Clips of one skeleton share the result.
+
+    Args:
+        names: of J joints.
+        parents: of the joints.
+        offsets: [J, 3] float64, as bytes.
+        dead_ends: joints with an End Site at their own place.
+        num_sites: number of End Sites.
+    """
+    tree = joint_tree(parents)
+    limbs, notes = _named_limbs(names, tree, {})
+    places = np.frombuffer(offsets).reshape(-1, 3)
+    sites = [(joint, np.zeros(3)) for joint in dead_ends] + [(0, np.ones(3))] * (num_sites - len(dead_ends))
+    skeleton = Skeleton(names, np.array(parents), places, tuple(sites), np.arange(len(names)))
+    if not _has(limbs, "shin") or is_no_pose(limbs, rest_pose(skeleton)[None]):
+        return None
+    try:
+        found = _by_names(skeleton, tree, limbs, notes, {}, None, "skeleton")
+    except InputError:
+        return None
+    return None if any(line.startswith(DOUBTFUL) for line in found.explanation) else found
 
 
 def need_humanoid(skeleton: Skeleton, source: str | Path = "skeleton") -> HumanoidMap:

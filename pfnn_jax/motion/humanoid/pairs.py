@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 
 import numpy as np
@@ -24,19 +25,30 @@ def find_mirror(skeleton: Skeleton, humanoid: HumanoidMap | None = None) -> np.n
         skeleton: J joints; its own mirror is ignored.
         humanoid: the map, if there is one.
     """
-    return _Pairing(skeleton, humanoid).mirror
+    lengths = np.linalg.norm(skeleton.offsets, axis=-1)
+    return _pairs(skeleton.names, tuple(skeleton.parents.tolist()), lengths.tobytes(), humanoid).copy()
+
+
+@functools.lru_cache(maxsize=16)
+def _pairs(
+    names: tuple[str, ...], parents: tuple[int, ...], lengths: bytes, humanoid: HumanoidMap | None
+) -> np.ndarray:
+    """Returns the partners of J joints; `lengths` are those of the bones [J], float64, as bytes."""
+    return _Pairing(names, parents, np.frombuffer(lengths), humanoid).mirror
 
 
 class _Pairing:
     """The search for partners, from the root outwards."""
 
-    def __init__(self, skeleton: Skeleton, humanoid: HumanoidMap | None):
-        self.tree: JointTree = joint_tree(tuple(map(int, skeleton.parents)))
-        self.names = plain_names(skeleton.names)
-        self.labels = read_names(skeleton.names)
-        self.lengths = np.linalg.norm(skeleton.offsets, axis=-1)
+    def __init__(
+        self, names: tuple[str, ...], parents: tuple[int, ...], lengths: np.ndarray, humanoid: HumanoidMap | None
+    ):
+        self.tree: JointTree = joint_tree(parents)
+        self.names = plain_names(names)
+        self.labels = read_names(names)
+        self.lengths = lengths
         self.leads = _leads(self.tree, humanoid)
-        self.mirror = np.arange(skeleton.num_joints)
+        self.mirror = np.arange(len(names))
         waiting = [(0, 0)]
         while waiting:
             waiting += self._pair_children(*waiting.pop())
