@@ -22,10 +22,13 @@ class Prepare(Command):
     """Turn folders of BVH files into a dataset for training.
 
     Attributes:
-        source: folder of BVH files: one folder per style, or a known data set.
+        folders: folders of BVH files, each with one folder per style, or a known data set. Styles that several have
+            are named after their folder too: FOLDER_STYLE.
         out: folder of the dataset.
         kind: naming convention of the files; auto recognises it.
-        styles: styles to keep; all by default.
+        skeleton: put all clips onto this skeleton: that of a BVH file, `synthetic` (that of the procedural walkers), or
+            the name of one of the folders, for that of its first clip. Without it all clips must share one.
+        styles: styles to keep, by their names in the dataset; all by default.
         roles: JSON file that names the joints' roles, for skeletons whose joints are not recognised.
         reading: what is known about the files, where it is not found or wrong.
         overwrite: replace an existing dataset.
@@ -35,9 +38,10 @@ class Prepare(Command):
         config: how clips become rows.
     """
 
-    source: Annotated[Positional[Path], tyro.conf.arg(metavar="FOLDER")]
+    folders: Annotated[Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FOLDER [FOLDER ...]")]
     out: Path
     kind: Literal["auto", "bandai", "100style", "xia", "pfnn", "folders"] = "auto"
+    skeleton: Annotated[str | None, tyro.conf.arg(metavar="FILE|NAME")] = None
     styles: tuple[str, ...] = ()
     roles: Path | None = None
     reading: Reading = ReadOptions()
@@ -49,17 +53,22 @@ class Prepare(Command):
     def run(self) -> Any:
         from pfnn_jax.cli.progress import progress
         from pfnn_jax.motion.datasets.preparation import prepare
-        from pfnn_jax.motion.datasets.sources import list_clips, select_styles, unlisted_files
+        from pfnn_jax.motion.datasets.data_sets import list_data_sets
+        from pfnn_jax.motion.datasets.sources import select_styles, unlisted_files
+        from pfnn_jax.motion.datasets.target_skeleton import named_skeleton
 
         check_output(self.out, self.overwrite)
-        clips = list_clips(self.source, self.kind, self.reading)
-        _print_unlisted(unlisted_files(self.source, clips))
-        clips = select_styles(clips, self.styles, self.source) if self.styles else clips
+        clips = list_data_sets(self.folders, self.kind, self.reading)
+        skeleton = None if self.skeleton is None else named_skeleton(self.skeleton, clips, self.reading)
+        _print_unlisted([file for folder in self.folders for file in unlisted_files(folder, clips)])
+        source = ", ".join(map(str, self.folders))
+        clips = select_styles(clips, self.styles, source) if self.styles else clips
         with progress("preparing") as report:
             dataset = prepare(
                 clips,
                 self.out,
                 self.config,
+                skeleton=skeleton,
                 roles_file=self.roles,
                 overwrite=self.overwrite,
                 skip_bad=self.skip_bad,
@@ -82,11 +91,20 @@ def _print_unlisted(files: list[Path]) -> None:
         print(f"note: {len(files)} BVH files are not used, such as {files[0]}: their folder or name does not fit")
 
 
+def _files_of_notes(dataset: Dataset) -> dict[str, list[str]]:
+    """Returns the files that each note is about."""
+    files: dict[str, list[str]] = {}
+    for note in dataset.notes:
+        files.setdefault(note["note"], []).append(note["file"])
+    return files
+
+
 def _print_dataset(dataset: Dataset) -> None:
     from pfnn_jax.motion.datasets.splits import WINDOW_ROWS
 
-    for note in dataset.notes:
-        print(f"note: {note['file']}: {note['note']}")
+    for note, files in _files_of_notes(dataset).items():
+        others = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
+        print(f"note: {files[0]}{others}: {note}")
     for skipped in dataset.skipped:
         print(f"left out: {skipped['file']}: {skipped['reason']}")
     for split, takes in dataset.takes_without_window.items():

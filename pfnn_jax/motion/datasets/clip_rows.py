@@ -54,8 +54,9 @@ class ClipGroup:
         validation, test: shares of a clip's rows.
         seed: determines where those shares lie.
         roles_file: JSON file that names the joints' roles.
-        hands: whether to add the ends of the hands as joints if the layout has them.
+        hands: whether to add the ends of the hands as joints.
         joint_names: of the data set's skeleton; clips with the same joints in another order are brought to this one.
+        target: skeleton to put all clips onto (`match_skeleton`); None keeps their own.
     """
 
     sources: tuple[Source, ...]
@@ -65,8 +66,9 @@ class ClipGroup:
     test: float
     seed: int
     roles_file: Path | None = None
-    hands: bool = True
+    hands: bool = False
     joint_names: tuple[str, ...] = ()
+    target: Skeleton | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,14 +228,15 @@ def prepare_group(group: ClipGroup) -> list[PreparedClip]:
 def _load(source: Source, group: ClipGroup) -> LabelledClip | str | InputError:
     """Returns the labelled clip, the reason why it is skipped, or what is wrong with its file."""
     layout = LAYOUTS[group.layout](1)
-    fit = partial(_fit_group, names=group.joint_names, hands=group.hands and layout.next_frame)
+    fit = partial(_fit_group, names=group.joint_names, hands=group.hands)
     if layout.next_frame and content_of(source) == IDLE:
         return "an idle clip; the layout is for locomotion"
     try:
         if isinstance(source, ClipFile):
             source = _load_labelled(source, layout, group.roles_file, fit)
         need_roles(source.clip.skeleton, source.clip.source)
-        return _fitted(source, fit)
+        labelled = _fitted(source, fit)
+        return labelled if group.target is None else match_skeleton(labelled, group.target)
     except NoGaitError as error:
         return f"{error.value}; {error.rule}"
     except InputError as error:

@@ -33,8 +33,9 @@ from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.shared_unit import share_units
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.datasets.splits import SPLITS, WINDOW_ROWS
+from pfnn_jax.motion.datasets.target_skeleton import ADVICE, check_one_skeleton, ends_in_hand_sites, find_target
 from pfnn_jax.motion.datasets.workers import default_workers, map_in_order
-from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout
+from pfnn_jax.motion.features.layout import LAYOUTS, FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import NO_ROWS, Moments, fit_normaliser, save_normaliser
 from pfnn_jax.motion.skeleton import Skeleton, check_same_topology, skeleton_to_json
 
@@ -87,6 +88,7 @@ def prepare(
     out: str | Path,
     config: PrepareConfig | None = None,
     *,
+    skeleton: Skeleton | ClipFile | str | Path | None = None,
     roles_file: str | Path | None = None,
     overwrite: bool = False,
     skip_bad: bool = False,
@@ -102,10 +104,14 @@ def prepare(
     same frames of its mirror image; all rows of transitions between gaits are training rows. The folder appears
     complete or not at all, and does not depend on the order of the clips or the number of processes.
 
+    With a skeleton, clips of any humanoid skeleton are put onto it (`match_skeleton`), and a note in `dataset.json` says
+    so for each; phases are those of their own feet. Bones of clips with the same joints are not scaled.
+
     Args:
         clips: a folder that `list_clips` reads, or files as it returns them, or labelled clips in memory, or both.
         out: folder to create.
         config: layout, mirroring, statistics, splits; the default `PrepareConfig` if None.
+        skeleton: the skeleton to put all clips onto, or a BVH file that has it; None for clips that share one.
         roles_file: JSON file that names the joints' roles.
         overwrite: whether to replace an existing folder.
         skip_bad: whether to leave out bad files and name them in `dataset.json`; otherwise all of them are refused
@@ -115,7 +121,7 @@ def prepare(
 
     Raises:
         InputError: for no clips or something else than clips, no workers, a style without usable clips, skeletons that
-            differ, bad files (`BadFilesError` for several), an existing folder, or one that cannot be written.
+            differ without `skeleton`, a `skeleton` that is no humanoid, bad files (`BadFilesError` for several), an existing folder, or one that cannot be written.
     """
     out, config = Path(out), config or PrepareConfig()
     refuse_existing(out, overwrite)
@@ -123,10 +129,11 @@ def prepare(
     if workers is not None and workers < 1:
         raise InputError(out, "workers", workers, "must be at least 1")
     roles_file = None if roles_file is None else Path(roles_file)
+    target = _target(skeleton, sources, config, roles_file, out)
     try:
         with replacing(out) as work:
             work.mkdir()
-            writer = _DatasetWriter(work, config, skip_bad)
+            writer = _DatasetWriter(work, config, skip_bad, target)
             _write_dataset(sources, writer, roles_file, progress_callback, workers)
             writer.finish(out)
     except OSError as error:
@@ -156,6 +163,23 @@ def _share_units(sources: list[Source]) -> list[Source]:
     return [next(shared) if isinstance(source, ClipFile) else source for source in sources]
 
 
+def _target(
+    skeleton: Skeleton | ClipFile | str | Path | None,
+    sources: Sequence[Source],
+    config: PrepareConfig,
+    roles_file: Path | None,
+    out: Path,
+) -> Skeleton | None:
+    """Returns the skeleton that all clips are put onto; None if they have one already."""
+    files = [source for source in sources if isinstance(source, ClipFile)]
+    if skeleton is None:
+        check_one_skeleton(files)
+        return None
+    if not isinstance(skeleton, Skeleton | ClipFile | str | Path):
+        raise InputError(out, "skeleton", type(skeleton).__name__, "must be a Skeleton or a BVH file")
+    return find_target(skeleton, files, LAYOUTS[config.layout](1), roles_file)
+
+
 def _joint_names(sources: Sequence[Source]) -> tuple[str, ...]:
     """Returns the names of the joints of the first source that can be read, whose order the others take."""
     for source in sources:
@@ -174,7 +198,7 @@ def _write_dataset(
     workers: int | None,
 ) -> None:
     """Writes the rows of all styles."""
-    groups = _groups(sources, writer.config, roles_file)
+    groups = _groups(sources, writer.config, roles_file, writer.target)
     done = 0
     with closing(_prepared(groups, _num_workers(sources, workers))) as prepared:
         for style, clips in groupby(prepared, key=lambda clip: clip.style):
@@ -187,10 +211,13 @@ def _write_dataset(
             writer.end_style(style)
 
 
-def _groups(sources: Sequence[Source], config: PrepareConfig, roles_file: Path | None) -> list[ClipGroup]:
+def _groups(
+    sources: Sequence[Source], config: PrepareConfig, roles_file: Path | None, target: Skeleton | None
+) -> list[ClipGroup]:
     """Sorts clips by style, content and name, so that their order does not matter, and groups those that share axes.
 
-    Hand ends become joints only if all clips have them: in a few Bandai-Namco files they lie at the wrists.
+    Hand ends become joints only if all clips have them (in a few Bandai-Namco files they lie at the wrists) or, where
+    clips are put onto a skeleton, if that has them.
     """
 
     def place(source: Source) -> tuple[str, ...]:
@@ -201,12 +228,15 @@ def _groups(sources: Sequence[Source], config: PrepareConfig, roles_file: Path |
     def key(source: Source) -> tuple[str, ...]:
         return place(source)[:2] if layout.phase_kind == "local" else place(source)
 
-    hands = layout.next_frame and all(map(has_hand_ends, sources))
+    if target is None:
+        hands = layout.next_frame and all(map(has_hand_ends, sources))
+    else:
+        hands = ends_in_hand_sites(target)
     shares = config.validation, config.test
     ordered = sorted(sources, key=place)
-    names = _joint_names(ordered)
+    names = _joint_names(ordered) if target is None else target.names
     return [
-        ClipGroup(tuple(members), config.layout, config.mirror, *shares, config.seed, roles_file, hands, names)
+        ClipGroup(tuple(members), config.layout, config.mirror, *shares, config.seed, roles_file, hands, names, target)
         for _, members in groupby(ordered, key=key)
     ]
 
@@ -227,11 +257,11 @@ def _prepared(groups: list[ClipGroup], workers: int) -> Generator[PreparedClip, 
 class _DatasetWriter:
     """Writes styles one after another and collects what `dataset.json` and the normaliser need."""
 
-    def __init__(self, folder: Path, config: PrepareConfig, skip_bad: bool):
-        self.folder, self.config, self.skip_bad = folder, config, skip_bad
+    def __init__(self, folder: Path, config: PrepareConfig, skip_bad: bool, target: Skeleton | None = None):
+        self.folder, self.config, self.skip_bad, self.target = folder, config, skip_bad, target
         self.bad: list[InputError] = []
-        self.skeleton: Skeleton | None = None
-        self.layout: FrameLayout | None = None
+        self.skeleton = target
+        self.layout = None if target is None else layout_for(config.layout, target)
         self.clips: list[dict[str, Any]] = []
         self.skipped: list[dict[str, str]] = []
         self.notes: list[dict[str, str]] = []
@@ -291,7 +321,10 @@ class _DatasetWriter:
         """Returns the dataset's layout, after checking that the clip shares its skeleton."""
         if self.skeleton is None or self.layout is None:
             self.skeleton, self.layout = image.skeleton, image.layout
-        check_same_topology(self.skeleton, image.skeleton, name)
+        try:
+            check_same_topology(self.skeleton, image.skeleton, name)
+        except InputError as error:
+            raise InputError(name, error.place, error.value, f"{error.rule}; {ADVICE}") from None
         if image.layout != self.layout:
             rule = f"all clips must share one skeleton, with these at {self.layout.ends}"
             raise InputError(name, "hands and toes", f"joints {image.layout.ends}", rule)

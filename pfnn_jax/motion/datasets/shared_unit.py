@@ -20,18 +20,18 @@ DOUBT = math.log(1000.0)
 
 
 def share_units(clips: Sequence[ClipFile]) -> list[ClipFile]:
-    """Returns the clips with their unit where files with the same joints would be given different ones.
+    """Returns the clips with their unit where files of one data set with the same joints would be given different ones.
 
     Files whose unit is known keep it. A file far from human size in the others' unit keeps its own guess.
 
     Args:
-        clips: of one data set.
+        clips: of one data set or several (`ClipFile.data_set`).
     """
     groups: dict[tuple[str, ...], dict[int, dict[str, float]]] = defaultdict(dict)
     for index, clip in enumerate(clips):
         if clip.read_options.unit is None and (found := _likely_units(clip.path)) is not None:
             names, likely = found
-            groups[names][index] = likely
+            groups[clip.data_set, *names][index] = likely
     shared = list(clips)
     for group in groups.values():
         best = {index: max(each.values()) for index, each in group.items()}

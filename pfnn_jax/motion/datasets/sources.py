@@ -69,6 +69,7 @@ class ClipFile:
         unit: metres per unit of the file, as its data set's convention says; None to guess it.
         cut_by: (file, place) that states start and stop, for messages; None if they come from no file.
         reading: what the user says about the file, which takes precedence.
+        data_set: name of the folder that was listed (`list_data_sets`), whose files share a unit.
     """
 
     path: Path
@@ -80,6 +81,7 @@ class ClipFile:
     unit: float | None = None
     cut_by: tuple[Path, str] | None = None
     reading: ReadOptions = ReadOptions()
+    data_set: str = ""
 
     if TYPE_CHECKING:  # callers may pass a string, readers always find a Path
 
@@ -94,6 +96,7 @@ class ClipFile:
             unit: float | None = None,
             cut_by: tuple[Path, str] | None = None,
             reading: ReadOptions = ...,
+            data_set: str = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
