@@ -52,8 +52,8 @@ class Prepare(Command):
 
     def run(self) -> Any:
         from pfnn_jax.cli.progress import progress
-        from pfnn_jax.motion.datasets.preparation import prepare
         from pfnn_jax.motion.datasets.data_sets import list_data_sets
+        from pfnn_jax.motion.datasets.preparation import prepare
         from pfnn_jax.motion.datasets.sources import select_styles, unlisted_files
         from pfnn_jax.motion.datasets.target_skeleton import named_skeleton
 

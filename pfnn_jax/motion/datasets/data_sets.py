@@ -34,9 +34,7 @@ def list_data_sets(
         raise InputError("clips", "folders", "none", "name at least one")
     listed = [list_clips(path, kind, reading) for path in paths]
     clips = [
-        replace(clip, data_set=name)
-        for name, each in zip(_data_set_names(paths), listed, strict=True)
-        for clip in each
+        replace(clip, data_set=name) for name, each in zip(_data_set_names(paths), listed, strict=True) for clip in each
     ]
     _check_listed_once(clips)
     return _name_styles(clips)

@@ -104,8 +104,8 @@ def prepare(
     same frames of its mirror image; all rows of transitions between gaits are training rows. The folder appears
     complete or not at all, and does not depend on the order of the clips or the number of processes.
 
-    With a skeleton, clips of any humanoid skeleton are put onto it (`match_skeleton`), and a note in `dataset.json` says
-    so for each; phases are those of their own feet. Bones of clips with the same joints are not scaled.
+    With a skeleton, clips of any humanoid skeleton are put onto it (`match_skeleton`), and a note in `dataset.json`
+    says so for each; phases are those of their own feet. Clips with the same joints keep the lengths of their bones.
 
     Args:
         clips: a folder that `list_clips` reads, or files as it returns them, or labelled clips in memory, or both.
@@ -121,7 +121,8 @@ def prepare(
 
     Raises:
         InputError: for no clips or something else than clips, no workers, a style without usable clips, skeletons that
-            differ without `skeleton`, a `skeleton` that is no humanoid, bad files (`BadFilesError` for several), an existing folder, or one that cannot be written.
+            differ without `skeleton`, a `skeleton` that is no humanoid, bad files (`BadFilesError` for several), an
+            existing folder, or one that cannot be written.
     """
     out, config = Path(out), config or PrepareConfig()
     refuse_existing(out, overwrite)

@@ -28,9 +28,7 @@ ADVICE = "or put all clips onto one skeleton (--skeleton)"
 """What to do about clips of different skeletons."""
 
 
-def named_skeleton(
-    name: str, clips: Sequence[ClipFile], reading: ReadOptions | None = None
-) -> Skeleton | ClipFile:
+def named_skeleton(name: str, clips: Sequence[ClipFile], reading: ReadOptions | None = None) -> Skeleton | ClipFile:
     """Returns the skeleton of a name, or the clip that has it.
 
     Args:
@@ -83,7 +81,9 @@ def find_target(
 
 def ends_in_hand_sites(skeleton: Skeleton) -> bool:
     """Returns whether the ends of a skeleton's hands are joints, as `extend_hands` makes them."""
-    unchanged = extend_hands(_at_rest(replace(skeleton, end_sites=()))).skeleton  # no joints are added, only roles moved
+    unchanged = extend_hands(
+        _at_rest(replace(skeleton, end_sites=()))
+    ).skeleton  # no joints are added, only roles moved
     return unchanged.names[need_roles(unchanged).left_hand].endswith("Site")
 
 
