@@ -226,9 +226,10 @@ def test_few_shot_says_what_its_error_means(folder, requested, capsys):
 def test_few_shot_warns_of_a_clip_that_is_no_walk_and_asks_the_clip_not_its_name(folder, tmp_path, capsys):
     shutil.copytree(folder / "run", tmp_path / "run")
     clip = read_bvh(folder / "zombie.bvh")
-    write_bvh(tmp_path / "side.bvh", dataclasses.replace(clip, root_positions=clip.root_positions[:, [2, 1, 0]]))
-    run("few-shot", tmp_path / "run", tmp_path / "side.bvh", "--name", "side", *QUICK)
-    assert "warning: the clip is no walk ahead" in capsys.readouterr().out
+    reverse = dataclasses.replace(clip, root_positions=clip.root_positions[::-1], rotations=clip.rotations[::-1])
+    write_bvh(tmp_path / "back.bvh", reverse)
+    run("few-shot", tmp_path / "run", tmp_path / "back.bvh", "--name", "back", *QUICK)
+    assert "warning: the clip is no walk ahead: it moves backwards" in capsys.readouterr().out
     run("few-shot", tmp_path / "run", folder / "zombie.bvh", "--name", "DragLeg", *QUICK)
     shown = capsys.readouterr().out
     assert "and their mirror image (left and right differ by 0.0" in shown and "no walk ahead" not in shown

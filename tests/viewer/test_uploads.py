@@ -112,10 +112,11 @@ def test_an_upload_of_another_skeleton_is_put_onto_the_runs(library, run_path, z
 
 def test_an_upload_that_is_no_walk_ahead_is_learned_with_warnings(library, run_path, tmp_path):
     clip, _ = synthesise("zombie", np.zeros(150), np.full(150, 0.9))
-    write_bvh(tmp_path / "side.bvh", replace(clip, root_positions=clip.root_positions[:, [2, 1, 0]]))
-    style, warnings = learn_upload(library, "run", "old.bvh", (tmp_path / "side.bvh").read_bytes())
+    reverse = replace(clip, root_positions=clip.root_positions[::-1], rotations=clip.rotations[::-1])
+    write_bvh(tmp_path / "back.bvh", reverse)
+    style, warnings = learn_upload(library, "run", "old.bvh", (tmp_path / "back.bvh").read_bytes())
     about = json.loads((run_path / "styles" / style / "style.json").read_text())["info"]
-    assert any("to the left of where the body faces" in line for line in warnings)
+    assert any("it moves backwards" in line for line in warnings)
     assert list(warnings) == about["warnings"]
 
 
