@@ -11,7 +11,7 @@ from tyro.conf import Positional
 
 from pfnn_jax.cli.command import FLAT, Command, Reading, Run, print_notes
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
+from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig, TuningConfig
 
@@ -30,7 +30,7 @@ class FewShot(Command):
         name: name of the new style.
         start: first frame to use, counted at the file's own frame rate.
         stop: frame before which to end; by default the end of the file.
-        mirror: also learn from the mirrored clip. By default yes, except for style names known to be asymmetric.
+        mirror: also learn from the mirrored clip. By default yes, unless left and right of the clip differ too much.
         roles: JSON file that names the joints' roles.
         reading: what is known about the file, where it is not found or wrong.
         recipe: default tries a grid of settings: adapters, or FiLM parameters if the run has FiLM styles. mason2018 is
@@ -62,14 +62,13 @@ class FewShot(Command):
         check_finished(self.run_path)
         check_new_style(self.run_path, self.name, self.overwrite)
         clip = ClipFile(self.clip, self.name, start=self.start, stop=self.stop, reading=self.reading)
-        mirror = is_symmetric(self.name) if self.mirror is None else self.mirror
         from pfnn_jax.run import load_run
         from pfnn_jax.workflows.learn import learn_style, tune_style
 
         run = load_run(self.run_path)
         with progress("learning") as report:
             options: Any = {
-                "mirror": mirror,
+                "mirror": self.mirror,
                 "roles_file": self.roles,
                 "overwrite": self.overwrite,
                 "progress_callback": lambda share, what: report(share, 1.0, what),
@@ -79,7 +78,9 @@ class FewShot(Command):
             else:
                 info = learn_style(run, clip, self._grid(run), **options)
         print_notes(self.clip, info.get("notes", ()))
-        self._print(info, mirror)
+        self._print(info)
+        for warning in info["warnings"]:
+            print(f"warning: {warning}")
         return info
 
     def _check_recipe(self) -> None:
@@ -107,10 +108,10 @@ class FewShot(Command):
             raise InputError("command line", "rank", given["rank"], f"only CP adapters have a rank, method is {method}")
         return replace(base, **given)
 
-    def _print(self, info: dict[str, Any], mirror: bool) -> None:
-        mirrored = "and their mirror image" if mirror else "not mirrored"
-        if self.mirror is None and not mirror:
-            mirrored += f" because {self.name} is known as an asymmetric style (--mirror True to mirror)"
+    def _print(self, info: dict[str, Any]) -> None:
+        mirrored = "and their mirror image" if info["mirrored"] else "not mirrored"
+        if self.mirror is None and info["asymmetry"] is not None:
+            mirrored += f" (left and right differ by {info['asymmetry']:.2f})"
         print(f"{self.name}: {info['frames']} frames, {mirrored}; {info['seconds']:.1f} s")
         if self.recipe == "generator":
             print(f"training loss {info['loss']:.4g}")
@@ -121,7 +122,3 @@ class FewShot(Command):
         print(
             f"held-out error {error:.3f}, without the style {without:.3f} (lower is better, 1.0 = predicting the mean)"
         )
-        if error > 1.0:
-            print("warning: an error above 1.0 is worse than predicting the mean: the clip does not fit the run")
-        if not info["stable_on_turns"]:
-            print("warning: no setting walks circles without diverging: pretrain the run for longer, or expect falls")

@@ -32,6 +32,7 @@ from pfnn_jax.training.data import Rows, hold_out
 from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style
 from pfnn_jax.training.loop import no_progress
 from pfnn_jax.training.tuning import tune_generator
+from pfnn_jax.workflows.clip_report import ClipReport, clip_warnings, inspect_clip, result_warnings, training_loss
 
 Progress = Callable[[float, str], Any]
 """Called with the share that is done, 0 to 1, and what is being done."""
@@ -42,7 +43,7 @@ def learn_style(
     clip_file: ClipFile | str | Path,
     config: FewShotConfig | None = None,
     *,
-    mirror: bool = True,
+    mirror: bool | None = None,
     roles_file: Path | None = None,
     overwrite: bool = False,
     progress_callback: Progress = no_progress,
@@ -53,13 +54,14 @@ def learn_style(
         run: a pretrained run, or its directory.
         clip_file: the clip, its frames and the style's name; or a BVH file, after which the style is named.
         config: the grid of settings, with a method that trains an adapter; `default_config` of the run by default.
-        mirror: also learn from the mirrored clip; off for a style whose left and right differ.
+        mirror: also learn from the mirrored clip; by default unless its left and right differ, see `inspect_clip`.
         roles_file: JSON naming the joints' roles.
         overwrite: replace a style of this name.
         progress_callback: called with the share that is done, 0 to 1, and what is being done.
 
     Returns:
-        What is saved as `info` in style.json: source, frames, speed, the choice and the ranking behind it, seconds.
+        What is saved as `info` in style.json: source, frames, speed, the choice and the ranking behind it, seconds;
+        `warnings` lists what may be wrong with the clip or the style, one line each.
 
     Raises:
         InputError: for a bad clip, a clip without steps or of no humanoid, a style that exists, a method that
@@ -74,9 +76,10 @@ def learn_style(
     labelled = load_for_run(clip_file, run, roles_file)
     if labelled.note:
         progress_callback(0.0, labelled.note)
-    parts = clip_parts(labelled, run, mirror)
+    report = inspect_clip(labelled, mirror)
+    parts = clip_parts(labelled, run, report.mirrored)
     _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
-    about = _about_clip(run, labelled, parts, mirror)
+    about, loss = _about_clip(run, labelled, parts, report), training_loss(run)
     found = _fit(run, parts, config, progress_callback)
     info = {
         **about,
@@ -87,6 +90,7 @@ def learn_style(
         "ranking": [choice._asdict() for choice in found.ranking],
         "seconds": time.perf_counter() - started,
     }
+    info["warnings"] += result_warnings(info, loss)
     progress_callback(0.98, "saving")
     save_style(run.path, clip_file.style, found.style, info, overwrite)
     return info
@@ -97,7 +101,7 @@ def tune_style(
     clip_file: ClipFile | str | Path,
     config: TuningConfig | None = None,
     *,
-    mirror: bool = True,
+    mirror: bool | None = None,
     roles_file: Path | None = None,
     overwrite: bool = False,
     progress_callback: Progress = no_progress,
@@ -112,7 +116,8 @@ def tune_style(
         config: how to tune; `TuningConfig()` by default.
 
     Returns:
-        What is saved as `info` in style.json: source, frames, speed, settings, seconds, the last loss.
+        What is saved as `info` in style.json: source, frames, speed, settings, seconds, the last loss; `warnings` lists
+        what may be wrong with the clip, one line each.
 
     Raises:
         InputError: for a bad clip or one of no humanoid, a style that exists, or a run without a generator.
@@ -127,9 +132,10 @@ def tune_style(
     labelled = load_for_run(clip_file, run, roles_file)
     if labelled.note:
         progress_callback(0.0, labelled.note)
-    parts = clip_parts(labelled, run, mirror)
+    report = inspect_clip(labelled, mirror)
+    parts = clip_parts(labelled, run, report.mirrored)
     _check_length(parts, config.batch_size, clip_file.path)
-    about = _about_clip(run, labelled, parts, mirror)
+    about = _about_clip(run, labelled, parts, report)
     tuned = tune_generator(
         run.shared,
         generator,
@@ -232,14 +238,16 @@ def _as_clip_file(clip_file: ClipFile | str | Path) -> ClipFile:
     return ClipFile(Path(clip_file), Path(clip_file).stem)
 
 
-def _about_clip(run: Run, labelled: LabelledClip, parts: list[Features], mirror: bool) -> dict[str, Any]:
+def _about_clip(run: Run, labelled: LabelledClip, parts: list[Features], report: ClipReport) -> dict[str, Any]:
     """Returns the entries of a style's `style.json` that describe its clip, however it was learned."""
     return {
         "source": Path(labelled.clip.source).name,
         "notes": [labelled.note] if labelled.note else [],
         "frames": len(parts[0].x),
-        "mirrored": mirror,
+        "mirrored": report.mirrored,
+        "asymmetry": report.asymmetry,
         "speed": median_speed(run.layout, parts[0].y),
+        "warnings": clip_warnings(report),
     }
 
 

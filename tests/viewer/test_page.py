@@ -161,7 +161,7 @@ def test_a_bad_clip_is_refused_and_changes_nothing(visitor, served, played_run, 
 
 def test_a_good_clip_becomes_a_style_that_moves(visitor, played_run, zombie_bvh):
     visitor.page.locator("input[type=file]").set_input_files(zombie_bvh)
-    visitor.page.locator("[data-message=good]").wait_for()
+    visitor.page.locator("[data-message=good], [data-message=warning]").wait_for()
     assert "zombie walk" in visitor.options("Style")
     visitor.wait(lambda: visitor.read("style") == "zombie walk", "the character is in the new style")
     assert (played_run / "styles" / "zombie walk" / "style.json").is_file()

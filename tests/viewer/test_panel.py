@@ -23,7 +23,7 @@ from pfnn_jax.viewer.page import widgets  # noqa: E402
 from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
 from pfnn_jax.viewer.page.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
 from pfnn_jax.viewer.page.tab import Tab  # noqa: E402
-from pfnn_jax.viewer.page.uploads import MOST_BUFFERED, drop_large  # noqa: E402
+from pfnn_jax.viewer.page.uploads import MOST_BUFFERED, LearnedUpload, drop_large  # noqa: E402
 
 SOON = 20.0  # seconds for a thread to start or end on a loaded machine
 
@@ -177,6 +177,14 @@ def test_a_style_chosen_while_standing_has_a_hint(panel):
     assert hinted() and widgets.UNSEEN in panel._message.content and not hinted(speed=0.5)
 
 
+def test_a_style_learned_with_warnings_is_not_shown_as_a_success(panel):
+    panel.learned("run", "neutral")
+    assert 'data-message="good"' in panel._message.content and "Warning" not in panel._message.content
+    panel.learned("run", "neutral", ("it falls", "it is no walk"))
+    assert 'data-message="warning"' in panel._message.content and "is learned" not in panel._message.content
+    assert "Warning: it falls. Warning: it is no walk." in panel._message.content
+
+
 def test_an_ended_recording_can_be_downloaded(panel):
     labels = []
     for seconds, recording in ((None, False), (1.5, True), (1.5, False)):
@@ -233,10 +241,10 @@ def test_an_unexpected_error_of_an_upload_is_shown(panel, client, monkeypatch):
 def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
     tab, begun, free = tab_of(client), threading.Event(), threading.Event()
 
-    def learn(*_: Any) -> str:
+    def learn(*_: Any) -> LearnedUpload:
         begun.set()
         free.wait(SOON)
-        return "walk"
+        return LearnedUpload("walk", ())
 
     monkeypatch.setattr(tab_module, "learn_upload", learn)
     files = [any_of(SimpleNamespace(name=name, content=b"")) for name in ("walk.bvh", "second.bvh")]

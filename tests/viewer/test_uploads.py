@@ -6,6 +6,7 @@ import errno
 import json
 import re
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -15,8 +16,9 @@ import pytest
 
 from pfnn_jax.control import stability
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
+from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.run import load_run, load_style
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.training.config import FewShotConfig
@@ -69,7 +71,7 @@ def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_
     prepare_learning(library, "run")
     calls: list[tuple[float, str]] = []
     before = set(contents(run_path))
-    name = learn_upload(
+    name, warnings = learn_upload(
         library, "run", "C:\\clips\\zombie walk.bvh", zombie_bvh.read_bytes(), lambda *t: calls.append(t)
     )
     assert name == "zombie walk" and ("run", name) in library.styles
@@ -80,7 +82,8 @@ def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_
 
     again = tmp_path / "again"
     shutil.copytree(run_path, again)
-    learn_style(load_run(again), ClipFile(zombie_bvh, "same"), SMALL)
+    info = learn_style(load_run(again), ClipFile(zombie_bvh, "same"), SMALL)
+    assert list(warnings) == info["warnings"] and not any("no walk ahead" in line for line in warnings)
     here, there = load_style(load_run(run_path), name), load_style(load_run(again), "same")
     jax.tree.map(np.testing.assert_array_equal, here, there)
 
@@ -92,19 +95,35 @@ def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_
     assert views[-1].style_weights == pytest.approx({name: 1.0}, abs=0.01)
     assert np.isfinite(views[-1].joints).all()
 
-    assert learn_upload(library, "run", "zombie walk.bvh", zombie_bvh.read_bytes()) == "zombie walk 2"
+    assert learn_upload(library, "run", "zombie walk.bvh", zombie_bvh.read_bytes()).style == "zombie walk 2"
 
 
 def test_an_upload_of_another_skeleton_is_put_onto_the_runs(library, run_path, zombie_bvh):
     text = zombie_bvh.read_text().replace("UpLeg", "Thigh").replace("JOINT Spine1", "JOINT Belly")
     said: list[str] = []
-    name = learn_upload(library, "run", "renamed.bvh", text.encode(), lambda _, what: said.append(what))
+    name = learn_upload(library, "run", "renamed.bvh", text.encode(), lambda _, what: said.append(what)).style
     assert "retargeted from 21 to 21 joints, legs scaled by 1.00" in said
     about = json.loads((run_path / "styles" / name / "style.json").read_text())
     assert about["info"]["notes"] == ["retargeted from 21 to 21 joints, legs scaled by 1.00"]
-    learned = learn_upload(library, "run", "as it was.bvh", zombie_bvh.read_bytes())
+    learned = learn_upload(library, "run", "as it was.bvh", zombie_bvh.read_bytes()).style
     here, there = (load_style(load_run(run_path), style) for style in (name, learned))
     jax.tree.map(np.testing.assert_array_equal, here, there)
+
+
+def test_an_upload_that_is_no_walk_ahead_is_learned_with_warnings(library, run_path, tmp_path):
+    clip, _ = synthesise("zombie", np.zeros(150), np.full(150, 0.9))
+    reverse = replace(clip, root_positions=clip.root_positions[::-1], rotations=clip.rotations[::-1])
+    write_bvh(tmp_path / "back.bvh", reverse)
+    style, warnings = learn_upload(library, "run", "old.bvh", (tmp_path / "back.bvh").read_bytes())
+    about = json.loads((run_path / "styles" / style / "style.json").read_text())["info"]
+    assert any("it moves backwards" in line for line in warnings)
+    assert list(warnings) == about["warnings"]
+
+
+def test_the_clip_decides_on_mirroring_not_its_name(library, run_path, zombie_bvh):
+    style, _ = learn_upload(library, "run", "DragLeg.bvh", zombie_bvh.read_bytes())
+    about = json.loads((run_path / "styles" / style / "style.json").read_text())["info"]
+    assert about["mirrored"] and about["asymmetry"] < 0.1
 
 
 BAD = {
@@ -222,7 +241,7 @@ def test_a_saved_style_is_kept_when_the_page_ends(played_run, zombie_bvh, tmp_pa
     shutil.copytree(played_run, path)
     ending = RunLibrary([path])
     monkeypatch.setattr(ending, "add_style", lambda run, style: cancel_learning(ending, wait=0.0))
-    assert learn_upload(ending, "run", "walk.bvh", zombie_bvh.read_bytes()) == "walk"
+    assert learn_upload(ending, "run", "walk.bvh", zombie_bvh.read_bytes()).style == "walk"
     assert "walk" in list_styles(path) and (path / "uploads" / "walk.bvh").is_file()
 
 
@@ -234,7 +253,7 @@ def test_a_played_style_is_never_overwritten(played_run, zombie_bvh, tmp_path, m
     bare = RunLibrary([path])
     monkeypatch.setattr(bare, "add_style", lambda run, style: None)
     assert bare.styles == [("bare", "agnostic")]
-    assert learn_upload(bare, "bare", "Agnostic.bvh", zombie_bvh.read_bytes()) == "Agnostic 2"
+    assert learn_upload(bare, "bare", "Agnostic.bvh", zombie_bvh.read_bytes()).style == "Agnostic 2"
     assert list_styles(path) == ("Agnostic 2",)
 
 

@@ -17,6 +17,7 @@ from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.run import load_run, load_style
+from pfnn_jax.run_config import style_note
 from pfnn_jax.training.config import FewShotConfig, PretrainConfig, TuningConfig
 from pfnn_jax.workflows.learn import learn_style, tune_style
 from pfnn_jax.workflows.pretrain import pretrain_run
@@ -44,6 +45,17 @@ def test_a_film_is_learned_from_a_clip(run, mocap, monkeypatch):
     moved = np.abs(np.asarray(film.scale) - np.asarray(start.scale)).max()
     assert 0.0 < moved < 7.5 * 1e-3
     assert info["frames"] == 238 and 0.3 < info["speed"] < 3.0
+    assert info["warnings"] == style_note(run.path, "cross")["info"]["warnings"]
+    assert not any("no walk ahead" in line or "mirror" in line for line in info["warnings"])
+
+
+def test_a_side_step_is_learned_with_warnings(run, mocap, monkeypatch):
+    monkeypatch.setattr(turning, "SECONDS", 1.2)
+    config = FewShotConfig("film", learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(1,), tolerance=0.0)
+    clip = ClipFile(mocap / "bandai-namco-1" / "dataset-1_walk-left_tired_001.bvh", "aside")
+    info = learn_style(run, clip, config)
+    assert any("to the left of where the body faces" in line for line in info["warnings"])
+    assert not info["mirrored"] and any(line.startswith("not mirrored") for line in info["warnings"])
 
 
 def test_a_style_that_does_not_fit_the_run_is_refused(run, mocap):

@@ -44,7 +44,12 @@ ACCENT, LINE = "#18a078", "#d5dbe4"
 FACE, FAINT, PASSIVE = "#f6f8fa", "#eef1f5", "#9aa5b4"
 LETTER, HEEL, TOE = "#8b96a6", MUTED, "#b4bcc8"
 BUTTON = "#546175"
-MESSAGES = {"good": ("#0b6b4d", "#e3f5ee"), "bad": ("#9b2c14", "#fdebe5"), "plain": (MUTED, "#f1f3f7")}
+MESSAGES = {
+    "good": ("#0b6b4d", "#e3f5ee"),
+    "warning": ("#6e4a00", "#fff3d1"),
+    "bad": ("#9b2c14", "#fdebe5"),
+    "plain": (MUTED, "#f1f3f7"),
+}
 """Kind of message -> (text colour, background colour)."""
 
 SCENE_SIDES = {"left": (38, 96, 226), "right": (238, 92, 28), "middle": (222, 226, 232)}

@@ -6,6 +6,7 @@ import math
 import queue
 import threading
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError
@@ -124,7 +125,7 @@ class Panel:
         self._timeline.add(now, view.contacts)
 
     def show_message(self, kind: str, text: str) -> None:
-        """Shows a message below the upload button; `kind` is `good`, `bad` or `plain`."""
+        """Shows a message below the upload button; `kind` is `good`, `warning`, `bad` or `plain`."""
         self._message.content = widgets.message(kind, text)
 
     def notify(self, title: str, text: str) -> None:
@@ -141,14 +142,24 @@ class Panel:
         self._bar.visible = active
         self.upload.disabled = active
 
-    def learned(self, run: str, style: str) -> None:
-        """Changes the character to a style that was learned for it, unless another run has been chosen meanwhile."""
+    def learned(self, run: str, style: str, warnings: Sequence[str] = ()) -> None:
+        """Changes the character to a style that was learned for it, unless another run has been chosen meanwhile.
+
+        Args:
+            run: the run that has learned it.
+            style: its name.
+            warnings: what may be wrong with it; shown in place of the message of success.
+        """
         stays = self._character.run == self._picker.run == run
         self._picker.refresh()
         if stays:
             self._picker.select(run, style)
         then = f"; it is selected: {widgets.UNSEEN}." if stays else ". Choose that run to see it."
-        self.show_message("good", f"{style} is learned and is now a style of {run}{then}")
+        if warnings:
+            text = " ".join(f"Warning: {warning}." for warning in warnings)
+            self.show_message("warning", f"{style} is now a style of {run}{then} {text}")
+        else:
+            self.show_message("good", f"{style} is learned and is now a style of {run}{then}")
 
     def _unseen(self, view: View) -> bool:
         """Returns whether the style was changed while the character stands, so that it still looks as before."""

@@ -132,8 +132,8 @@ class Tab:
         run = character.run
         try:
             panel.learning(True)
-            style = learn_upload(self._library, run, file.name, file.content, panel.progress)
-            panel.clicks.put(lambda: panel.learned(run, style), timeout=10.0)
+            learned = learn_upload(self._library, run, file.name, file.content, panel.progress)
+            panel.clicks.put(lambda: panel.learned(run, learned.style, learned.warnings), timeout=10.0)
         except (InputError, TrainingError) as error:
             panel.show_message("bad", str(error))
         except LearningCancelled:

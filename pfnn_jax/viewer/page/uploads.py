@@ -16,11 +16,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import write_whole
-from pfnn_jax.motion.datasets.sources import ClipFile, is_symmetric
+from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.run import Run
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig
@@ -54,6 +54,18 @@ Progress = Callable[[float, str], None]
 
 _learning = threading.Lock()  # one style at a time: two would both take twice as long
 _unfinished: set[Path] = set()
+
+
+class LearnedUpload(NamedTuple):
+    """A style that was learned from an upload.
+
+    Attributes:
+        style: its name.
+        warnings: what may be wrong with the clip or the style, one line each.
+    """
+
+    style: str
+    warnings: tuple[str, ...]
 
 
 class LearningCancelled(Exception):
@@ -95,7 +107,7 @@ def cancel_learning(library: RunLibrary, wait: float = 0.5) -> None:
 
 def learn_upload(
     library: RunLibrary, run: str, filename: str, data: bytes, progress: Progress = lambda share, what: None
-) -> str:
+) -> LearnedUpload:
     """Learns a style from an uploaded BVH file; characters can choose it when this returns.
 
     The style equals that of `pfnn-jax few-shot` with the same settings (`page_config`). It is saved in RUN/styles/ and
@@ -110,7 +122,7 @@ def learn_upload(
         progress: called from another thread with the fraction done, 0 to 1, and the present activity.
 
     Returns:
-        The style's name.
+        The style's name, and what to warn of.
 
     Raises:
         InputError: for an unknown run; for a file that is too large, not text, not BVH, with too many joints or frames,
@@ -134,7 +146,7 @@ def learn_upload(
         with _system_errors(loaded.path), _kept_upload(library.get(run), name, data) as clip:
             style = clip.style
             with library.preparation(run):
-                background.do(partial(_learn, loaded, clip, report), niceness=NICENESS)
+                info = background.do(partial(_learn, loaded, clip, report), niceness=NICENESS)
             with _saved_style(loaded.path, clip):
                 background.do(partial(library.add_style, run, style))
     except InputError as error:
@@ -144,7 +156,7 @@ def learn_upload(
     finally:
         _learning.release()
     progress(1.0, "done")
-    return style
+    return LearnedUpload(style, tuple(info["warnings"]))
 
 
 def style_name(filename: str) -> str:
@@ -188,9 +200,9 @@ def check_upload(name: str, data: bytes) -> None:
         raise InputError(file, "length", f"{seconds:.0f} s", f"must be at most {LONGEST:g} s: cut the clip")
 
 
-def _learn(run: Run, clip: ClipFile, progress: Progress) -> None:
+def _learn(run: Run, clip: ClipFile, progress: Progress) -> dict[str, Any]:
     try:
-        learn_style(run, clip, page_config(run), mirror=is_symmetric(clip.style), progress_callback=progress)
+        return learn_style(run, clip, page_config(run), progress_callback=progress)
     except InputError as error:
         file = clip.path.name if error.file == str(clip.path) else error.file
         raise InputError(file, error.place, error.value, error.rule) from error
@@ -225,7 +237,7 @@ def _kept_upload(loaded: LoadedRun, name: str, data: bytes) -> Iterator[ClipFile
     try:
         folder.mkdir(exist_ok=True)
         write_whole(path, data)
-        yield ClipFile(path, free, symmetric=is_symmetric(free))
+        yield ClipFile(path, free)
     except BaseException:
         _remove(path)
         raise

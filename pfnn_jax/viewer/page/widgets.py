@@ -166,7 +166,7 @@ def readout(view: View, drawn: float, browser: float, hint: str = "") -> str:
 
 
 def message(kind: str, text: str) -> str:
-    """Returns a line in a coloured box; `kind` is `good`, `bad` or `plain`."""
+    """Returns a line in a coloured box; `kind` is `good`, `warning`, `bad` or `plain`."""
     colour, back = MESSAGES[kind]
     style = f"{_FONT};font-size:12.5px;line-height:1.4;color:{colour};background:{back};overflow-wrap:anywhere"
     box = "border-radius:7px;padding:7px 10px;margin:2px 12px 9px"
