@@ -17,6 +17,7 @@ from pfnn_jax.evaluation.style_methods import compare_methods
 from pfnn_jax.evaluation.style_test import StyleTest, Takes, join_takes
 from pfnn_jax.io.files import refuse_existing
 from pfnn_jax.motion.bvh import write_bvh
+from pfnn_jax.motion.datasets.clip_rows import labelled_features
 from pfnn_jax.motion.datasets.dataset import Dataset
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
@@ -28,7 +29,7 @@ from pfnn_jax.motion.synthetic.walks import PRETRAINING_STYLES, STYLES, UNSEEN_S
 from pfnn_jax.run import Run
 from pfnn_jax.training.config import FewShotConfig, PretrainConfig
 from pfnn_jax.workflows.generate import generate_walk
-from pfnn_jax.workflows.learn import clip_parts, learn_style
+from pfnn_jax.workflows.learn import learn_style
 from pfnn_jax.workflows.pretrain import pretrain_run
 
 TURNS = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
@@ -93,7 +94,7 @@ def demo(
     rows = compare_methods(
         run.shared,
         run.normaliser,
-        clip_parts(labelled, run, mirror=True),
+        labelled_features(labelled, run.layout, mirror=True),
         style_test(run, labelled, config),
         epochs=config.epochs,
         seed=config.seed,

@@ -11,11 +11,12 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.style_test import join_takes, one_step_test
 from pfnn_jax.inference.predictor import Predictor, make_predictor
+from pfnn_jax.motion.datasets.clip_rows import labelled_features
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.run import Run
 from pfnn_jax.run_config import list_styles
-from pfnn_jax.workflows.learn import clip_parts, load_for_run
+from pfnn_jax.workflows.learn import load_for_run
 
 
 def evaluate_clips(
@@ -47,7 +48,7 @@ def evaluate_clips(
         for clip_file in files:
             try:
                 labelled = load_for_run(clip_file, run, roles_file)
-                parts += clip_parts(labelled, run, mirror=False)
+                parts += labelled_features(labelled, run.layout)
                 notes |= {clip_file.path.name: labelled.note} if labelled.note else {}
                 names.append(clip_file.path.stem)
             except NoGaitError as error:

@@ -65,7 +65,7 @@ def decide_up(positions: np.ndarray, roles: Roles | None, options: ReadOptions) 
 
 
 def repair(clip: MotionClip, options: ReadOptions) -> MotionClip:
-    """Removes what is no motion of a body: jumps to other poses or places, and a lack of travel.
+    """Cuts jumps to other poses or places, and rebuilds travel that is lacking.
 
     Of a clip that jumps the longest part is kept. Clips whose skeleton has no roles are returned unchanged.
 

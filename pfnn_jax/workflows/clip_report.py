@@ -96,7 +96,7 @@ def inspect_clip(labelled: LabelledClip, mirror: bool | None = None) -> ClipRepo
 
 
 def clip_warnings(report: ClipReport) -> list[str]:
-    """Returns what is doubtful about a clip: it is no walk ahead, or it is learned without its mirror image."""
+    """Returns what is doubtful about a clip: it is not a forward walk, or it is learned without its mirror image."""
     return [*_gait_warnings(report), *_mirror_warnings(report)]
 
 

@@ -18,7 +18,6 @@ from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import (
     labelled_features,
     load_for_layout,
-    match_hands,
     match_skeleton,
 )
 from pfnn_jax.motion.datasets.labelled import LabelledClip
@@ -64,20 +63,16 @@ def learn_style(
         `warnings` lists what may be wrong with the clip or the style, one line each.
 
     Raises:
-        InputError: for a bad clip, a clip without steps or of no humanoid, a style that exists, a method that
-            trains a whole network, or an adapter of another rank than the run's. Nothing is trained before.
+        InputError: for a bad clip, a clip without steps or of a skeleton that is not a humanoid, a style that exists,
+            a method that trains a whole network, or an adapter of another rank than the run's. Nothing is trained
+            before.
     """
     started = time.perf_counter()
     run, clip_file = _as_run(run), _as_clip_file(clip_file)
     config = default_config(run) if config is None else config
     check_new_style(run.path, clip_file.style, overwrite)
     _check_method(run, config)
-    progress_callback(0.0, "labelling")
-    labelled = load_for_run(clip_file, run, roles_file)
-    if labelled.note:
-        progress_callback(0.0, labelled.note)
-    report = inspect_clip(labelled, mirror)
-    parts = clip_parts(labelled, run, report.mirrored)
+    labelled, report, parts = _read_clip(run, clip_file, mirror, roles_file, progress_callback)
     _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
     about, loss = _about_clip(run, labelled, parts, report), training_loss(run)
     found = _fit(run, parts, config, progress_callback)
@@ -120,7 +115,8 @@ def tune_style(
         what may be wrong with the clip, one line each.
 
     Raises:
-        InputError: for a bad clip or one of no humanoid, a style that exists, or a run without a generator.
+        InputError: for a bad clip or one whose skeleton is not a humanoid, a style that exists, or a run without a
+            generator.
         TrainingError: when a loss is not finite.
     """
     started = time.perf_counter()
@@ -128,12 +124,7 @@ def tune_style(
     config = TuningConfig() if config is None else config
     check_new_style(run.path, clip_file.style, overwrite)
     generator = load_generator(run)
-    progress_callback(0.0, "labelling")
-    labelled = load_for_run(clip_file, run, roles_file)
-    if labelled.note:
-        progress_callback(0.0, labelled.note)
-    report = inspect_clip(labelled, mirror)
-    parts = clip_parts(labelled, run, report.mirrored)
+    labelled, report, parts = _read_clip(run, clip_file, mirror, roles_file, progress_callback)
     _check_length(parts, config.batch_size, clip_file.path)
     about = _about_clip(run, labelled, parts, report)
     tuned = tune_generator(
@@ -185,27 +176,21 @@ def load_for_run(clip_file: ClipFile, run: Run, roles_file: str | Path | None = 
     """Reads and labels a clip of any skeleton, and puts it onto the run's; its `note` says what was done.
 
     Raises:
-        InputError: as `load_for_layout`; or if the clip's skeleton is no humanoid.
+        InputError: as `load_for_layout`; or if the clip's skeleton is not a humanoid.
     """
-    return match_run(load_for_layout(clip_file, run.layout, roles_file), run)
+    return match_skeleton(load_for_layout(clip_file, run.layout, roles_file), run.skeleton)
 
 
-def match_run(labelled: LabelledClip, run: Run) -> LabelledClip:
-    """Returns the clip on the run's skeleton, retargeted if it has another.
-
-    Raises:
-        InputError: if its skeleton is no humanoid.
-    """
-    return match_skeleton(match_hands(labelled, run.layout), run.skeleton)
-
-
-def clip_parts(labelled: LabelledClip, run: Run, mirror: bool) -> list[Features]:
-    """Returns a clip's rows on the run's skeleton and, with `mirror`, those of its mirror image.
-
-    Raises:
-        InputError: if its skeleton is no humanoid, or it has no usable frames.
-    """
-    return labelled_features(match_run(labelled, run), run.layout, mirror)
+def _read_clip(
+    run: Run, clip_file: ClipFile, mirror: bool | None, roles_file: Path | None, progress_callback: Progress
+) -> tuple[LabelledClip, ClipReport, list[Features]]:
+    """Returns the clip on the run's skeleton, what was found in it, and its rows, with those of its mirror image."""
+    progress_callback(0.0, "labelling")
+    labelled = load_for_run(clip_file, run, roles_file)
+    if labelled.note:
+        progress_callback(0.0, labelled.note)
+    report = inspect_clip(labelled, mirror)
+    return labelled, report, labelled_features(labelled, run.layout, report.mirrored)
 
 
 def _fit(

@@ -121,7 +121,7 @@ def prepare(
 
     Raises:
         InputError: for no clips or something else than clips, no workers, a style without usable clips, skeletons that
-            differ without `skeleton`, a `skeleton` that is no humanoid, bad files (`BadFilesError` for several), an
+            differ without `skeleton`, a `skeleton` that is not a humanoid, bad files (`BadFilesError` for several), an
             existing folder, or one that cannot be written.
     """
     out, config = Path(out), config or PrepareConfig()

@@ -66,7 +66,7 @@ def find_target(
         roles_file: JSON file that names the joints' roles, for a BVH file.
 
     Raises:
-        InputError: if the file cannot be read or is no file, or if the skeleton is no humanoid with all roles.
+        InputError: if the file cannot be read or is not a file, or if the skeleton is not a humanoid with all roles.
     """
     source = "skeleton"
     if not isinstance(skeleton, Skeleton):

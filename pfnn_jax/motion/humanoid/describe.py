@@ -70,10 +70,10 @@ def _axis_name(vector: np.ndarray) -> str:
     return f"{'+' if vector[axis] > 0 else '-'}{'XYZ'[axis]}" if vector[axis] else ""
 
 
-def leg_reach(skeleton: Skeleton, humanoid: HumanoidMap) -> float:
-    """Returns the length of the left leg from thigh to ankle, in metres; to the shin where it has no ankle."""
+def leg_reach(skeleton: Skeleton, humanoid: HumanoidMap, side: str = "left") -> float:
+    """Returns the length of a leg from thigh over knee to ankle, in metres; to the shin where it has no ankle."""
     pose = rest_pose(skeleton)
-    leg = [joint for joint in humanoid.limb("left", LEG)[:3] if joint is not None]
+    leg = [joint for joint in humanoid.limb(side, LEG)[:3] if joint is not None]
     return float(np.linalg.norm(np.diff(pose[leg], axis=0), axis=1).sum())
 
 

@@ -167,7 +167,7 @@ def _by_names(
 ) -> HumanoidMap:
     """Returns the map of a skeleton whose legs are named, confirmed by its rest pose or, if that is doubtful, by poses.
 
-    Who crawls through a clip stands in the rest pose, unless it is that of no body.
+    A person may crawl through a clip and yet stand in the rest pose, unless that shows no body.
 
     Raises:
         InputError: as the last of both poses does, if neither gives a map.

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import functools
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
-from pfnn_jax.motion.humanoid.names import OTHER_SIDE, SIDE_WORDS, plain_names, read_names
+from pfnn_jax.motion.humanoid.names import OTHER_SIDE, plain_names, read_names
 from pfnn_jax.motion.humanoid.tree import JointTree, joint_tree
 from pfnn_jax.motion.skeleton import Skeleton
+
+OTHER_WORD = {"left": "right", "l": "r", "lft": "rgt", "lt": "rt", "right": "left", "r": "l", "rgt": "lft", "rt": "lt"}
+"""The word for the other side, by the words of `names.SIDE_WORDS`."""
 
 
 def find_mirror(skeleton: Skeleton, humanoid: HumanoidMap | None = None) -> np.ndarray:
@@ -57,35 +61,38 @@ class _Pairing:
         """Pairs the children of two partners, or of one joint; returns the pairs, and (joint, joint) on the midline."""
         if one == other:
             return self._pair_across(self.tree.children[one])
-        pairs: list[tuple[int, int]] = []
-        left, right = list(self.tree.children[one]), list(self.tree.children[other])
-        for rule in (self._same_limb, self._opposite_names, self._same_part, self._like_bones):
-            for joint in list(left):
-                fitting = [partner for partner in right if rule(joint, partner)]
-                if fitting:
-                    partner = min(fitting, key=lambda p: abs(self.lengths[p] - self.lengths[joint]))
-                    left.remove(joint)
-                    right.remove(partner)
-                    pairs.append((joint, partner))
-        for joint, partner in pairs:
-            self.mirror[joint], self.mirror[partner] = partner, joint
-        return pairs
+        rest = {*self.tree.children[one], *self.tree.children[other]}
+        rules = (self._same_limb, self._opposite_names, self._same_part, self._like_bones)
+        candidates = {joint: self.tree.children[other] for joint in self.tree.children[one]}
+        return self._pair(candidates, rest, rules)
 
     def _pair_across(self, children: list[int]) -> list[tuple[int, int]]:
         """Pairs children of a joint on the midline with each other; those without partner stay on the midline."""
+        rest = set(children)
+        candidates = {joint: [other for other in children if other > joint] for joint in children}
+        pairs = self._pair(candidates, rest, (self._same_limb, self._opposite_names, self._same_part))
+        return pairs + [(joint, joint) for joint in children if joint in rest and not self.labels[joint].side]
+
+    def _pair(
+        self, candidates: Mapping[int, Sequence[int]], rest: set[int], rules: Iterable[Callable[[int, int], bool]]
+    ) -> list[tuple[int, int]]:
+        """Pairs joints with their candidates, by the first rule that fits and the most similar length.
+
+        Args:
+            candidates: joint -> joints that may be its partner.
+            rest: joints without a partner; those that get one are removed.
+            rules: in order of preference.
+        """
         pairs: list[tuple[int, int]] = []
-        rest = list(children)
-        for rule in (self._same_limb, self._opposite_names, self._same_part):
-            for joint in list(rest):
-                fitting = [partner for partner in rest if partner > joint and joint in rest and rule(joint, partner)]
+        for rule in rules:
+            for joint, others in candidates.items():
+                fitting = [other for other in others if joint in rest and other in rest and rule(joint, other)]
                 if fitting:
                     partner = min(fitting, key=lambda p: abs(self.lengths[p] - self.lengths[joint]))
-                    rest.remove(joint)
-                    rest.remove(partner)
+                    rest -= {joint, partner}
                     pairs.append((joint, partner))
-        for joint, partner in pairs:
-            self.mirror[joint], self.mirror[partner] = partner, joint
-        return pairs + [(joint, joint) for joint in rest if not self.labels[joint].side]
+                    self.mirror[joint], self.mirror[partner] = partner, joint
+        return pairs
 
     def _same_limb(self, joint: int, partner: int) -> bool:
         """Whether two joints lead to the same limb of opposite sides."""
@@ -127,7 +134,7 @@ def _leads(tree: JointTree, humanoid: HumanoidMap | None) -> list[set[tuple[str,
 def _swap_side(name: str) -> str:
     """Returns a name in lower case with the other side, everything else unchanged."""
     words = re.split(r"([A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+)", name)
-    swapped = [_other_word(word) for word in words]
+    swapped = [OTHER_WORD.get(word.lower(), word) for word in words]
     if swapped != words:
         return "".join(swapped).lower()
     lower = name.lower()
@@ -135,14 +142,3 @@ def _swap_side(name: str) -> str:
         if lower.startswith(mark):
             return other + lower[len(mark) :]
     return lower[:-1] + {"l": "r", "r": "l"}.get(lower[-1:], lower[-1:])
-
-
-def _other_word(word: str) -> str:
-    """Returns the word for the other side, or the word itself."""
-    side = SIDE_WORDS.get(word.lower())
-    if side is None:
-        return word
-    lower = word.lower()
-    pairs = {"left": "right", "l": "r", "lft": "rgt", "lt": "rt"}
-    pairs |= {right: left for left, right in pairs.items()}
-    return pairs[lower]

@@ -6,7 +6,7 @@ If the other foot is on the ground too, the contact is timed halfway between foo
 this is when the weight passes over, and agrees with labels made by hand. (Compared with these, foot flat is early in
 slow steps, and touch-down earlier still.) Thresholds scale with leg length and, in fast gaits, with the swing's speed.
 
-Frames in which the character stands are no part of a cycle: steps are found as if they were cut out. In motion whose
+Frames in which the character stands belong to no cycle: steps are found as if they were cut out. In motion whose
 feet skate, as from video, some swings end without a contact; they still count as steps between two contacts.
 """
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.humanoid.find import find_humanoid
+from pfnn_jax.motion.humanoid.describe import leg_reach
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
 from pfnn_jax.motion.roles import chain_up
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
@@ -53,7 +54,7 @@ def humanoid_of(skeleton: Skeleton, source: str | Path = "skeleton") -> Humanoid
     Raises:
         InputError: if it has none, no ankles, or feet that do not descend from their legs.
     """
-    body = skeleton.humanoid or find_humanoid(skeleton, source=source)
+    body = need_humanoid(skeleton, source)
     for side in SIDES:
         shin, foot = limb(body, side, "shin", "foot")
         if foot is None or shin not in chain_up(skeleton.parents, foot):
@@ -120,6 +121,4 @@ def bone_of(skeleton: Skeleton, part: Part) -> np.ndarray:
 
 def leg_length_of(skeleton: Skeleton, body: HumanoidMap) -> float:
     """Returns the length from hip over knee to ankle in metres, the mean of both legs."""
-    rest = rest_pose(skeleton)
-    legs = [rest[list(limb(body, side, "thigh", "shin", "foot"))] for side in SIDES]
-    return float(np.mean([np.linalg.norm(np.diff(leg, axis=0), axis=-1).sum() for leg in legs]))
+    return float(np.mean([leg_reach(skeleton, body, side) for side in SIDES]))
