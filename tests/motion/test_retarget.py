@@ -20,8 +20,10 @@ from pfnn_jax.motion.retargeting.body import humanoid_of, leg_length_of
 from pfnn_jax.motion.retargeting.chains import resample_chain
 from pfnn_jax.motion.retargeting.feet import flat_foot, resting_foot, sole_heights
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
+from pfnn_jax.motion.retargeting.resting import find_resting_heights
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_from_json, skeleton_to_json
+from pfnn_jax.motion.synthetic.walks import STYLES, synthesise
 from tests.motion.retargeting import (
     SOURCES,
     angles,
@@ -167,6 +169,45 @@ def test_standing_feet_rest_at_the_targets_own_heights_and_come_back_to_the_sour
     for motion, rest in ((there, other), (back, own)):
         excess = np.where(standing, heights(motion) - rest, 0.0).sum(axis=0) / standing.sum(axis=0)
         assert np.abs(excess).max() < RESTING, motion.skeleton.names[:2]
+
+
+@given(seed=st.integers(0, 99), yaw=st.floats(-3.1, 3.1), y=st.floats(-1, 1))
+def test_where_the_sources_floor_lies_does_not_matter_if_the_targets_is_known(seed, yaw, y):
+    clip = body_clip(seed, frames=60, spread=0.2)
+    plain, other = retarget(clip, SYNTHETIC), retarget(moved(clip, yaw, np.array([0.0, y, 0.0])), SYNTHETIC)
+    np.testing.assert_allclose(world(other.clip)[0], world(moved(plain.clip, yaw, np.zeros(3)))[0], atol=SAME_PATH)
+
+
+def test_feet_of_a_symmetric_walk_rest_alike_where_only_a_motion_shows_the_reference(mocap):
+    walk, _ = synthesise("neutral", np.zeros(360), np.full(360, 1.3))
+    target = example(mocap, "bandai").skeleton
+    known = find_resting_heights(retarget(walk, target).clip, target.humanoid)
+    np.testing.assert_allclose(known, target.resting_heights, atol=RESTING)
+    bare = replace(target, resting_heights=None)
+    left, right = find_resting_heights(retarget(walk, bare).clip, target.humanoid)
+    np.testing.assert_allclose(left, right, atol=RESTING)
+
+
+def test_procedural_walkers_rest_where_their_skeleton_says():
+    for style in STYLES:
+        walk, _ = synthesise(style, np.zeros(360), np.ones(360))
+        found = find_resting_heights(walk, SYNTHETIC.humanoid)
+        np.testing.assert_allclose(found, SYNTHETIC.resting_heights, atol=RESTING, err_msg=style)
+
+
+def test_a_body_on_tiptoe_would_rest_as_in_its_rest_pose():
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (60, SYNTHETIC.num_joints, 1))
+    roles = need_roles(SYNTHETIC)
+    turns[:, [roles.left_foot[0], roles.right_foot[0]]] = quat_from_axis_angle([1.0, 0.0, 0.0], np.radians(30.0))
+    clip = MotionClip(SYNTHETIC, 60.0, np.zeros((60, 3)), turns)
+    clip = moved(clip, 0.0, np.array([0.0, SYNTHETIC.resting_heights[0, 1] - heights(clip)[0, 0, 1], 0.0]))
+    found = find_resting_heights(clip, SYNTHETIC.humanoid)
+    np.testing.assert_allclose(found, SYNTHETIC.resting_heights, atol=RESTING)
+
+
+def test_a_clip_too_short_for_a_step_shows_no_floor():
+    clip, _ = synthesise("neutral", np.zeros(40), np.ones(40))
+    assert find_resting_heights(clip, SYNTHETIC.humanoid) is None
 
 
 def find_standing(clip: MotionClip) -> np.ndarray:
