@@ -28,6 +28,8 @@ from tests.motion.retargeting import (
     SOURCES,
     angles,
     example,
+    known_heights,
+    measured_heights,
     moved,
     renamed,
     scaled,
@@ -134,7 +136,7 @@ def test_feet_stay_above_the_floor(mocap, source, target):
     moved_clip = retarget(clip, skeleton)
     floor = moved_clip.scale * soles(clip).min()
     assert soles(moved_clip.clip).min() > floor - FLOOR
-    assert heights(moved_clip.clip).min() > floor + min(skeleton.resting_heights.min(), 0.0) - FLOOR
+    assert heights(moved_clip.clip).min() > floor + min(known_heights(skeleton).min(), 0.0) - FLOOR
 
 
 @pytest.mark.parametrize("take", ("neutral_22_000", "proud_13_000"))
@@ -150,7 +152,7 @@ def soles(clip: MotionClip) -> np.ndarray:
     body = humanoid_of(clip.skeleton)
     reference = reference_pose(clip.skeleton, body)
     feet = [flat_foot(clip.skeleton, body, reference, side) for side in ("left", "right")]
-    return sole_heights(world(clip)[0], body, [*map(resting_foot, feet, clip.skeleton.resting_heights)])
+    return sole_heights(world(clip)[0], body, [*map(resting_foot, feet, known_heights(clip.skeleton))])
 
 
 def heights(clip: MotionClip) -> np.ndarray:
@@ -164,7 +166,7 @@ def test_standing_feet_rest_at_the_targets_own_heights_and_come_back_to_the_sour
     clip, skeleton = example(mocap, source), example(mocap, target).skeleton
     there = retarget(clip, skeleton).clip
     back = retarget(there, clip.skeleton).clip
-    own, other = clip.skeleton.resting_heights, skeleton.resting_heights
+    own, other = known_heights(clip.skeleton), known_heights(skeleton)
     standing = find_standing(clip)
     for motion, rest in ((there, other), (back, own)):
         excess = np.where(standing, heights(motion) - rest, 0.0).sum(axis=0) / standing.sum(axis=0)
@@ -181,18 +183,18 @@ def test_where_the_sources_floor_lies_does_not_matter_if_the_targets_is_known(se
 def test_feet_of_a_symmetric_walk_rest_alike_where_only_a_motion_shows_the_reference(mocap):
     walk, _ = synthesise("neutral", np.zeros(360), np.full(360, 1.3))
     target = example(mocap, "bandai").skeleton
-    known = find_resting_heights(retarget(walk, target).clip, target.humanoid)
-    np.testing.assert_allclose(known, target.resting_heights, atol=RESTING)
+    known = measured_heights(retarget(walk, target).clip)
+    np.testing.assert_allclose(known, known_heights(target), atol=RESTING)
     bare = replace(target, resting_heights=None)
-    left, right = find_resting_heights(retarget(walk, bare).clip, target.humanoid)
+    left, right = measured_heights(retarget(walk, bare).clip)
     np.testing.assert_allclose(left, right, atol=RESTING)
 
 
 def test_procedural_walkers_rest_where_their_skeleton_says():
     for style in STYLES:
         walk, _ = synthesise(style, np.zeros(360), np.ones(360))
-        found = find_resting_heights(walk, SYNTHETIC.humanoid)
-        np.testing.assert_allclose(found, SYNTHETIC.resting_heights, atol=RESTING, err_msg=style)
+        found = measured_heights(walk)
+        np.testing.assert_allclose(found, known_heights(SYNTHETIC), atol=RESTING, err_msg=style)
 
 
 def test_a_body_on_tiptoe_would_rest_as_in_its_rest_pose():
@@ -200,14 +202,14 @@ def test_a_body_on_tiptoe_would_rest_as_in_its_rest_pose():
     roles = need_roles(SYNTHETIC)
     turns[:, [roles.left_foot[0], roles.right_foot[0]]] = quat_from_axis_angle([1.0, 0.0, 0.0], np.radians(30.0))
     clip = MotionClip(SYNTHETIC, 60.0, np.zeros((60, 3)), turns)
-    clip = moved(clip, 0.0, np.array([0.0, SYNTHETIC.resting_heights[0, 1] - heights(clip)[0, 0, 1], 0.0]))
-    found = find_resting_heights(clip, SYNTHETIC.humanoid)
-    np.testing.assert_allclose(found, SYNTHETIC.resting_heights, atol=RESTING)
+    clip = moved(clip, 0.0, np.array([0.0, known_heights(SYNTHETIC)[0, 1] - heights(clip)[0, 0, 1], 0.0]))
+    found = measured_heights(clip)
+    np.testing.assert_allclose(found, known_heights(SYNTHETIC), atol=RESTING)
 
 
 def test_a_clip_too_short_for_a_step_shows_no_floor():
     clip, _ = synthesise("neutral", np.zeros(40), np.ones(40))
-    assert find_resting_heights(clip, SYNTHETIC.humanoid) is None
+    assert find_resting_heights(clip, humanoid_of(SYNTHETIC)) is None
 
 
 def find_standing(clip: MotionClip) -> np.ndarray:

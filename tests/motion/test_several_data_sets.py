@@ -23,11 +23,11 @@ from pfnn_jax.motion.datasets.shared_unit import share_units
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.features.layout import block_columns, mason2018
 from pfnn_jax.motion.length_unit import CENTIMETRE, INCH
-from pfnn_jax.motion.retargeting.resting import find_resting_heights
 from pfnn_jax.motion.roles import leg_length
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
+from tests.motion.retargeting import known_heights, measured_heights
 from tests.motion.rigs import quadruped
 from tests.raising import assert_refused
 
@@ -212,8 +212,8 @@ def test_a_clip_of_the_same_joints_on_another_floor_is_put_onto_the_skeletons(mo
     xia = read_bvh(mocap / "xia" / f"{XIA[0]}.bvh").skeleton
     labelled = match_skeleton(pfnn, xia)
     assert "retargeted from 31 to 31 joints" in labelled.note
-    found = find_resting_heights(labelled.clip, xia.humanoid)
-    np.testing.assert_allclose(found, xia.resting_heights, atol=RESTING)
+    found = measured_heights(labelled.clip)
+    np.testing.assert_allclose(found, known_heights(xia), atol=RESTING)
     own = load_for_layout(list_clips(mocap / "xia" / f"{XIA[1]}.bvh")[0], layout)
     assert match_skeleton(own, xia) is own
 
