@@ -101,43 +101,55 @@ def standing_hips(skeleton: Skeleton) -> float:
 
 
 def rooted_at_head(clip: MotionClip) -> MotionClip:
-    """Returns the same motion with the head as root, as capture by headset and trackers writes it.
+    """Returns the same motion with the head as root, as capture by a headset and trackers writes it.
 
-    A bone of the spine then hangs from the joint above it. A joint of the spine takes the rotation of the joint that was
-    its parent, by which the bone between them turns, and its other children move to the joint above, which takes its own.
+    A joint of the spine hangs from the one above it, and takes the rotation of the joint that was its parent, with
+    which the bone between them turns. Its other children move to the joint above, which has its rotation now. The hips, the
+    last of the spine, keep their rotation and their legs.
     """
     skeleton = clip.skeleton
     body = humanoid_of(skeleton)
     assert body.head is not None
-    spine = chain_up(skeleton.parents, body.head)  # from the head down to the root
-    points, turns = forward_kinematics(skeleton, clip.root_positions, clip.rotations)
+    spine = chain_up(skeleton.parents, body.head)
     above = {joint: spine[number - 1] for number, joint in enumerate(spine) if number}
-    # old joint -> its parent in the new tree; the head hangs from a new root
-    parents: dict[int, int | None] = {spine[0]: None, **above}
-    for joint in range(skeleton.num_joints):
-        if joint not in parents:
-            old = int(skeleton.parents[joint])
-            parents[joint] = above.get(old, None if old == spine[0] else old)
-            if old == spine[-1]:
-                parents[joint] = old  # legs stay at the old root, which keeps its rotation
+    parents = {joint: int(parent) for joint, parent in enumerate(skeleton.parents)}
+    parents = {joint: parent if parent == spine[-1] else above.get(parent, parent) for joint, parent in parents.items()}
+    headset = skeleton.num_joints
+    parents |= {joint: headset for joint, parent in parents.items() if parent == body.head} | above
+    parents |= {body.head: headset, headset: -1}
+    points, turns = forward_kinematics(skeleton, clip.root_positions, clip.rotations)
+    moved = turns.copy()
+    moved[:, spine[:-1]] = turns[:, skeleton.parents[spine[:-1]]]
+    points, moved = (
+        np.concatenate([each, old[:, [body.head]]], axis=1) for each, old in ((points, points), (moved, turns))
+    )
+    return clip_of(clip, (*skeleton.names, "HMD"), parents, points, moved)
+
+
+def clip_of(
+    clip: MotionClip, names: tuple[str, ...], parents: dict[int, int], points: np.ndarray, turns: np.ndarray
+) -> MotionClip:
+    """Returns a clip of another tree of joints, from their world positions [T, J, 3] and rotations [T, J, 4].
+
+    Args:
+        clip: its other fields.
+        names: of the joints.
+        parents: of the joints, -1 for the root.
+        points, turns: of the joints, in the order of `names`.
+    """
     order: list[int] = []
     while len(order) < len(parents):
-        order += [j for j, parent in parents.items() if j not in order and (parent is None or parent in order)]
-    own = {joint: turns[:, skeleton.parents[joint]] for joint in spine[:-1]}
-    world = [turns[:, spine[0]], *(own.get(joint, turns[:, joint]) for joint in order)]
-    places = [points[:, spine[0]], *(points[:, joint] for joint in order)]
-    index = {joint: number + 1 for number, joint in enumerate(order)}
-    new_parents = [-1] + [0 if (parent := parents[joint]) is None else index[parent] for joint in order]
-    offsets, local = np.zeros((len(world), 3)), [world[0]]
-    for joint in range(1, len(world)):
-        parent = new_parents[joint]
-        bone = quat_rotate(quat_conjugate(world[parent]), places[joint] - places[parent])
-        assert np.abs(bone - bone[0]).max() < BONE
-        offsets[joint] = bone[0]
-        local.append(quat_multiply(quat_conjugate(world[parent]), world[joint]))
-    names = ("HMD", *(skeleton.names[joint] for joint in order))
-    new = Skeleton(names, np.array(new_parents), offsets, (), np.arange(len(names)))
-    return replace(clip, skeleton=new, root_positions=places[0], rotations=np.stack(local, axis=1))
+        order += [joint for joint, parent in parents.items() if joint not in order and parent in (-1, *order)]
+    offsets, local = [np.zeros(3)], [turns[:, order[0]]]
+    for joint in order[1:]:
+        parent = parents[joint]
+        bone = quat_rotate(quat_conjugate(turns[:, parent]), points[:, joint] - points[:, parent])
+        assert np.abs(bone - bone[0]).max() < BONE, names[joint]
+        offsets.append(bone[0])
+        local.append(quat_multiply(quat_conjugate(turns[:, parent]), turns[:, joint]))
+    places = np.array([order.index(parents[joint]) if parents[joint] >= 0 else -1 for joint in order])
+    skeleton = Skeleton(tuple(names[joint] for joint in order), places, np.array(offsets), (), np.arange(len(order)))
+    return replace(clip, skeleton=skeleton, root_positions=points[:, order[0]], rotations=np.stack(local, axis=1))
 
 
 @pytest.fixture(scope="module", params=sorted(CLIPS))

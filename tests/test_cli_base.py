@@ -76,8 +76,9 @@ def test_export_writes_the_learned_style(folder: Path):
 def test_predict_evaluates_the_network(folder: Path):
     network = load_run(base_run())
     x = np.tile(np.asarray(network.normaliser.inputs.mean, np.float32), (2, 1))
-    phase = np.broadcast_to(network.normaliser.initial_phase(), (2, *np.shape(network.normaliser.initial_phase())))
-    np.savez("rows.npz", x=x, **{"gating_x" if phase.ndim > 1 else "phase": np.float32(phase)})
+    phase = np.stack([np.asarray(network.normaliser.initial_phase(), np.float32)] * 2)
+    rows = {"x": x, "gating_x" if phase.ndim > 1 else "phase": phase}
+    np.savez("rows.npz", **rows)  # pyright: ignore[reportArgumentType]
     run("predict", "base", "rows.npz", "--style", "mine", "--out", "y.npz")
     assert np.load("y.npz")["y"].shape == (2, network.layout.output_size)
 

@@ -55,7 +55,7 @@ def open_run(run: Path) -> Path:
     When the base network is first copied into the user's data folder, a line says where.
 
     Raises:
-        InputError: if it is not a run directory, its pretraining has not finished, or the base network cannot be copied.
+        InputError: if it is not a run directory or not yet trained, or if the base network cannot be copied.
     """
     from pfnn_jax.run_config import check_finished
 
