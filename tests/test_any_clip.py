@@ -104,8 +104,8 @@ def rooted_at_head(clip: MotionClip) -> MotionClip:
     """Returns the same motion with the head as root, as capture by a headset and trackers writes it.
 
     A joint of the spine hangs from the one above it, and takes the rotation of the joint that was its parent, with
-    which the bone between them turns. Its other children move to the joint above, which has its rotation now. The hips, the
-    last of the spine, keep their rotation and their legs.
+    which the bone between them turns. Its other children move to the joint above, which has its rotation now. The
+    hips, the last of the spine, keep their rotation and their legs.
     """
     skeleton = clip.skeleton
     body = humanoid_of(skeleton)
