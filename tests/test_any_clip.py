@@ -21,11 +21,13 @@ from pfnn_jax.run_config import style_note
 from pfnn_jax.workflows.base import base_run
 from pfnn_jax.workflows.generate import generate_walk
 from pfnn_jax.workflows.learn import learn_style
+from tests.motion.retargeting import without_arms
 
 CLIPS = {
     "mixamo": "field/mixamorig_colon.bvh",
     "z up": "field/sway.bvh",
     "headset root": "field/cgspeed_daz.bvh",  # written with its head as root
+    "headset root without arms": "field/cgspeed_daz.bvh",
 }
 
 RADIUS = 2.0
@@ -156,8 +158,10 @@ def clip_of(
 def learned(request: pytest.FixtureRequest, mocap: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
     """The base network with a style `mine`, and the file that it was learned from."""
     file, folder = mocap / CLIPS[request.param], tmp_path_factory.mktemp("any_clip")
-    if request.param == "headset root":
-        write_bvh(folder / "headset.bvh", rooted_at_head(read_bvh(file)))
+    if request.param.startswith("headset"):
+        clip = read_bvh(file)
+        clip = without_arms(clip) if request.param.endswith("arms") else clip
+        write_bvh(folder / "headset.bvh", rooted_at_head(clip))
         file = folder / "headset.bvh"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_DATA_HOME", str(folder / "home"))
