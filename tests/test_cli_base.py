@@ -128,6 +128,15 @@ def test_bad_options_copy_nothing(empty: Path, capsys: pytest.CaptureFixture[str
     assert not empty.exists()
 
 
+def test_learning_in_a_read_only_copy_is_refused_before_it_begins(folder: Path, learned: Path, monkeypatch, capsys):
+    copy = base_run()
+    monkeypatch.setattr("os.access", lambda path, mode: not Path(path).is_relative_to(copy))
+    with pytest.raises(SystemExit) as stopped:
+        run("few-shot", "base", learned / "zombie.bvh", "--name", "another")
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.startswith(f"pfnn-jax: {copy / 'styles'}: folder: read-only; must be writable")
+
+
 def test_a_data_folder_that_cannot_be_written_is_one_line(folder: Path, monkeypatch, capsys):
     (folder / "file").write_text("")
     monkeypatch.setenv("XDG_DATA_HOME", str(folder / "file"))
