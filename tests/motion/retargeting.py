@@ -70,6 +70,19 @@ def scaled(clip: MotionClip, factor: float) -> MotionClip:
     return replace(clip, skeleton=skeleton, root_positions=factor * clip.root_positions)
 
 
+def without_arms(clip: MotionClip) -> MotionClip:
+    """Returns the clip of the body without arms, as a headset and trackers at the legs capture it."""
+    skeleton = clip.skeleton
+    body = humanoid_of(skeleton)
+    arms = {body.left_clavicle, body.right_clavicle, body.left_upper_arm, body.right_upper_arm}
+    kept = [joint for joint in range(skeleton.num_joints) if not arms & {*chain_up(skeleton.parents, joint)}]
+    parents = np.array([kept.index(parent) if (parent := skeleton.parents[joint]) >= 0 else -1 for joint in kept])
+    sites = tuple((kept.index(joint), site) for joint, site in skeleton.end_sites if joint in kept)
+    names = tuple(skeleton.names[joint] for joint in kept)
+    armless = Skeleton(names, parents, skeleton.offsets[kept], sites, np.arange(len(kept)))
+    return replace(clip, skeleton=assign_roles(armless), rotations=clip.rotations[:, kept])
+
+
 def with_rest(clip: MotionClip, pose: np.ndarray) -> MotionClip:
     """Returns the same motion of the same body on a skeleton whose zero pose is another.
 
@@ -110,16 +123,3 @@ def turned_at(skeleton: Skeleton, joints: dict[int, np.ndarray]) -> np.ndarray:
 
 
 Change = Callable[[MotionClip], MotionClip]
-
-
-def without_arms(clip: MotionClip) -> MotionClip:
-    """Returns the clip of the body without arms, as a headset and trackers at the legs capture it."""
-    skeleton = clip.skeleton
-    body = humanoid_of(skeleton)
-    arms = {body.left_clavicle, body.right_clavicle, body.left_upper_arm, body.right_upper_arm}
-    kept = [joint for joint in range(skeleton.num_joints) if not arms & {*chain_up(skeleton.parents, joint)}]
-    parents = np.array([kept.index(parent) if (parent := skeleton.parents[joint]) >= 0 else -1 for joint in kept])
-    sites = tuple((kept.index(joint), site) for joint, site in skeleton.end_sites if joint in kept)
-    names = tuple(skeleton.names[joint] for joint in kept)
-    armless = Skeleton(names, parents, skeleton.offsets[kept], sites, np.arange(len(kept)))
-    return replace(clip, skeleton=assign_roles(armless), rotations=clip.rotations[:, kept])

@@ -157,7 +157,7 @@ def clip_of(
 @pytest.fixture(scope="module", params=sorted(CLIPS))
 def learned(request: pytest.FixtureRequest, mocap: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
     """The base network with a style `mine`, and the file that it was learned from."""
-    file, folder = mocap / CLIPS[request.param], tmp_path_factory.mktemp("any_clip")
+    file, folder = mocap / CLIPS[request.param], tmp_path_factory.mktemp("foreign_clips")
     if request.param.startswith("headset"):
         clip = read_bvh(file)
         clip = without_arms(clip) if request.param.endswith("arms") else clip
