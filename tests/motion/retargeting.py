@@ -12,9 +12,7 @@ import numpy as np
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_from_yaw, quat_multiply, quat_rotate
-from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.reference import some_poses
-from pfnn_jax.motion.roles import assign_roles, chain_up
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise
 
@@ -68,19 +66,6 @@ def scaled(clip: MotionClip, factor: float) -> MotionClip:
     skeleton = replace(clip.skeleton, offsets=factor * clip.skeleton.offsets)
     skeleton = replace(skeleton, end_sites=tuple((joint, factor * site) for joint, site in skeleton.end_sites))
     return replace(clip, skeleton=skeleton, root_positions=factor * clip.root_positions)
-
-
-def without_arms(clip: MotionClip) -> MotionClip:
-    """Returns the clip of the body without arms, as a headset and trackers at the legs capture it."""
-    skeleton = clip.skeleton
-    body = humanoid_of(skeleton)
-    arms = {body.left_clavicle, body.right_clavicle, body.left_upper_arm, body.right_upper_arm}
-    kept = [joint for joint in range(skeleton.num_joints) if not arms & {*chain_up(skeleton.parents, joint)}]
-    parents = np.array([kept.index(parent) if (parent := skeleton.parents[joint]) >= 0 else -1 for joint in kept])
-    sites = tuple((kept.index(joint), site) for joint, site in skeleton.end_sites if joint in kept)
-    names = tuple(skeleton.names[joint] for joint in kept)
-    armless = Skeleton(names, parents, skeleton.offsets[kept], sites, np.arange(len(kept)))
-    return replace(clip, skeleton=assign_roles(armless), rotations=clip.rotations[:, kept])
 
 
 def with_rest(clip: MotionClip, pose: np.ndarray) -> MotionClip:

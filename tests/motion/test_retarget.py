@@ -22,6 +22,7 @@ from pfnn_jax.motion.retargeting.feet import flat_foot, sole_heights
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_from_json, skeleton_to_json
+from tests.motion.headsets import without_arms
 from tests.motion.retargeting import (
     SOURCES,
     angles,
@@ -32,7 +33,6 @@ from tests.motion.retargeting import (
     skeleton_with_rest,
     turned_at,
     with_rest,
-    without_arms,
     world,
 )
 from tests.motion.skeletons import body_clip
