@@ -17,8 +17,7 @@ from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import (
     labelled_features,
-    load_for_layout,
-    match_skeleton,
+    load_for_skeleton,
 )
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.sources import ClipFile
@@ -176,9 +175,9 @@ def load_for_run(clip_file: ClipFile, run: Run, roles_file: str | Path | None = 
     """Reads and labels a clip of any skeleton, and puts it onto the run's; its `note` says what was done.
 
     Raises:
-        InputError: as `load_for_layout`; or if the clip's skeleton is not a humanoid.
+        InputError: as `load_for_skeleton`.
     """
-    return match_skeleton(load_for_layout(clip_file, run.layout, roles_file), run.skeleton)
+    return load_for_skeleton(clip_file, run.layout, run.skeleton, roles_file)
 
 
 def _read_clip(

@@ -22,6 +22,7 @@ from pfnn_jax.motion.retargeting.feet import flat_foot, sole_heights
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_from_json, skeleton_to_json
+from tests.motion.headsets import without_arms
 from tests.motion.retargeting import (
     SOURCES,
     angles,
@@ -47,6 +48,9 @@ SLIDE, STILL = 1.2, 0.02  # times as far as in the source, and leg lengths per s
 LARGEST_STEP = 15.0  # degrees a frame at 120 fps
 SIDEWAYS = 0.95  # cosine of the angle by which the two-bone legs may differ from the source's thighs
 ANY_AXES = 0.06  # metres by which joints move where neither zero pose nor reference show how the body stands straight
+
+ARMLESS = 0.02  # metres: without arms the reference pose of the trunk is found from hips and head alone
+HANGS = 0.8  # cosine of the angle between a hanging arm and the vertical, on a body that leans
 
 PAIRS = list(permutations(SOURCES, 2))
 
@@ -291,6 +295,19 @@ def test_a_longer_chain_holds_all_that_a_shorter_one_does(count, longer, seed):
     np.testing.assert_array_equal(there[:, -1], turns[:, -1])
     back = resample_chain(np.concatenate((turns[:, :1], there), axis=1), count)
     np.testing.assert_array_equal(back, turns[:, 1:])
+
+
+def test_a_body_without_arms_moves_like_one_with_arms_and_they_hang(mocap):
+    clip, target = example(mocap, "mixamo"), example(mocap, "procedural").skeleton
+    armless = without_arms(clip)
+    assert armless.skeleton.roles is None and armless.skeleton.humanoid is not None
+    (whole, _), (points, _) = (world(retarget(each, target).clip) for each in (clip, armless))
+    body = humanoid_of(target)
+    for joint in (body.hips, body.head, body.left_foot, body.right_toe):
+        np.testing.assert_allclose(points[:, joint], whole[:, joint], atol=ARMLESS)
+    for upper, hand in ((body.left_upper_arm, body.left_hand), (body.right_upper_arm, body.right_hand)):
+        arm = points[:, upper] - points[:, hand]
+        assert (arm[..., 1] > HANGS * np.linalg.norm(arm, axis=-1)).all()
 
 
 def test_the_summary_says_joints_and_scale(mocap):

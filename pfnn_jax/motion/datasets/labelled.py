@@ -116,9 +116,9 @@ def load_labelled(
     """
     path = clip_file.path
     part = read_cut_clip(clip_file, roles_file)
-    need_roles(part.clip.skeleton, path)
     clip = resample(part.clip, fps)
     world = world_motion(clip if fit is None else fit(clip))
+    need_roles(world.skeleton, path)
     labels = _phase_labels(path.with_suffix(".phase"), part, world) if phase else _no_phase(clip.num_frames)
     gait = _gait(path.with_suffix(".gait"), part, world)
     return LabelledClip(world.clip, labels, gait, clip_file.symmetric, part.note, world)
