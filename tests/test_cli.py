@@ -161,11 +161,12 @@ FOUND = {
     "frames": 1,
     "seconds": 1.0,
     "choice": {"epochs": 100, "held_out_error": 2.0},
+    "held_out_error": 2.0,
     "error_without_style": 3.0,
     "stable_on_turns": False,
     "mirrored": False,
     "asymmetry": 0.5,
-    "warnings": ["it falls", "it is no walk"],
+    "warnings": ["it falls", "it is not a walk"],
 }
 
 
@@ -217,22 +218,22 @@ def test_few_shot_says_what_its_error_means(folder, requested, capsys):
     assert "not mirrored" in shown and "without the style 3.000" in shown and "1.0 = predicting the mean" in shown
     assert [line for line in shown.splitlines() if line.startswith("warning: ")] == [
         "warning: it falls",
-        "warning: it is no walk",
+        "warning: it is not a walk",
     ]
     requested()
     assert "not mirrored (left and right differ by 0.50)" in capsys.readouterr().out
 
 
-def test_few_shot_warns_of_a_clip_that_is_no_walk_and_asks_the_clip_not_its_name(folder, tmp_path, capsys):
+def test_few_shot_warns_of_a_clip_that_is_not_a_walk_and_asks_the_clip_not_its_name(folder, tmp_path, capsys):
     shutil.copytree(folder / "run", tmp_path / "run")
     clip = read_bvh(folder / "zombie.bvh")
     reverse = dataclasses.replace(clip, root_positions=clip.root_positions[::-1], rotations=clip.rotations[::-1])
     write_bvh(tmp_path / "back.bvh", reverse)
     run("few-shot", tmp_path / "run", tmp_path / "back.bvh", "--name", "back", *QUICK)
-    assert "warning: the clip is no walk ahead: it moves backwards" in capsys.readouterr().out
+    assert "warning: the clip is not a forward walk: it moves backwards" in capsys.readouterr().out
     run("few-shot", tmp_path / "run", folder / "zombie.bvh", "--name", "DragLeg", *QUICK)
     shown = capsys.readouterr().out
-    assert "and their mirror image (left and right differ by 0.0" in shown and "no walk ahead" not in shown
+    assert "and their mirror image (left and right differ by 0.0" in shown and "not a forward walk" not in shown
     assert style_note(tmp_path / "run", "DragLeg")["info"]["mirrored"]
 
 
