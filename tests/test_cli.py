@@ -27,6 +27,7 @@ from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
 from pfnn_jax.run import fingerprint, load_run, load_style
 from pfnn_jax.run_config import list_styles, style_note, train_step
 from pfnn_jax.training.config import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
+from pfnn_jax.workflows.samples import sample_clips
 from tests.trained import made_once
 
 SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
@@ -235,6 +236,27 @@ def test_few_shot_warns_of_a_clip_that_is_not_a_walk_and_asks_the_clip_not_its_n
     shown = capsys.readouterr().out
     assert "and their mirror image (left and right differ by 0.0" in shown and "not a forward walk" not in shown
     assert style_note(tmp_path / "run", "DragLeg")["info"]["mirrored"]
+
+
+def test_sample_lists_the_clips_and_writes_one(tmp_path, capsys):
+    run("sample")
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(sample_clips())
+    run("sample", "soldier", "--out", tmp_path / "walk.bvh")
+    assert (tmp_path / "walk.bvh").read_bytes() == sample_clips()["soldier"].read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "place", "rule"),
+    [
+        (("penguin",), "name: penguin", "zombie"),
+        (("soldier",), "--out: absent", "file to write"),
+        (("--out", "x.bvh"), "name: absent", "name of the sample"),
+        (("soldier", "--out", "x.txt"), "x.txt", ".bvh"),
+    ],
+)
+def test_sample_refuses_what_it_cannot_write(refused, words, place, rule):
+    line = refused("sample", *words)
+    assert place in line and rule in line
 
 
 @pytest.mark.parametrize("mode", ["cubic", "nearest50"])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.workflows.samples import sample_clips
 
 # A tab can close while its picture is being sent; `play` ignores the warning, but each test has its own filters.
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning")
@@ -166,6 +167,15 @@ def test_a_good_clip_becomes_a_style_that_moves(visitor, played_run, zombie_bvh)
     visitor.wait(lambda: visitor.read("style") == "zombie walk", "the character is in the new style")
     assert (played_run / "styles" / "zombie walk" / "style.json").is_file()
     visitor.walk(0.3)
+
+
+def test_a_sample_clip_is_learned_as_an_upload_is(visitor, played_run):
+    visitor.press("soldier")
+    message = visitor.page.locator("[data-message=good], [data-message=warning]").filter(has_text="soldier")
+    message.wait_for()
+    assert message.inner_text().count("Note: ") == 1 and "retargeted from 21 to 21 joints" in message.inner_text()
+    visitor.wait(lambda: visitor.read("style") == "soldier", "the character is in the new style")
+    assert (played_run / "uploads" / "soldier.bvh").read_bytes() == sample_clips()["soldier"].read_bytes()
 
 
 def test_the_run_can_be_changed(visitor):

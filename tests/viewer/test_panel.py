@@ -177,12 +177,14 @@ def test_a_style_chosen_while_standing_has_a_hint(panel):
     assert hinted() and widgets.UNSEEN in panel._message.content and not hinted(speed=0.5)
 
 
-def test_a_style_learned_with_warnings_is_not_shown_as_a_success(panel):
+def test_a_style_learned_with_warnings_is_not_shown_as_a_success(panel, client):
     panel.learned("run", LearnedUpload("neutral"))
+    assert not client.received
     assert 'data-message="good"' in panel._message.content and "Warning" not in panel._message.content
     panel.learned("run", LearnedUpload("neutral", ("retargeted",), ("it falls", "it is not a walk")))
     assert 'data-message="warning"' in panel._message.content and "is learned" not in panel._message.content
     assert "Warning: it falls.\nWarning: it is not a walk.\nNote: retargeted." in panel._message.content
+    assert [title for title, _ in client.received] == ["neutral may look poor"]
 
 
 def test_notes_are_shown_with_a_success(panel):
@@ -237,11 +239,10 @@ def test_an_unexpected_error_of_an_upload_is_shown(panel, client, monkeypatch):
         raise RuntimeError("out of paper")
 
     monkeypatch.setattr(tab_module, "learn_upload", fail)
-    tab, file = tab_of(client), any_of(SimpleNamespace(name="walk.bvh", content=b""))
     with pytest.raises(RuntimeError):
-        tab._learn(panel._character, panel, file)
+        tab_of(client)._learn(panel._character, panel, "walk.bvh", b"")
     assert "walk.bvh: RuntimeError: out of paper" in panel._message.content
-    assert not panel.upload.disabled
+    assert not panel.upload.disabled and panel.samples.visible
 
 
 def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
@@ -250,14 +251,13 @@ def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
     def learn(*_: Any) -> LearnedUpload:
         begun.set()
         free.wait(SOON)
-        return LearnedUpload("walk", ())
+        return LearnedUpload("walk")
 
     monkeypatch.setattr(tab_module, "learn_upload", learn)
-    files = [any_of(SimpleNamespace(name=name, content=b"")) for name in ("walk.bvh", "second.bvh")]
-    first = threading.Thread(target=tab._learn, args=(panel._character, panel, files[0]))
+    first = threading.Thread(target=tab._learn, args=(panel._character, panel, "walk.bvh", b""))
     first.start()
-    assert begun.wait(SOON)
-    tab._learn(panel._character, panel, files[1])
+    assert begun.wait(SOON) and panel.upload.disabled and not panel.samples.visible
+    tab._learn(panel._character, panel, "second.bvh", b"")
     free.set()
     first.join(SOON)
     assert client.received == [

@@ -6,7 +6,7 @@ import math
 import queue
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
@@ -130,9 +130,9 @@ class Panel:
         """Shows a message below the upload button; `kind` is `good`, `warning`, `bad` or `plain`."""
         self._message.content = widgets.message(kind, text)
 
-    def notify(self, title: str, text: str) -> None:
+    def notify(self, title: str, text: str, color: Literal["red", "yellow"] = "red") -> None:
         """Shows a notice above everything until it is closed."""
-        self._client.add_notification(title, text, color="red")
+        self._client.add_notification(title, text, color=color)
 
     def progress(self, share: float, text: str) -> None:
         """Shows the fraction of learning that is done, 0 to 1; callable from any thread."""
@@ -150,7 +150,8 @@ class Panel:
 
         Args:
             run: the run that has learned it.
-            learned: the style. Its notes are shown below the message of success, its warnings in place of it.
+            learned: the style. Its notes are shown below the message of success, its warnings in place of it, with a
+                notice, as the message may be out of sight.
         """
         stays = self._character.run == self._picker.run == run
         self._picker.refresh()
@@ -162,6 +163,8 @@ class Panel:
         lines += [f"Warning: {line}." for line in learned.warnings]
         lines += [f"Note: {line}." for line in learned.notes]
         self.show_message(kind, "\n".join(lines))
+        if learned.warnings:
+            self.notify(f"{learned.style} may look poor", "The message under Clips says why.", "yellow")
 
     def _unseen(self, view: View) -> bool:
         """Returns whether the style was changed while the character stands, so that it still looks as before."""
