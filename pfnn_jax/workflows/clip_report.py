@@ -35,6 +35,10 @@ MOST_BOUNCE = 0.4
 """Leg lengths by which the hips rise and fall. Walks, runs and dashes of the same data have at most 0.3, jumps at least
 0.47."""
 
+LEAST_USED = 0.8
+"""Share of the frames that have a phase. Walks, runs and dashes of the same data have one in all frames; a dance and a
+sway have one in 0.36 and 0.64 of them, a cut with a stop and a turn in half."""
+
 MOST_ERROR = 1.0
 """Held-out error of predicting the mean of the run's training data, on data of that kind."""
 
@@ -46,10 +50,10 @@ well."""
 MOST_LEFT = 0.5
 """Share of the error without the style that is left at most after learning.
 
-Measured on the demo's run, whose own styles have errors of 0.02 to 0.03: the procedural zombie has a held-out error of
-0.38, 0.24 of that without the style; walks of Bandai-Namco-1, Xia and 100STYLE (9) have 0.23 to 0.70, which is 0.17 to
-0.36; a dance, two clips of less than a second and walks from video and with skating feet have 1.2 to 5.8, which is 0.52
-to 1.0."""
+Measured on the demo's run with 4 settings: the procedural zombie has a held-out error of 0.38, 0.24 of that without the
+style; walks of Bandai-Namco-1, Xia and 100STYLE (9) have 0.23 to 0.70, which is 0.17 to 0.36. Two clips of less than a
+second, a dance, a sway, a walk that stops and turns round and one made by a generative model have 1.2 to 5.8, which is
+0.52 to 1.0; a sprint has 1.65, 0.21. The run's own styles have 0.02 to 0.03."""
 
 
 class RunError(NamedTuple):
@@ -87,6 +91,7 @@ class ClipReport:
         measured: whether that was decided by the clip, not by the caller.
         asymmetry: as `motion.labels.asymmetry` returns it; None if it cannot be measured.
         has_steps: whether there are alternating steps.
+        used: share of the frames that are learned from: those with a phase, or all if the layout needs none.
         speed: median along the ground in metres per second.
         angle: radians from facing to the mean direction of travel, positive to the left.
         bounce: metres between the lowest and the highest place of the hips.
@@ -97,6 +102,7 @@ class ClipReport:
     measured: bool
     asymmetry: float | None
     has_steps: bool
+    used: float
     speed: float
     angle: float
     bounce: float
@@ -124,6 +130,7 @@ def inspect_clip(labelled: LabelledClip, mirror: bool | None = None) -> ClipRepo
         measured=mirror is None,
         asymmetry=apart,
         has_steps=labels is not None,
+        used=float(labelled.labels.labelled.mean()) if labelled.labels.labelled.any() else 1.0,
         speed=speed,
         angle=angle,
         bounce=float(np.ptp(height)),
@@ -167,6 +174,8 @@ def _gait_warnings(report: ClipReport) -> list[str]:
     found = []
     if not report.has_steps:
         found.append("it has no alternating steps")
+    if report.used < LEAST_USED:
+        found.append(f"it has steps in only {report.used:.0%} of its frames (at least {LEAST_USED:.0%} in a walk)")
     if report.speed < SLOWEST:
         found.append(f"it moves at {report.speed:.2f} m/s (at least {SLOWEST:g} in a walk)")
     elif abs(report.angle) > BACKWARD:

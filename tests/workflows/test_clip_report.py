@@ -53,6 +53,12 @@ def moved(labelled: LabelledClip, scale: float = 1.0, bounce: float = 0.0) -> La
     return replace(labelled, clip=replace(labelled.clip, root_positions=positions))
 
 
+def partly_labelled(labelled: LabelledClip, share: float) -> LabelledClip:
+    """Returns the clip with a phase in its first frames only, as of a walk that stops."""
+    frames = np.arange(labelled.clip.num_frames) < share * labelled.clip.num_frames
+    return replace(labelled, labels=replace(labelled.labels, labelled=frames))
+
+
 @pytest.mark.parametrize("style", STYLES)
 def test_plain_walks_have_no_warning_and_are_mirrored(style):
     report = inspect_clip(walk(style))
@@ -67,6 +73,7 @@ def test_plain_walks_have_no_warning_and_are_mirrored(style):
         (turned(walk(), 180.0), "moves backwards"),
         (moved(walk(), scale=0.1), "m/s"),
         (moved(walk(), bounce=0.6), "hips rise and fall"),
+        (partly_labelled(walk(), 0.5), "steps in only 50% of its frames"),
     ],
 )
 def test_a_clip_that_is_no_walk_ahead_is_named(labelled, said):
