@@ -15,13 +15,15 @@ from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import ClipFile
-from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
+from pfnn_jax.motion.kinematics import quat_from_euler, quat_multiply
+from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
 from pfnn_jax.run import load_run, load_style
 from pfnn_jax.run_config import style_note
 from pfnn_jax.training.config import FewShotConfig, PretrainConfig, TuningConfig
 from pfnn_jax.workflows.learn import learn_style, tune_style
 from pfnn_jax.workflows.pretrain import pretrain_run
 from tests.raising import assert_refused
+from tests.trained import walking_run
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +60,19 @@ def test_a_side_step_is_learned_with_warnings(run, mocap, monkeypatch):
     assert not info["mirrored"] and any(
         line.startswith("learned without the mirror image") for line in info["warnings"]
     )
+
+
+def test_a_plain_walk_has_no_warning_and_one_whose_joints_shake_has_one(tmp_path_factory, tmp_path):
+    shutil.copytree(walking_run(tmp_path_factory).path, tmp_path / "run")
+    config = FewShotConfig(learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(10,))
+    clip, _ = synthesise("proud", np.zeros(240), np.full(240, STYLES["proud"].speed), seed=9)
+    write_bvh(tmp_path / "plain.bvh", clip)
+    shaken, shake = clip.rotations.copy(), np.random.default_rng(0).normal(scale=0.5, size=(240, 12, 3))
+    shaken[:, 1:13] = quat_multiply(shaken[:, 1:13], quat_from_euler(shake, "ZYX"))  # all joints above the hips
+    write_bvh(tmp_path / "shaken.bvh", replace(clip, rotations=shaken))
+    plain, bad = (learn_style(tmp_path / "run", tmp_path / f"{name}.bvh", config) for name in ("plain", "shaken"))
+    assert plain["warnings"] == []
+    assert any("held-out error" in line for line in bad["warnings"])
 
 
 def test_a_style_that_does_not_fit_the_run_is_refused(run, mocap):
