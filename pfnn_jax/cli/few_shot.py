@@ -123,10 +123,10 @@ class FewShot(Command):
         print(f"{self.name}: {info['frames']} frames, {mirrored}; {info['seconds']:.1f} s")
         if self.recipe == "generator":
             print(f"training loss {info['loss']:.4g}")
-            return
-        choice = dict(info["choice"])
-        error, without = choice.pop("held_out_error"), info["error_without_style"]
-        print("chosen: " + ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in choice.items()))
+        else:
+            chosen = {name: value for name, value in info["choice"].items() if name != "held_out_error"}
+            print("chosen: " + ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in chosen.items()))
+        error, without = info["held_out_error"], info["error_without_style"]
         print(
             f"held-out error {error:.3f}, without the style {without:.3f} (lower is better, 1.0 = predicting the mean)"
         )

@@ -10,3 +10,4 @@ from .runs import list_styles as list_styles
 from .runs import load_run as load_run
 from .runs import load_style as load_style
 from .runs import save_style as save_style
+from .samples import sample_clips as sample_clips
