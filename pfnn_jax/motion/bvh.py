@@ -11,6 +11,7 @@ import functools
 import io
 import math
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -379,9 +380,10 @@ def read_bvh(
     """Reads a BVH file.
 
     Joints above the hips that only carry the root, such as `joint_Root` of the Bandai-Namco files, are merged into the
-    hips: joint 0 moves by the product of their transforms. Position channels replace OFFSET, unless all are zero and
-    OFFSET is not; below the root they must be constant (within 2 % of the longest limb, as bones are rigid), and their
-    median becomes the offset. A joint without children and without End Site ends in itself.
+    hips: joint 0 moves by the product of their transforms, and their names in `roles_file` mean it. Position channels
+    replace OFFSET, unless all are zero and OFFSET is not; below the root they must be constant (within 2 % of the
+    longest limb, as bones are rigid), and their median becomes the offset. A joint without children and without
+    End Site ends in itself.
 
     What a file does not state is found from its motion: see `reading.ReadOptions` for the options, and
     `MotionClip.reading` for what was decided. Jumps are cut out (`jumps.longest_part`).
@@ -423,7 +425,8 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
     _require_rigid(path, bare, positions)
-    skeleton, axis, lying = _find_body(bare, rotations, options, roles_file, path)
+    merged = [joint.name for joint in text.joints[: _first_kept(text.joints)]]
+    skeleton, axis, lying = _find_body(bare, rotations, options, roles_file, path, merged)
     known = skeleton.roles is not None
     leg = leg_length(skeleton, skeleton.roles) if skeleton.roles is not None else 0.75 * longest_chain(bare)
     unit, doubt = decide_unit(leg, known, options, path)
@@ -437,7 +440,12 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
 
 
 def _find_body(
-    bare: Skeleton, rotations: np.ndarray, options: ReadOptions, roles_file: str | Path | None, path: Path
+    bare: Skeleton,
+    rotations: np.ndarray,
+    options: ReadOptions,
+    roles_file: str | Path | None,
+    path: Path,
+    merged: Collection[str],
 ) -> tuple[Skeleton, Axis, str]:
     """Returns the skeleton with its roles, the axis of the file that points up, and a note on it.
 
@@ -451,7 +459,7 @@ def _find_body(
     def assign(axis: Axis) -> Skeleton:
         file = None if roles_file is None else Path(roles_file)
         standing = poses if axis == "y" else lambda: quat_rotate(TURNS[axis], poses())
-        return assign_roles(bare, file, str(path), poses=standing)
+        return assign_roles(bare, file, str(path), poses=standing, merged=merged)
 
     first: Axis = "y" if options.up == "auto" else options.up
     skeleton = assign(first)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from pfnn_jax.motion.humanoid.find import find_humanoid
 from pfnn_jax.motion.humanoid.lexicon import trunk_part
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.names import read_names, words_of
-from pfnn_jax.motion.humanoid.overrides import listed, read_overrides_file
+from pfnn_jax.motion.humanoid.overrides import listed, read_overrides_file, rename_joints
 from pfnn_jax.motion.humanoid.pairs import find_mirror
 from pfnn_jax.motion.skeleton import Roles, Skeleton, rest_pose
 
@@ -96,6 +96,7 @@ def assign_roles(
     source: str | Path = "skeleton",
     *,
     poses: Callable[[], np.ndarray] | np.ndarray | None = None,
+    merged: Collection[str] = (),
 ) -> Skeleton:
     """Returns the skeleton with humanoid map, roles and left-right partners filled in.
 
@@ -108,13 +109,17 @@ def assign_roles(
             `{"hips": "Pelvis", "left_foot": ["Ankle_L", "Ball_L"]}`. Bones that it does not name are found as usual.
         source: file to name in messages.
         poses: as in `find_humanoid`.
+        merged: names of joints that reading merged into joint 0; the file may call it by them.
 
     Raises:
         InputError: if the file is not such a JSON object, or names an unknown bone, or an unknown or impossible joint.
     """
     humanoid = None
     try:
-        overrides = None if roles_file is None else read_overrides_file(Path(roles_file))
+        overrides = None
+        if roles_file is not None:
+            called = dict.fromkeys(merged, skeleton.names[0])
+            overrides = rename_joints(read_overrides_file(Path(roles_file)), called)
         humanoid = find_humanoid(skeleton, poses=poses, overrides=overrides, source=roles_file or source)
     except InputError:
         if roles_file is not None:
