@@ -532,6 +532,26 @@ def test_a_table_says_how_files_are_read(tmp_path):
     assert [entry["reading"]["unit"] for entry in dataset.clips if not entry["mirrored"]] == [INCH, INCH, CMU, CMU]
 
 
+def test_a_table_names_the_joints_of_each_folder(tmp_path):
+    clips = tmp_path / "clips"
+    for style in ("old", "young"):
+        (clips / style).mkdir(parents=True)
+        saved(clips / style, walk())
+    (clips / "old" / "roles.json").write_text('{"head": "Neck"}')
+    (clips / "clips.csv").write_text("files,unit,roles\nold/*,,old/roles.json\n*,centimetre,\n")
+    (tmp_path / "all.json").write_text('{"head": "Spine"}')
+    heads = [
+        part.skeleton.names[need_roles(part.skeleton).head]
+        for part in (read_cut_clip(clip, tmp_path / "all.json").clip for clip in list_clips(clips))
+    ]
+    assert heads == ["Neck", "Spine"]  # the table's file comes before that of the call
+    dataset = prepare(list_clips(clips), tmp_path / "data", PrepareConfig("mason2022"))
+    files = {entry["style"]: entry["reading"].get("roles_file", "") for entry in dataset.clips}
+    assert files["old"].endswith("roles.json") and files["young"] == ""
+    (clips / "old" / "roles.json").write_text("{")
+    assert_refused(lambda: list_clips(clips), file="roles.json", place="file")
+
+
 @pytest.mark.parametrize(
     ("text", "place"),
     [
@@ -542,6 +562,8 @@ def test_a_table_says_how_files_are_read(tmp_path):
         ("files,up\n\nold/*,north\n", "line 3, up"),
         ("files,source_fps\nold/*,fast\n", "line 2, source_fps"),
         ("files,up\nnone/*,z\n", "line 2"),
+        ("files,roles\nold/*,none.json\n", "line 2, roles"),
+        ("files,roles\nold/*,old\n", "line 2, roles"),
     ],
 )
 def test_faults_of_a_table_are_named_by_line(tmp_path, text, place):
