@@ -20,6 +20,9 @@ from pfnn_jax.motion.skeleton import Roles
 from pfnn_jax.motion.travel import rebuild_travel, walks_on_the_spot
 from pfnn_jax.motion.up_axis import find_up
 
+USUAL_FPS = (10.0, 500.0)
+"""Frames per second outside of which a file's rate is doubtful: 0.333333 s for a frame is a common slip."""
+
 
 def decide_unit(leg: float, is_leg: bool, options: ReadOptions, path: str | Path) -> tuple[float, str]:
     """Returns the metres per unit of a file, and a note if that is doubtful.
@@ -43,6 +46,18 @@ def decide_unit(leg: float, is_leg: bool, options: ReadOptions, path: str | Path
     if not USUAL_LEG[0] <= metres <= USUAL_LEG[1] and not note:
         note = f"legs of {metres:.2f} m with unit {unit_name(unit)}: pass `--unit` if that is wrong"
     return unit, note
+
+
+def doubt_rate(fps: float, options: ReadOptions) -> str:
+    """Returns a note if a file's frame rate is one that motion is hardly recorded at; empty if it is given.
+
+    Args:
+        fps: frames per second.
+        options: what the user says.
+    """
+    if options.source_fps is not None or USUAL_FPS[0] <= fps <= USUAL_FPS[1]:
+        return ""
+    return f"`Frame Time` means {fps:.4g} frames per second: pass `--source-fps` if that is wrong"
 
 
 def decide_up(positions: np.ndarray, roles: Roles | None, options: ReadOptions) -> tuple[Axis, str]:
@@ -85,7 +100,8 @@ def repair(clip: MotionClip, options: ReadOptions) -> MotionClip:
         )
     elif note:
         clip = cut(replace(clip, reading=clip.reading.noting(note)), start, stop)
-    check_speed(clip)
+    if (note := check_speed(clip)) and clip.reading is not None:
+        clip = replace(clip, reading=clip.reading.noting(note))
     if options.travel == "rebuild" or (options.travel == "auto" and walks_on_the_spot(clip)):
         clip, note = rebuild_travel(clip)
         assert clip.reading is not None

@@ -11,6 +11,7 @@ import functools
 import io
 import math
 import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,8 +20,10 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import refuse_existing, write_whole
-from pfnn_jax.motion.assumptions import decide_unit, decide_up, repair
+from pfnn_jax.motion.assumptions import decide_unit, decide_up, doubt_rate, repair
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.lexicon import limb_points
+from pfnn_jax.motion.humanoid.names import read_names
 from pfnn_jax.motion.kinematics import (
     AXES,
     joint_positions,
@@ -130,7 +133,7 @@ class _Tokens:
     def number(self, what: str) -> float:
         word = self.take(f"{what} must be a number")
         try:
-            value = float(word)
+            value = _real(word)
         except ValueError:
             raise self.fail(word, f"{what} must be a number") from None
         if not abs(value) <= LIMIT:
@@ -139,7 +142,7 @@ class _Tokens:
 
     def vector(self, what: str) -> np.ndarray:
         try:
-            values = [float(word) for word in self.words[self.next : self.next + 3]]
+            values = [_real(word) for word in self.words[self.next : self.next + 3]]
         except ValueError:
             values = []
         if len(values) == 3 and all(abs(value) <= LIMIT for value in values):
@@ -157,6 +160,11 @@ class _Tokens:
         return " ".join(words)
 
 
+def _real(word: str) -> float:
+    """Returns a word as a number; some exporters write decimal commas."""
+    return float(word.rstrip(",").replace(",", ".") if "," in word else word)
+
+
 def shorten(value: object) -> str:
     """Returns a value as printable text of at most 40 characters, for messages of one line."""
     text = str(value)
@@ -170,9 +178,10 @@ def _read_text(path: Path) -> str:
     except OSError as error:
         raise InputError(path, "file", error.strerror or error, "must be a readable BVH file") from None
     try:
-        text = raw.decode("utf-8-sig")
+        text = raw.decode("utf-16" if raw.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("latin-1")  # joint names in older encodings
+    text = text.rstrip("\0\x1a")  # ends of files on old systems
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
@@ -216,7 +225,7 @@ def _parse_count(path: Path, text: str, found: re.Match[str]) -> int:
 def _parse_frame_time(path: Path, place: str, word: str, need_rate: bool) -> float:
     """Returns the seconds of a frame; not a number if they are not usable and need not be."""
     try:
-        seconds = float(word)
+        seconds = _real(word)
     except ValueError:
         seconds = float("nan")
     if SHORTEST_FRAME <= seconds <= LONGEST_FRAME:
@@ -318,6 +327,8 @@ def _parse_frames(path: Path, numbers: str, first_line: int, counts: list[int], 
     if columns == 0:
         raise InputError(path, "hierarchy", "no channels", "at least one joint must move")
     values = None
+    if "," in numbers:  # decimal commas, or commas between numbers with decimal points
+        numbers = numbers.replace(",", " " if "." in numbers else ".")
     if not numbers.isspace() and numbers:
         try:
             values = np.loadtxt(io.StringIO(numbers), dtype=float, comments=None, ndmin=2)
@@ -362,9 +373,9 @@ def read_skeleton(path: str | Path) -> Skeleton:
     """
     path = Path(path)
     joints = _parse_hierarchy(path, re.split(r"(?m)^[ \t]*MOTION\b", _read_text(path), maxsplit=1)[0])
-    kept = joints[_first_kept(joints) :]
-    names, parents, end_sites = _tree(kept)
-    offsets = np.array([np.zeros(3), *(joint.offset for joint in kept[1:])])
+    kept = _kept(joints)
+    names, parents, end_sites = _tree(joints, kept)
+    offsets = np.array([np.zeros(3), *(joint.offset for joint in joints[kept][1:])])
     return Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
 
 
@@ -421,11 +432,12 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     path = Path(path)
     check_options(options, path)
     text = parse_bvh(path, need_rate=options.source_fps is None)
-    names, parents, end_sites, positions, rotations = _fold(text.joints, *_channels(text.joints, text.values))
+    kept = _kept(text.joints)
+    names, parents, end_sites, positions, rotations = _fold(text.joints, kept, *_channels(text.joints, text.values))
     offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
     _require_rigid(path, bare, positions)
-    merged = [joint.name for joint in text.joints[: _first_kept(text.joints)]]
+    merged = [text.joints[joint].name for joint in _above(text.joints, kept.start)]
     skeleton, axis, lying = _find_body(bare, rotations, options, roles_file, path, merged)
     known = skeleton.roles is not None
     leg = leg_length(skeleton, skeleton.roles) if skeleton.roles is not None else 0.75 * longest_chain(bare)
@@ -434,7 +446,8 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     skeleton = replace(skeleton, offsets=offsets * unit, end_sites=sites)
     fps = _frame_rate(text.frame_time) if options.source_fps is None else float(options.source_fps)
     named_by = "" if roles_file is None else str(roles_file)
-    reading = Reading(unit, axis, fps, len(rotations), roles_file=named_by).noting(*_text_notes(text), doubt, lying)
+    reading = Reading(unit, axis, fps, len(rotations), roles_file=named_by)
+    reading = reading.noting(*_text_notes(text, kept), doubt_rate(fps, options), doubt, lying)
     clip = MotionClip(skeleton, fps, positions[:, 0] * unit, rotations, source=str(path), reading=reading)
     clip = stand_up(clip, axis)
     return replace(clip, skeleton=replace(clip.skeleton, poses=some_poses(clip.rotations)))
@@ -471,7 +484,7 @@ def _find_body(
     return skeleton if again.roles is None else again, axis, note
 
 
-def _text_notes(text: BvhText) -> list[str]:
+def _text_notes(text: BvhText, kept: slice) -> list[str]:
     """Returns what is odd about the text of a file."""
     notes = []
     if set(text.counts) != {len(text.values)}:
@@ -480,6 +493,10 @@ def _text_notes(text: BvhText) -> list[str]:
     unmoved = [joint.name for joint in text.joints if joint.unmoved]
     if unmoved:
         notes.append(f"position channels of {len(unmoved)} joints are zero, such as {unmoved[0]}: OFFSET is used")
+    carriers = set(_above(text.joints, kept.start))
+    props = [joint.name for at, joint in enumerate(text.joints[: kept.start]) if at not in carriers]
+    if props := [*props, *(joint.name for joint in text.joints[kept.stop :])]:
+        notes.append(f"{len(props)} joints next to the hips are no part of the body, such as {props[0]}: left out")
     return notes
 
 
@@ -525,33 +542,70 @@ def _all_zero(values: np.ndarray, first: list[float], columns: list[int], joint:
     return all(abs(first[column]) < size for column in columns) and bool((np.abs(values[:, columns]) < size).all())
 
 
-def _fold(joints: list[BvhJoint], positions: np.ndarray, rotations: np.ndarray):
-    """Merges the joints above the hips into joint 0; returns names, parents, end sites, positions, rotations."""
-    first = _first_kept(joints)
+def _fold(joints: list[BvhJoint], kept: slice, positions: np.ndarray, rotations: np.ndarray):
+    """Merges the joints above the kept ones into joint 0; returns names, parents, end sites, positions, rotations."""
+    chain = [*_above(joints, kept.start), kept.start]
     position, rotation = positions[:, 0], rotations[:, 0]
-    for joint in range(1, first + 1):
+    for joint in chain[1:]:
         position = position + quat_rotate(rotation, positions[:, joint])
         rotation = quat_multiply(rotation, rotations[:, joint])
-    positions, rotations = positions[:, first:].copy(), rotations[:, first:].copy()
+    positions, rotations = positions[:, kept].copy(), rotations[:, kept].copy()
     positions[:, 0], rotations[:, 0] = position, rotation
-    return *_tree(joints[first:]), positions, rotations
+    return *_tree(joints, kept), positions, rotations
 
 
-def _first_kept(joints: list[BvhJoint]) -> int:
-    """Returns the index of the joint that becomes joint 0."""
+def _kept(joints: list[BvhJoint]) -> slice:
+    """Returns which joints are kept: the one that becomes joint 0, and all below it."""
     first = 0
-    while joints[first].num_children == 1 and not joints[first].end_sites and not _is_body_name(joints[first].name):
-        first += 1  # the only child follows its parent
+    while not _is_body_name(joints[first].name):
+        if joints[first].num_children == 1 and not joints[first].end_sites:
+            first += 1  # the only child follows its parent
+        elif (hips := _travelling_hips(joints, first)) is not None:
+            first = hips
+        else:
+            break
     if joints[first].num_children < 2 and not is_hips_name(joints[first].name):
         first = 0  # a chain without hips is kept whole
-    return first
+    return slice(first, _end_of(joints, first))
 
 
-def _tree(kept: list[BvhJoint]) -> tuple[tuple[str, ...], np.ndarray, tuple[tuple[int, np.ndarray], ...]]:
-    """Returns names, parents and end sites of joints of which the first becomes joint 0."""
-    parents = np.array([-1] + [joint.parent - kept[0].parent - 1 for joint in kept[1:]])
-    end_sites = tuple((index, site) for index, joint in enumerate(kept) for site in joint.end_sites)
-    return tuple(joint.name for joint in kept), parents, end_sites
+def _travelling_hips(joints: list[BvhJoint], root: int) -> int | None:
+    """Returns the child of a joint that is called hips and has its own travel, next to props and controls alone."""
+    children = [joint for joint in range(root + 1, len(joints)) if joints[joint].parent == root]
+    bodies = [child for child in children if _has_body(joints[child : _end_of(joints, child)])]
+    if len(bodies) != 1 or not is_hips_name(joints[bodies[0]].name):
+        return None
+    travels = sum(channel[0] == "P" for channel in joints[bodies[0]].channels or ()) == 3
+    return bodies[0] if travels else None
+
+
+def _has_body(joints: list[BvhJoint]) -> bool:
+    """Returns whether a joint's name is that of a part of the body."""
+    return any(_is_body_name(joint.name) or limb_points(read_names((joint.name,))[0]) for joint in joints)
+
+
+def _end_of(joints: list[BvhJoint], first: int) -> int:
+    """Returns the index behind a joint and all below it, which follow it."""
+    below = range(first + 1, len(joints))
+    return next((joint for joint in below if joints[joint].parent < first), len(joints))
+
+
+def _above(joints: list[BvhJoint], joint: int) -> list[int]:
+    """Returns the ancestors of a joint, from the root downwards."""
+    above = []
+    while (joint := joints[joint].parent) >= 0:
+        above.insert(0, joint)
+    return above
+
+
+def _tree(
+    joints: list[BvhJoint], kept: slice
+) -> tuple[tuple[str, ...], np.ndarray, tuple[tuple[int, np.ndarray], ...]]:
+    """Returns names, parents and end sites of the kept joints, of which the first becomes joint 0."""
+    body = joints[kept]
+    parents = np.array([-1] + [joint.parent - kept.start for joint in body[1:]])
+    end_sites = tuple((index, site) for index, joint in enumerate(body) for site in joint.end_sites)
+    return tuple(joint.name for joint in body), parents, end_sites
 
 
 def _is_body_name(name: str) -> bool:
