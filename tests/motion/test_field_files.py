@@ -180,6 +180,19 @@ def test_decimetres_are_found(mocap):
     assert head_above_ankles(clip) == pytest.approx(1.33, abs=0.02)
 
 
+@pytest.mark.parametrize("connector", ["__UpLeg", "UpLeg0", "Thigh", "Hip"])
+def test_hip_joints_are_apart(mocap, tmp_path, connector):
+    """Both legs begin at one place, 0.1 m from the hip joints; with that bone they would be 0.92 m long, not 0.82 m."""
+    path = tmp_path / "clip.bvh"
+    path.write_text((mocap / "field" / "makehuman_walk_decimetres.bvh").read_text().replace("__UpLeg", connector))
+    clip = read_bvh(path)
+    roles = need_roles(clip.skeleton)
+    assert [clip.skeleton.names[joint] for joint in (roles.left_hip, roles.right_hip)] == ["UpLeg_L", "UpLeg_R"]
+    assert reading(clip).unit == DECIMETRE and leg(clip) == pytest.approx(0.82, abs=0.01)
+    adult = walk()
+    assert leg(clip) / head_above_ankles(clip) == pytest.approx(leg(adult) / head_above_ankles(adult), abs=0.02)
+
+
 def test_zero_positions_leave_the_offsets(mocap):
     clip = read_bvh(mocap / "field" / "makehuman_tpose_zero_positions.bvh")
     assert 0.75 < leg(clip) < 0.95 and head_above_ankles(clip) == pytest.approx(1.48, abs=0.02)
