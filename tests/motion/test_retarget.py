@@ -8,7 +8,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pfnn_jax.motion.bvh import read_bvh
@@ -25,8 +25,10 @@ from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_from_json, s
 from tests.motion.retargeting import (
     SOURCES,
     angles,
+    called,
     example,
     moved,
+    padded,
     renamed,
     scaled,
     skeleton_with_rest,
@@ -216,6 +218,29 @@ def test_the_size_of_neither_side_matters(seed, factor, larger):
     other = retarget(scaled(clip, factor), scaled(target, larger).skeleton)
     assert other.scale == pytest.approx(plain.scale * larger / factor)
     np.testing.assert_allclose(world(other.clip)[0] / larger, world(plain.clip)[0], atol=SAME_PATH)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 99), source_joints=st.integers(0, 9), target_joints=st.integers(0, 9))
+def test_joints_that_are_no_part_of_the_body_do_not_matter(seed, source_joints, target_joints):
+    clip, target = body_clip(seed, spread=0.2), example_target()
+    plain = retarget(clip, target.skeleton).clip
+    more = padded(target, target_joints, seed).skeleton
+    other = retarget(padded(clip, source_joints, seed), more).clip
+    shared = target.skeleton.num_joints
+    np.testing.assert_allclose(world(other)[0][:, :shared], world(plain)[0], atol=SAME_PATH)
+    at_rest = np.zeros((clip.num_frames, target_joints, 4))
+    at_rest[..., 0] = 1.0
+    np.testing.assert_allclose(other.rotations[:, shared:], at_rest, atol=EXACT)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 99), letters=st.randoms(use_true_random=False))
+def test_any_names_give_the_same_motion(seed, letters):
+    clip, target = body_clip(seed, spread=0.2), example_target()
+    plain = retarget(clip, target.skeleton).clip
+    other = retarget(called(clip, letters), called(target, letters).skeleton).clip
+    np.testing.assert_array_equal(other.rotations, plain.rotations)
 
 
 @given(seed=st.integers(0, 99), other=st.integers(0, 99))
