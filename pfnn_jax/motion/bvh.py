@@ -461,7 +461,7 @@ def _find_body(
     path: Path,
     merged: Collection[str],
 ) -> tuple[Skeleton, Axis, str]:
-    """Returns the skeleton with its roles, the axis of the file that points up, and a note on it.
+    """Returns the skeleton with its map and roles, the axis of the file that points up, and a note on it.
 
     Where names do not tell left from right, poses that stand do: roles are found again once the axis is known.
     """
@@ -477,11 +477,11 @@ def _find_body(
 
     first: Axis = "y" if options.up == "auto" else options.up
     skeleton = assign(first)
-    if skeleton.roles is None:
+    if skeleton.humanoid is None:
         return skeleton, first, ""
-    axis, note = decide_up(poses(), skeleton.roles, options)
+    axis, note = decide_up(poses(), skeleton.humanoid, options)
     again = skeleton if axis == first else assign(axis)
-    return skeleton if again.roles is None else again, axis, note
+    return skeleton if again.humanoid is None else again, axis, note
 
 
 def _text_notes(text: BvhText, kept: slice) -> list[str]:

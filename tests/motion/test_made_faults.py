@@ -12,7 +12,15 @@ import pytest
 
 from pfnn_jax.motion.bvh import read_bvh, read_skeleton, write_bvh
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_euler, quat_from_yaw, quat_multiply, quat_slerp
+from pfnn_jax.motion.humanoid.find import need_humanoid
+from pfnn_jax.motion.kinematics import (
+    forward_kinematics,
+    quat_conjugate,
+    quat_from_euler,
+    quat_from_yaw,
+    quat_multiply,
+    quat_slerp,
+)
 from pfnn_jax.motion.length_unit import UNITS
 from pfnn_jax.motion.roles import leg_length
 from pfnn_jax.motion.skeleton import Roles, Skeleton, need_roles
@@ -114,6 +122,14 @@ def assert_like(clip: MotionClip, joints: Callable[[Roles], list[int]]) -> None:
     ours, theirs = joints(need_roles(clip.skeleton)), joints(need_roles(WALK.skeleton))
     found, wanted = world_motion(clip).positions[:, ours], world_motion(WALK).positions[:, theirs]
     np.testing.assert_allclose(found, wanted, atol=WRITTEN)
+
+
+def head_above_feet(clip: MotionClip) -> float:
+    """Median height in metres of the head above the ankles."""
+    body = need_humanoid(clip.skeleton)
+    assert body.head is not None and body.left_foot is not None and body.right_foot is not None
+    heights = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)[0][..., 1]
+    return float(np.median(heights[:, body.head] - (heights[:, body.left_foot] + heights[:, body.right_foot]) / 2))
 
 
 def limbs(roles: Roles) -> list[int]:
@@ -267,6 +283,27 @@ def test_files_whose_rest_pose_stands_along_another_axis_stand_up(tmp_path, up, 
         found = read_clip(tmp_path, each)
         assert found.reading is not None and found.reading.up == up
         np.testing.assert_allclose(world_motion(found).positions, world_motion(clip).positions, atol=WRITTEN)
+
+
+ARMS = ("Clavicle", "Shoulder", "Arm", "ForeArm", "Hand")
+
+
+@pytest.mark.parametrize("up", TURNS)
+def test_bodies_without_arms_stand_up(tmp_path, up):
+    """Trackers at the hips and feet, and a headset, give no arms."""
+    clip = without_joints({f"{side}{part}" for side in ("Left", "Right") for part in ARMS})
+    found = read_clip(tmp_path, tipped(clip, up))
+    assert found.skeleton.roles is None and found.skeleton.humanoid is not None
+    assert found.reading is not None and found.reading.up == up
+    np.testing.assert_allclose(world_motion(found).positions, world_motion(clip).positions, atol=WRITTEN)
+
+
+@pytest.mark.parametrize("up", TURNS)
+def test_a_headset_skeleton_that_lies_is_doubtful(mocap, tmp_path, up):
+    clip = read_bvh(mocap / "field" / "slimevr_head_root.bvh")  # bends forward, so that no axis is clear
+    found = read_clip(tmp_path, tipped(clip, up))
+    heights = head_above_feet(found)
+    assert heights > 0.4 * head_above_feet(clip) or any("--up" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("degrees", [(0, 90, 0), (90, 0, 0), (-90, 0, 90), (0, 180, 0)])

@@ -23,8 +23,8 @@ SHARED = 0.5
 """Share of the joints of which more must begin with the same word for it to be a prefix of the exporter."""
 
 FILLER = frozenset(
-    "jnt jt joint bone bn b bind def deform org fk armature skeleton rig bip biped valve valvebiped character skin m x bend "
-    "stretch".split()
+    "jnt jt joint bone bn b bind def deform org fk armature skeleton rig bip biped valve valvebiped character skin m x "
+    "bend stretch".split()
 )
 """Words that say nothing about the part of the body."""
 
