@@ -13,6 +13,7 @@ import math
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -180,9 +181,18 @@ def _read_text(path: Path) -> str:
     try:
         text = raw.decode("utf-16" if raw.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError:
-        text = raw.decode("latin-1")  # joint names in older encodings
+        text = _decode_older(raw)
     text = text.rstrip("\0\x1a")  # ends of files on old systems
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def _decode_older(raw: bytes) -> str:
+    """Returns the text of a file whose joint names are in an older encoding: Shift JIS if it has Japanese sides."""
+    with suppress(UnicodeDecodeError):
+        text = raw.decode("cp932")
+        if "左" in text:
+            return text
+    return raw.decode("latin-1")
 
 
 def _split(path: Path, text: str, need_rate: bool) -> tuple[str, list[int], float, int, str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.humanoid.find import find_humanoid
-from pfnn_jax.motion.humanoid.lexicon import trunk_part
+from pfnn_jax.motion.humanoid.lexicon import HIPS_WORDS, trunk_part
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.names import read_names, words_of
 from pfnn_jax.motion.humanoid.overrides import listed, read_overrides_file, rename_joints
@@ -131,7 +131,7 @@ def assign_roles(
 def is_hips_name(name: str) -> bool:
     """Returns whether a joint's name means hips."""
     words = [word for word in words_of(name.rsplit(":", 1)[-1]) if not word.isdigit()]
-    return bool(words) and words[-1] in ("hips", "pelvis")
+    return bool(words) and words[-1] in HIPS_WORDS - {"hip"}
 
 
 def is_upper_body_name(name: str) -> bool:

@@ -203,6 +203,34 @@ def test_the_same_joints_called_differently_are_the_same_motion(walk_text, tmp_p
     assert_same(read_bvh(saved(tmp_path, renamed(NAMES[kind])(walk_text))))
 
 
+JAPANESE = {
+    "Hips": "センター",
+    "Spine": "上半身",
+    "Neck": "首",
+    "Head": "頭",
+    "Shoulder": "肩",
+    "Arm": "腕",
+    "ForeArm": "ひじ",
+    "Hand": "手首",
+    "UpLeg": "足",
+    "Leg": "ひざ",
+    "Foot": "足首",
+    "ToeBase": "つま先",
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp932", "utf-16"])
+def test_japanese_names_are_read_in_any_encoding(walk_text, tmp_path, encoding):
+    def name(english: str) -> str:
+        side, part = re.fullmatch(r"(Left|Right|)(.*?)", english).groups()  # type: ignore[union-attr]
+        return {"Left": "左", "Right": "右", "": ""}[side] + JAPANESE.get(part, part)
+
+    clip = read_bvh(saved(tmp_path, renamed(name)(walk_text).encode(encoding)))
+    assert_same(clip)
+    assert clip.skeleton.humanoid is not None and clip.skeleton.humanoid.confidence == 1.0
+    assert clip.skeleton.names[need_roles(clip.skeleton).left_hip] == "左足"
+
+
 def test_names_in_an_older_encoding_are_read(walk_text, tmp_path):
     clip = read_bvh(saved(tmp_path, walk_text.replace("ROOT Hips", "ROOT Hüfte").encode("latin-1")))
     assert_same(clip)

@@ -7,16 +7,18 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 
-SIDE_WORDS = {
-    "left": "left",
-    "l": "left",
-    "lft": "left",
-    "lt": "left",
-    "right": "right",
-    "r": "right",
-    "rgt": "right",
-    "rt": "right",
+from pfnn_jax.motion.humanoid.languages import in_english
+
+_SIDES = {
+    "left": "left l lft lt links linke linker linkes gauche izquierda izquierdo izq sinistra sinistro sx esquerda "
+    "esquerdo",
+    "right": "right r rgt rt rechts rechte rechter rechtes droite droit derecha derecho der destra destro dx direita "
+    "direito",
 }
+SIDE_WORDS = {word: side for side, words in _SIDES.items() for word in words.split()}
+SIDE_LETTERS = (("l", "r", "left"), ("r", "l", "right"), ("g", "d", "left"), ("d", "g", "right"))
+"""Letter of a side that begins or ends a name, that of the other side, and the side; g and d are French."""
+
 OTHER_SIDE = {"left": "right", "right": "left", "": ""}
 
 SHARED = 0.5
@@ -85,8 +87,8 @@ def _shared_prefix(names: list[str]) -> str:
 
 
 def words_of(name: str) -> list[str]:
-    """Splits a name into lower-case words and numbers: `LeftUpLeg2` -> left, up, leg, 2."""
-    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)]
+    """Splits a name of any script into lower-case words and numbers: `LeftUpLeg2` -> left, up, leg, 2."""
+    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", in_english(name))]
 
 
 @functools.lru_cache(maxsize=64)
@@ -127,11 +129,11 @@ def _split_side(words: list[str], whole: set[str]) -> tuple[str, list[str]]:
     joined = "".join(words)
     if glued := re.match(r"(left|right)(.+)", joined):
         return glued[1], [glued[2]]
-    for mark, other in (("l", "r"), ("r", "l")):
+    for mark, other, side in SIDE_LETTERS:
         if joined[:1] == mark and other + joined[1:] in whole:
-            return SIDE_WORDS[mark], re.findall(r"[a-z]+|\d+", joined[1:])  # lfemur, where there is also rfemur
+            return side, re.findall(r"[a-z]+|\d+", joined[1:])  # lfemur, where there is also rfemur
         if joined[-1:] == mark and joined[:-1] + other in whole:
-            return SIDE_WORDS[mark], re.findall(r"[a-z]+|\d+", joined[:-1])
+            return side, re.findall(r"[a-z]+|\d+", joined[:-1])
     return "", words
 
 
