@@ -45,7 +45,12 @@ CHANNELS = {f"{axis}{kind}": f"{kind[0]}{axis}" for axis in "XYZ" for kind in ("
 LONGEST_FRAME, SHORTEST_FRAME = 1.0, 1e-5  # seconds
 STRETCH = 0.02  # share of the longest limb by which bones may vary and still count as rigid
 NO_OFFSET = 1e-4  # share of OFFSET's length up to which position channels count as zero
-NUM_POSES = 30  # enough to tell left from right in a walk or a run
+NUM_POSES = 20  # at most; enough to tell left from right in a walk or a run
+HIERARCHY = re.compile(r"\s*HIERARCHY\b", re.IGNORECASE)
+MOTION = re.compile(r"^[ \t]*MOTION[ \t]*$|(?<=\})\s*MOTION\b", re.IGNORECASE | re.MULTILINE)
+# tools that cut files may leave the old number of frames next to the new one
+COUNT = re.compile(r"\s*Frames\s*:[ \t]*(\S*)\s+", re.IGNORECASE)
+HEAD = re.compile(rf"((?:{COUNT.pattern})+)Frame\s+Time\s*:[ \t]*(\S*)[^\S\n]*\n?", re.IGNORECASE)
 RATE_STEP = 2e-4  # relative; printed frame times have few decimals: 0.008333 means 120 fps
 
 
@@ -115,7 +120,7 @@ class _Tokens:
             self.lines += [number] * len(words)
         self.next = 0
 
-    def fail(self, value: object, rule: str) -> InputError:
+    def fail(self, value: str, rule: str) -> InputError:
         line = self.lines[min(max(self.next - 1, 0), len(self.words) - 1)] if self.words else 1
         return InputError(self.path, f"line {line}", shorten(value), rule)
 
@@ -166,10 +171,10 @@ def _real(word: str) -> float:
     return float(word.rstrip(",").replace(",", ".") if "," in word else word)
 
 
-def shorten(value: object) -> str:
+@functools.lru_cache(maxsize=1024)
+def shorten(value: str) -> str:
     """Returns a value as printable text of at most 40 characters, for messages of one line."""
-    text = str(value)
-    text = text if text.isprintable() else ascii(text)
+    text = value if value.isprintable() else ascii(value)
     return text if len(text) <= 40 else text[:37] + "..."
 
 
@@ -197,28 +202,35 @@ def _decode_older(raw: bytes) -> str:
 
 def _split(path: Path, text: str, need_rate: bool) -> tuple[str, list[int], float, int, str]:
     """Splits a text into hierarchy, numbers of frames, frame time in seconds, line of the first frame, and numbers."""
-    if not re.match(r"\s*HIERARCHY\b", text, re.IGNORECASE):
+    if not HIERARCHY.match(text):
         raise InputError(
             path,
             "line 1",
             shorten(text.strip()[:80].split("\n")[0] or "empty file"),
             "must start with HIERARCHY",
         )
-    motion = re.search(r"^[ \t]*MOTION[ \t]*$|(?<=\})\s*MOTION\b", text, re.IGNORECASE | re.MULTILINE)
+    motion = _find_motion(text)
     if motion is None:
         raise InputError(path, f"line {text.count(chr(10)) + 1}", "end of file", "MOTION must follow the hierarchy")
-    # tools that cut files may leave the old number of frames next to the new one
-    count = r"\s*Frames\s*:[ \t]*(\S*)\s+"
-    head = re.compile(rf"((?:{count})+)Frame\s+Time\s*:[ \t]*(\S*)[^\S\n]*\n?", re.IGNORECASE)
-    match = head.match(text, motion.end())
-    line = text.count("\n", 0, motion.end()) + 1
+    begin, end = motion
+    match = HEAD.match(text, end)
     if match is None:
-        after = shorten(text[motion.end() : motion.end() + 40].strip() or "end of file")
+        line = text.count("\n", 0, end) + 1
+        after = shorten(text[end : end + 40].strip() or "end of file")
         raise InputError(path, f"line {line}", after, "MOTION precedes `Frames: N` and `Frame Time: SECONDS`")
     first_line = text.count("\n", 0, match.end()) + 1
-    counts = [_parse_count(path, text, found) for found in re.compile(count, re.I).finditer(text, *match.span(1))]
+    counts = [_parse_count(path, text, found) for found in COUNT.finditer(text, *match.span(1))]
     seconds = _parse_frame_time(path, f"line {text.count(chr(10), 0, match.start(3)) + 1}", match[3], need_rate)
-    return text[: motion.start()], counts, seconds, first_line, text[match.end() :]
+    return text[:begin], counts, seconds, first_line, text[match.end() :]
+
+
+def _find_motion(text: str) -> tuple[int, int] | None:
+    """Returns where the word MOTION behind the hierarchy begins and ends, or None."""
+    plain = text.find("\nMOTION\n")  # in nearly all files, and found faster
+    if plain >= 0:
+        return plain + 1, plain + len("\nMOTION")
+    found = MOTION.search(text)
+    return None if found is None else found.span()
 
 
 def _parse_count(path: Path, text: str, found: re.Match[str]) -> int:
@@ -382,7 +394,9 @@ def read_skeleton(path: str | Path) -> Skeleton:
         InputError: if the hierarchy is malformed, naming the line.
     """
     path = Path(path)
-    joints = _parse_hierarchy(path, re.split(r"(?m)^[ \t]*MOTION\b", _read_text(path), maxsplit=1)[0])
+    text = _read_text(path)
+    motion = _find_motion(text)
+    joints = _parse_hierarchy(path, text if motion is None else text[: motion[0]])
     kept = _kept(joints)
     names, parents, end_sites = _tree(joints, kept)
     offsets = np.array([np.zeros(3), *(joint.offset for joint in joints[kept][1:])])
@@ -478,7 +492,7 @@ def _find_body(
 
     @functools.cache
     def poses() -> np.ndarray:
-        return joint_positions(bare, rotations[:: max(1, len(rotations) // NUM_POSES)])
+        return joint_positions(bare, rotations[:: -(-len(rotations) // NUM_POSES)])
 
     def assign(axis: Axis) -> Skeleton:
         file = None if roles_file is None else Path(roles_file)
@@ -628,7 +642,9 @@ def _rest_offsets(positions: np.ndarray) -> np.ndarray:
     offsets = positions[0].copy()
     varying = np.any(positions != offsets, axis=0)
     varying[0] = False
-    offsets[varying] = np.median(positions[:, varying], axis=0)
+    low, high = (len(positions) - 1) // 2, len(positions) // 2
+    ordered = np.partition(positions[:, varying], (low, high), axis=0)  # np.median would import numpy.ma first
+    offsets[varying] = (ordered[low] + ordered[high]) / 2
     offsets[0] = 0.0
     return offsets
 

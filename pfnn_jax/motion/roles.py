@@ -31,10 +31,10 @@ def chain_up(parents: np.ndarray, joint: int) -> list[int]:
 
 def longest_chain(skeleton: Skeleton) -> float:
     """Returns the length of the longest chain of bones from the root, without End Sites, in the skeleton's unit."""
-    reach = np.zeros(skeleton.num_joints)
-    for joint in range(1, skeleton.num_joints):
-        reach[joint] = reach[skeleton.parents[joint]] + np.linalg.norm(skeleton.offsets[joint])
-    return float(reach.max())
+    lengths, reach = np.linalg.norm(skeleton.offsets, axis=1).tolist(), [0.0] * skeleton.num_joints
+    for joint, parent in enumerate(skeleton.parents.tolist()[1:], start=1):
+        reach[joint] = reach[parent] + lengths[joint]
+    return max(reach)
 
 
 def roles_of(humanoid: HumanoidMap, names: tuple[str, ...], source: str | Path = "skeleton") -> Roles:

@@ -46,6 +46,7 @@ LIMB_WORDS: dict[str, dict[str, float]] = {
 }
 """Word of a joint with a side -> part of a limb -> points."""
 
+LEVEL = re.compile(r"^(lower|upper)|(lower|upper)$")
 HIPS_WORDS = frozenset("hips pelvis hip hufte huefte becken hanches bassin cadera caderas anca bacino quadril".split())
 HEAD_WORDS = frozenset("head skull kopf tete cabeza testa cabeca".split())
 NECK_WORDS = frozenset("neck necktwist hals nacken cou cuello collo pescoco".split())
@@ -66,7 +67,7 @@ def trunk_part(name: JointName) -> str:
     """Returns `hips`, `spine`, `neck` or `head` for a joint on the midline that is called so, else an empty text."""
     if name.side or name.helper:
         return ""
-    word = re.sub(r"^(lower|upper)|(lower|upper)$", "", name.part)
+    word = LEVEL.sub("", name.part)
     for part, words in (("hips", HIPS_WORDS), ("head", HEAD_WORDS), ("neck", NECK_WORDS), ("spine", SPINE_WORDS)):
         if word in words:
             return part
