@@ -23,6 +23,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import refuse_existing, write_whole
 from pfnn_jax.motion.assumptions import decide_unit, decide_up, doubt_rate, repair
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.lexicon import limb_points
 from pfnn_jax.motion.humanoid.names import read_names
 from pfnn_jax.motion.kinematics import (
@@ -36,7 +37,7 @@ from pfnn_jax.motion.kinematics import (
 from pfnn_jax.motion.length_unit import CENTIMETRE
 from pfnn_jax.motion.reading import Axis, Reading, ReadOptions, Travel, Up, check_options
 from pfnn_jax.motion.retargeting.reference import some_poses
-from pfnn_jax.motion.roles import assign_roles, is_hips_name, is_upper_body_name, leg_length, longest_chain
+from pfnn_jax.motion.roles import assign_roles, is_hips_name, is_upper_body_name, longest_chain
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.up_axis import TURNS, stand_up
 
@@ -463,8 +464,9 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     _require_rigid(path, bare, positions)
     merged = [text.joints[joint].name for joint in _above(text.joints, kept.start)]
     skeleton, axis, lying = _find_body(bare, rotations, options, roles_file, path, merged)
-    known = skeleton.roles is not None
-    leg = leg_length(skeleton, skeleton.roles) if skeleton.roles is not None else 0.75 * longest_chain(bare)
+    body = skeleton.humanoid
+    known = body is not None and body.left_foot is not None and body.right_foot is not None
+    leg = leg_length_of(skeleton, body) if body is not None and known else 0.75 * longest_chain(bare)
     unit, doubt = decide_unit(leg, known, options, path)
     sites = tuple((joint, site * unit) for joint, site in end_sites)
     skeleton = replace(skeleton, offsets=offsets * unit, end_sites=sites)

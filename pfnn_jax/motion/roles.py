@@ -16,17 +16,15 @@ from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.names import read_names, words_of
 from pfnn_jax.motion.humanoid.overrides import listed, read_overrides_file, rename_joints
 from pfnn_jax.motion.humanoid.pairs import find_mirror
-from pfnn_jax.motion.skeleton import Roles, Skeleton, rest_pose
+from pfnn_jax.motion.humanoid.tree import joint_tree
+from pfnn_jax.motion.skeleton import Roles, Skeleton
 
 ROLE_NAMES = tuple(field.name for field in fields(Roles))
 
 
 def chain_up(parents: np.ndarray, joint: int) -> list[int]:
     """Returns the joint and all its ancestors, up to the root."""
-    chain = [int(joint)]
-    while parents[chain[-1]] >= 0:
-        chain.append(int(parents[chain[-1]]))
-    return chain
+    return list(joint_tree(tuple(parents.tolist())).above(joint))
 
 
 def longest_chain(skeleton: Skeleton) -> float:
@@ -138,20 +136,3 @@ def is_upper_body_name(name: str) -> bool:
     """Returns whether a joint's name means head, neck or spine: such a joint above the hips is one of the body."""
     (label,) = read_names((name,))
     return trunk_part(label) in ("head", "neck", "spine") and label.part != "body"
-
-
-def leg_length(skeleton: Skeleton, roles: Roles) -> float:
-    """Returns the length of the bones from hip to ankle, averaged over both legs, in the skeleton's unit.
-
-    An ankle that hangs elsewhere than under its hip counts by its distance in the rest pose.
-    """
-    lengths = np.linalg.norm(skeleton.offsets, axis=-1)
-    total = 0.0
-    for hip, (ankle, _) in ((roles.left_hip, roles.left_foot), (roles.right_hip, roles.right_foot)):
-        chain = chain_up(skeleton.parents, ankle)
-        if hip in chain:
-            total += float(lengths[chain[: chain.index(hip)]].sum())
-        else:
-            pose = rest_pose(skeleton)
-            total += float(np.linalg.norm(pose[ankle] - pose[hip]))
-    return total / 2

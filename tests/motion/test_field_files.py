@@ -20,13 +20,14 @@ from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.shared_unit import share_units
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, unlisted_files
 from pfnn_jax.motion.ground import wrap_angle
+from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.joint_order import match_joints
 from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
 from pfnn_jax.motion.labels.footsteps import NoGaitError, find_steps
 from pfnn_jax.motion.labels.phase import CYCLE, PhaseLabels, label_phase, pad_phase
 from pfnn_jax.motion.length_unit import CMU, DECIMETRE, FOOT, INCH, UNITS, guess_unit
 from pfnn_jax.motion.reading import AXES, Axis, Reading, ReadOptions
-from pfnn_jax.motion.roles import leg_length
 from pfnn_jax.motion.skeleton import check_same_topology, need_roles, plain_names, rest_directions_differ
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise
 from pfnn_jax.motion.world_motion import world_motion
@@ -62,7 +63,7 @@ def head_above_ankles(clip: MotionClip) -> float:
 
 
 def leg(clip: MotionClip) -> float:
-    return leg_length(clip.skeleton, need_roles(clip.skeleton))
+    return leg_length_of(clip.skeleton, need_humanoid(clip.skeleton))
 
 
 def steps(labels: PhaseLabels) -> int:

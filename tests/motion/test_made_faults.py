@@ -12,6 +12,7 @@ import pytest
 
 from pfnn_jax.motion.bvh import read_bvh, read_skeleton, write_bvh
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -22,7 +23,6 @@ from pfnn_jax.motion.kinematics import (
     quat_slerp,
 )
 from pfnn_jax.motion.length_unit import UNITS
-from pfnn_jax.motion.roles import leg_length
 from pfnn_jax.motion.skeleton import Roles, Skeleton, need_roles
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.motion.up_axis import TURNS
@@ -297,7 +297,7 @@ def test_unit_and_axis_are_found_together(tmp_path, unit, up):
     write_bvh(path, tipped(WALK, up), unit=UNITS[unit])
     clip = read_bvh(path)
     assert clip.reading is not None and (clip.reading.up, clip.reading.unit) == (up, UNITS[unit])
-    assert leg_length(clip.skeleton, need_roles(clip.skeleton)) == pytest.approx(0.83, abs=0.01)
+    assert leg_length_of(clip.skeleton, need_humanoid(clip.skeleton)) == pytest.approx(0.83, abs=0.01)
 
 
 @pytest.mark.parametrize("up", TURNS)

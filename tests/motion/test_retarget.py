@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.kinematics import quat_from_axis_angle, quat_normalise
 from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.retargeting import retarget as retargeting
-from pfnn_jax.motion.retargeting.body import humanoid_of, leg_length_of
+from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.chains import resample_chain
 from pfnn_jax.motion.retargeting.feet import flat_foot, sole_heights
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
