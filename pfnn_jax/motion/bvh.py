@@ -586,8 +586,8 @@ def _kept(joints: list[BvhJoint]) -> slice:
     while not _is_body_name(joints[first].name):
         if joints[first].num_children == 1 and not joints[first].end_sites:
             first += 1  # the only child follows its parent
-        elif (hips := _travelling_hips(joints, first)) is not None:
-            first = hips
+        elif (body := _travelling_body(joints, first)) is not None:
+            first = body
         else:
             break
     if joints[first].num_children < 2 and not is_hips_name(joints[first].name):
@@ -595,14 +595,22 @@ def _kept(joints: list[BvhJoint]) -> slice:
     return slice(first, _end_of(joints, first))
 
 
-def _travelling_hips(joints: list[BvhJoint], root: int) -> int | None:
-    """Returns the child of a joint that is called hips and has its own travel, next to props and controls alone."""
+def _travelling_body(joints: list[BvhJoint], root: int) -> int | None:
+    """Returns the child of a joint that is or carries the hips and travels, next to props and controls alone."""
     children = [joint for joint in range(root + 1, len(joints)) if joints[joint].parent == root]
     bodies = [child for child in children if _has_body(joints[child : _end_of(joints, child)])]
-    if len(bodies) != 1 or not is_hips_name(joints[bodies[0]].name):
+    if len(bodies) != 1:
         return None
-    travels = sum(channel[0] == "P" for channel in joints[bodies[0]].channels or ()) == 3
-    return bodies[0] if travels else None
+    hips, travels = bodies[0], _travels(joints[bodies[0]])
+    while joints[hips].num_children == 1 and not is_hips_name(joints[hips].name):
+        hips += 1  # the only child follows its parent
+        travels |= _travels(joints[hips])
+    return bodies[0] if travels and is_hips_name(joints[hips].name) else None
+
+
+def _travels(joint: BvhJoint) -> bool:
+    """Returns whether a joint has channels for all three positions."""
+    return sum(channel[0] == "P" for channel in joint.channels or ()) == 3
 
 
 def _has_body(joints: list[BvhJoint]) -> bool:

@@ -474,13 +474,15 @@ SIBLINGS = {
 
 @pytest.mark.parametrize("siblings", SIBLINGS)
 @pytest.mark.parametrize("first", [False, True])
-@pytest.mark.parametrize("carrier", ["hips", "root"])
+@pytest.mark.parametrize("carrier", ["hips", "root", "armature"])
 def test_joints_next_to_the_hips_are_left_out(walk_text, tmp_path, siblings, first, carrier):
     names = SIBLINGS[siblings].split()
     inside = "{\nOFFSET 50 0 50\nCHANNELS 3 Zrotation Yrotation Xrotation\nEnd Site\n{\nOFFSET 0 9 0\n}\n}\n"
     props = "".join(f"JOINT {name}\n{inside}" for name in names)
     head, rows = rows_of(walk_text)
     body, frames = head.replace("HIERARCHY\n", "").replace("ROOT Hips", "JOINT Hips").split("MOTION")
+    if carrier == "armature":
+        body = f"JOINT Armature\n{{\nOFFSET 0 0 0\nCHANNELS 0\n{body}}}\n"
     inner = props + body if first else body + props
     head = f"HIERARCHY\nROOT Root\n{{\nOFFSET 0 0 0\nCHANNELS 6 {SIX}\n{inner}}}\nMOTION{frames}"
     root, still = np.zeros((FRAMES, 6)), np.zeros((FRAMES, 3 * len(names)))
