@@ -642,6 +642,7 @@ def _tree(
     return tuple(joint.name for joint in body), parents, end_sites
 
 
+@functools.lru_cache(maxsize=1024)
 def _is_body_name(name: str) -> bool:
     """Returns whether a joint plays a part of the body: a headset's skeleton is rooted at the head, above the spine."""
     return is_hips_name(name) or is_upper_body_name(name)
