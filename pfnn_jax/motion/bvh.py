@@ -596,16 +596,16 @@ def _kept(joints: list[BvhJoint]) -> slice:
 
 
 def _travelling_body(joints: list[BvhJoint], root: int) -> int | None:
-    """Returns the child of a joint that is or carries the hips and travels, next to props and controls alone."""
+    """Returns the child of a joint that carries hips or legs and travels, next to props and controls alone."""
     children = [joint for joint in range(root + 1, len(joints)) if joints[joint].parent == root]
     bodies = [child for child in children if _has_body(joints[child : _end_of(joints, child)])]
-    if len(bodies) != 1:
+    if len(bodies) != 1 or not _has_legs(joints[bodies[0] : _end_of(joints, bodies[0])]):
         return None
-    hips, travels = bodies[0], _travels(joints[bodies[0]])
-    while joints[hips].num_children == 1 and not is_hips_name(joints[hips].name):
-        hips += 1  # the only child follows its parent
-        travels |= _travels(joints[hips])
-    return bodies[0] if travels and is_hips_name(joints[hips].name) else None
+    joint, travels = bodies[0], _travels(joints[bodies[0]])
+    while joints[joint].num_children == 1 and not is_hips_name(joints[joint].name):
+        joint += 1  # the only child follows its parent
+        travels |= _travels(joints[joint])
+    return bodies[0] if travels else None
 
 
 def _travels(joint: BvhJoint) -> bool:
@@ -615,7 +615,17 @@ def _travels(joint: BvhJoint) -> bool:
 
 def _has_body(joints: list[BvhJoint]) -> bool:
     """Returns whether a joint's name is that of a part of the body."""
-    return any(_is_body_name(joint.name) or limb_points(read_names((joint.name,))[0]) for joint in joints)
+    return any(_is_body_name(joint.name) or _limb_parts(joint) for joint in joints)
+
+
+def _has_legs(joints: list[BvhJoint]) -> bool:
+    """Returns whether a joint's name is that of the hips or of a leg."""
+    return any(is_hips_name(joint.name) or "shin" in _limb_parts(joint) for joint in joints)
+
+
+def _limb_parts(joint: BvhJoint) -> dict[str, float]:
+    """Returns the parts of a limb that a joint's name may mean."""
+    return limb_points(read_names((joint.name,))[0])
 
 
 def _end_of(joints: list[BvhJoint], first: int) -> int:

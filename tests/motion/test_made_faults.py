@@ -219,13 +219,15 @@ JAPANESE = {
 }
 
 
+def in_japanese(name: str) -> str:
+    """The name of a joint of the walk in MikuMikuDance."""
+    side, part = re.fullmatch(r"(Left|Right|)(.*?)", name).groups()  # type: ignore[union-attr]
+    return {"Left": "左", "Right": "右", "": ""}[side] + JAPANESE.get(part, part)
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "cp932", "utf-16"])
 def test_japanese_names_are_read_in_any_encoding(walk_text, tmp_path, encoding):
-    def name(english: str) -> str:
-        side, part = re.fullmatch(r"(Left|Right|)(.*?)", english).groups()  # type: ignore[union-attr]
-        return {"Left": "左", "Right": "右", "": ""}[side] + JAPANESE.get(part, part)
-
-    clip = read_bvh(saved(tmp_path, renamed(name)(walk_text).encode(encoding)))
+    clip = read_bvh(saved(tmp_path, renamed(in_japanese)(walk_text).encode(encoding)))
     assert_same(clip)
     assert clip.skeleton.humanoid is not None and clip.skeleton.humanoid.confidence == 1.0
     assert clip.skeleton.names[need_roles(clip.skeleton).left_hip] == "左足"
@@ -472,29 +474,50 @@ SIBLINGS = {
 }
 
 
+PROP = "{\nOFFSET 50 0 50\nCHANNELS 3 Zrotation Yrotation Xrotation\nEnd Site\n{\nOFFSET 0 9 0\n}\n}\n"
+
+
+def below_root(text: str, root: str, props: list[str], first: bool, carrier: str) -> str:
+    """The walk with its hips below a root, next to props.
+
+    Args:
+        text: of the walk.
+        root: name of the root.
+        props: names of joints next to the hips.
+        first: whether these come before the hips.
+        carrier: of the travel: `hips`, `root`, or `armature` for hips that are below another joint.
+    """
+    head, rows = rows_of(text)
+    body, frames = head.replace("HIERARCHY\n", "").replace("ROOT ", "JOINT ").split("MOTION")
+    if carrier == "armature":
+        body = f"JOINT Armature\n{{\nOFFSET 0 0 0\nCHANNELS 0\n{body}}}\n"
+    more = "".join(f"JOINT {name}\n{PROP}" for name in props)
+    inner = more + body if first else body + more
+    head = f"HIERARCHY\nROOT {root}\n{{\nOFFSET 0 0 0\nCHANNELS 6 {SIX}\n{inner}}}\nMOTION{frames}"
+    place, still = np.zeros((FRAMES, 6)), np.zeros((FRAMES, 3 * len(props)))
+    if carrier == "root":
+        place[:, [0, 2]] = rows[:, [0, 2]]
+        rows[:, [0, 2]] = 0.0
+    values = np.hstack([place, still, rows] if first else [place, rows, still])
+    return head + "\n".join(" ".join(map(repr, row)) for row in values.tolist()) + "\n"
+
+
 @pytest.mark.parametrize("siblings", SIBLINGS)
 @pytest.mark.parametrize("first", [False, True])
 @pytest.mark.parametrize("carrier", ["hips", "root", "armature"])
 def test_joints_next_to_the_hips_are_left_out(walk_text, tmp_path, siblings, first, carrier):
     names = SIBLINGS[siblings].split()
-    inside = "{\nOFFSET 50 0 50\nCHANNELS 3 Zrotation Yrotation Xrotation\nEnd Site\n{\nOFFSET 0 9 0\n}\n}\n"
-    props = "".join(f"JOINT {name}\n{inside}" for name in names)
-    head, rows = rows_of(walk_text)
-    body, frames = head.replace("HIERARCHY\n", "").replace("ROOT Hips", "JOINT Hips").split("MOTION")
-    if carrier == "armature":
-        body = f"JOINT Armature\n{{\nOFFSET 0 0 0\nCHANNELS 0\n{body}}}\n"
-    inner = props + body if first else body + props
-    head = f"HIERARCHY\nROOT Root\n{{\nOFFSET 0 0 0\nCHANNELS 6 {SIX}\n{inner}}}\nMOTION{frames}"
-    root, still = np.zeros((FRAMES, 6)), np.zeros((FRAMES, 3 * len(names)))
-    if carrier == "root":
-        root[:, [0, 2]] = rows[:, [0, 2]]
-        rows[:, [0, 2]] = 0.0
-    columns = [root, still, rows] if first else [root, rows, still]
-    path = saved(tmp_path, head + "\n".join(" ".join(map(repr, row)) for row in np.hstack(columns).tolist()) + "\n")
+    path = saved(tmp_path, below_root(walk_text, "Root", names, first, carrier))
     clip = read_bvh(path)
     assert_same(clip, notes=1 if names else 0)
     assert read_skeleton(path).names == WALK.skeleton.names
     assert not names or any(names[0] in note for note in clip.notes)
+
+
+def test_controls_of_miku_miku_dance_are_left_out(walk_text, tmp_path):
+    text = renamed(in_japanese)(walk_text)
+    path = saved(tmp_path, below_root(text, "全ての親", ["左足ＩＫ", "右足ＩＫ"], False, "hips"))
+    assert_same(read_bvh(path), notes=1)
 
 
 # jumps
