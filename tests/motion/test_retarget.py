@@ -8,15 +8,16 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.kinematics import quat_from_axis_angle, quat_normalise
 from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.retargeting import retarget as retargeting
-from pfnn_jax.motion.retargeting.body import humanoid_of, leg_length_of
+from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.chains import resample_chain
 from pfnn_jax.motion.retargeting.feet import flat_foot, sole_heights
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
@@ -26,8 +27,10 @@ from tests.motion.headsets import without_arms
 from tests.motion.retargeting import (
     SOURCES,
     angles,
+    called,
     example,
     moved,
+    padded,
     renamed,
     scaled,
     skeleton_with_rest,
@@ -220,6 +223,29 @@ def test_the_size_of_neither_side_matters(seed, factor, larger):
     other = retarget(scaled(clip, factor), scaled(target, larger).skeleton)
     assert other.scale == pytest.approx(plain.scale * larger / factor)
     np.testing.assert_allclose(world(other.clip)[0] / larger, world(plain.clip)[0], atol=SAME_PATH)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 99), source_joints=st.integers(0, 9), target_joints=st.integers(0, 9))
+def test_joints_that_are_no_part_of_the_body_do_not_matter(seed, source_joints, target_joints):
+    clip, target = body_clip(seed, spread=0.2), example_target()
+    plain = retarget(clip, target.skeleton).clip
+    more = padded(target, target_joints, seed).skeleton
+    other = retarget(padded(clip, source_joints, seed), more).clip
+    shared = target.skeleton.num_joints
+    np.testing.assert_allclose(world(other)[0][:, :shared], world(plain)[0], atol=SAME_PATH)
+    at_rest = np.zeros((clip.num_frames, target_joints, 4))
+    at_rest[..., 0] = 1.0
+    np.testing.assert_allclose(other.rotations[:, shared:], at_rest, atol=EXACT)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 99), letters=st.randoms(use_true_random=False))
+def test_any_names_give_the_same_motion(seed, letters):
+    clip, target = body_clip(seed, spread=0.2), example_target()
+    plain = retarget(clip, target.skeleton).clip
+    other = retarget(called(clip, letters), called(target, letters).skeleton).clip
+    np.testing.assert_array_equal(other.rotations, plain.rotations)
 
 
 @given(seed=st.integers(0, 99), other=st.integers(0, 99))

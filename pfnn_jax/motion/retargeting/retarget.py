@@ -14,6 +14,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import moving_minimum
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -28,7 +29,6 @@ from pfnn_jax.motion.retargeting.body import (
     SIDES,
     UP,
     humanoid_of,
-    leg_length_of,
     limb,
     neck_chain,
     torso_chain,
