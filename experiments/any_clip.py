@@ -193,8 +193,8 @@ def run_trial(base: Base, trial: Trial, config: Config) -> dict[str, Any]:
     }
     row["info"] |= {"warnings": info["warnings"], "notes": info["notes"]}
     learned = make_actor(trial.learned.labelled, run)
-    own, errors = nearest_style(base, learned)
-    row |= {"own_style": own, "own_styles": errors}
+    own, distances = nearest_style(base, learned)
+    row |= {"own_style": own, "own_styles": distances}
     base.controllers.pop(name, None)
     styles = {"learned": name, "without": None, "own": own}
     row["judged"] = [judge(base, part, styles, learned, trial, config.out) for part in trial.judged]
@@ -202,11 +202,11 @@ def run_trial(base: Base, trial: Trial, config: Config) -> dict[str, Any]:
     return row
 
 
-def nearest_style(base: Base, learned: Actor) -> tuple[str | None, dict[str, float]]:
-    """Returns the run's own style that predicts the learned clip best, one step ahead, and all errors in cm."""
-    run = base.run
-    errors = {name: one_step_distance(make_predictor(run, name), learned, run) for name in run.config.styles}
-    return (min(errors, key=lambda name: errors[name]) if errors else None), errors
+def nearest_style(base: Base, learned: Actor) -> tuple[str | None, dict[str, float | None]]:
+    """Returns the run's own style whose walk is nearest to the learned clip, and the distances of all in cm."""
+    distances = {name: walk_of(base, name, learned)[0]["distance"] for name in base.run.config.styles}
+    known = {name: distance for name, distance in distances.items() if distance is not None}
+    return (min(known, key=lambda name: known[name]) if known else None), distances
 
 
 def judge(

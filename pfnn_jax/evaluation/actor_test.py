@@ -45,6 +45,9 @@ PATH_POINTS = 512
 SWAY_SECONDS = 0.3
 """Standard deviation of the filter that takes the sway of the hips out of an actor's path."""
 
+REACH = 0.5
+"""Metres ahead in which a character's place on its path is looked for."""
+
 LEAST_HEIGHT, MOST_HEIGHT = 0.75, 1.25
 """Height of the hips, relative to the actor's, outside which a walk has fallen apart."""
 
@@ -131,7 +134,7 @@ def follow_actor(controller: Controller, weights: np.ndarray, run: Run, actor: A
     seconds = LEAD_SECONDS + MOST_SECONDS + 1.0
     clip = track_path(controller, weights, path, run, speed=speed, seconds=seconds).clip
     roots = world_motion(clip).positions[:, run.skeleton.roles.hips if run.skeleton.roles else 0][:, [0, 2]]
-    along = path.spacing * np.argmin(np.linalg.norm(roots[:, None] - path.points, axis=-1), axis=1)
+    along = path.spacing * progress_along(roots, path)
     there = np.flatnonzero(along >= begin)
     first = int(there[0]) if len(there) else clip.num_frames
     last = min(first + round((end - begin) / speed * clip.fps), clip.num_frames - 1)
@@ -162,6 +165,19 @@ def path_of(world: WorldMotion) -> tuple[Path, float, float, float]:
     lead, trail = LEAD_SECONDS * speed, (MOST_SECONDS + 2.0) * speed
     points = np.concatenate([smooth[:1] - lead * before, smooth, smooth[-1:] + trail * after])
     return resample_path(points, False, PATH_POINTS), lead, lead + length, speed
+
+
+def progress_along(roots: np.ndarray, path: Path) -> np.ndarray:
+    """Returns the index [T] of the path's point that each root [T, 2] has got to: the nearest one, never going back.
+
+    Only points within `REACH` ahead are tried, so that a path may come near itself.
+    """
+    reach, current, found = max(round(REACH / path.spacing), 1), 0, []
+    for root in roots:
+        ahead = path.points[current : current + reach + 1]
+        current += int(np.argmin(np.linalg.norm(ahead - root, axis=-1)))
+        found.append(current)
+    return np.array(found)
 
 
 def _without_sway(root: np.ndarray, fps: float) -> np.ndarray:

@@ -20,12 +20,14 @@ from pfnn_jax.evaluation.actor_test import (
     make_actor,
     one_step_distance,
     path_of,
+    progress_along,
     retargeting_distance,
 )
 from pfnn_jax.inference.predictor import make_predictor
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.kinematics import quat_from_axis_angle, quat_multiply
+from pfnn_jax.motion.paths import figure_eight
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.motion.world_motion import world_motion
 from pfnn_jax.run import Run
@@ -105,6 +107,11 @@ def test_path_contains_the_take_between_straight_pieces(actor):
     assert begin == pytest.approx(LEAD_SECONDS * speed) and (end - begin) == pytest.approx(0.7 * FRAMES / 60, rel=SPEED)
     first = world.positions[0, world.roles.hips][[0, 2]]
     assert np.linalg.norm(path.points - first, axis=-1).min() < 0.1
+
+
+def test_progress_does_not_jump_where_a_path_comes_near_itself():
+    path = figure_eight(1.0)
+    np.testing.assert_array_equal(progress_along(path.points, path), np.arange(len(path.points)))
 
 
 def test_there_and_back_on_the_same_skeleton_costs_nothing(actor, run):
