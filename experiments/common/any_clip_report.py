@@ -23,14 +23,14 @@ SUMMARY = (
     "retargeting, cm",
     "actor again, cm",
     "one step: learned, cm",
-    "without, cm ",
-    "nearest own style, cm ",
-    "repeating the pose, cm",
+    "one step: without, cm",
+    "one step: nearest own style, cm",
+    "one step: repeating the pose, cm",
     "skating: learned, cm/s",
-    "without, cm/s",
-    "actor, cm/s",
+    "skating: without, cm/s",
+    "skating: actor, cm/s",
     "failed: learned",
-    "without",
+    "failed: without",
     "seconds to learn",
 )
 
@@ -48,20 +48,22 @@ DETAILS = (
     "retargeting, cm",
     "actor again, cm",
     "one step: learned, cm",
-    "without, cm ",
-    "hips",
+    "one step: without, cm",
+    "hips, of the actor's height",
     "trunk, °",
-    "speed",
+    "speed, of the actor's",
     "floating, cm",
     "skating, cm/s",
-    "actor, cm/s",
+    "skating: actor, cm/s",
     "faults",
 )
 
 NOTE = (
     "Distances are between mean gait cycles, over the joints of the body, on the actor's skeleton. Retargeting is the "
     "take itself on the run's skeleton and back; actor again is the distance of the learned clip from the judged take. "
-    "Means leave out walks without steps, which count as failed."
+    "Means leave out walks without steps, which count as failed. The base was trained on clips of sources marked *, "
+    "maybe on the judged takes; sources marked † have takes that are too short to judge on other frames than the "
+    "learned ones."
 )
 
 
