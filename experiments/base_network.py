@@ -13,6 +13,8 @@ Run       python -m experiments.base_network --hundred-style FOLDER --out runs/b
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,9 +22,9 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from pfnn_jax.io.files import write_json
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.datasets.clip_rows import load_for_layout, match_skeleton
-from pfnn_jax.motion.datasets.dataset import Dataset
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import list_clips
@@ -104,6 +106,9 @@ RANGES = {
     "look": (0.0, 0.4),
 }
 """Ranges from which the parameters of random styles are drawn: those of the named styles, and a little beyond."""
+
+CAPTURED = ("100style-neutral", "100style-angry")
+"""Styles of 100STYLE that are shipped."""
 
 STEP_LENGTH = (0.35, 0.75)
 """Metres; with the cadence it gives a random style's speed."""
@@ -210,10 +215,9 @@ def _varied(labelled: LabelledClip, variation: Variation, style: str) -> Labelle
 
 def train(config: Config) -> Run:
     """Prepares the data, trains the network, and returns the run with every style."""
-    clips = list(training_clips(config))
-    dataset: Dataset = prepare(
-        clips, config.out / "data", PrepareConfig(), skeleton=synthetic_skeleton(), overwrite=True
-    )
+    preparation = PrepareConfig(validation=0.05, seed=config.seed)
+    clips, skeleton = list(training_clips(config)), synthetic_skeleton()
+    dataset = prepare(clips, config.out / "data", preparation, skeleton=skeleton, overwrite=True)
     settings = PretrainConfig(
         hidden=config.hidden,
         steps=config.steps,
@@ -225,5 +229,61 @@ def train(config: Config) -> Run:
     return pretrain_run(dataset, config.out / "full", settings, overwrite=True)
 
 
+def ship(run: Run, config: Config) -> Path:
+    """Writes what is shipped of a run: its network, the styles with names, and a card. Returns the folder."""
+    out = config.out / "run"
+    shutil.rmtree(out, ignore_errors=True)
+    styles = [style for style in run.config.styles if style in (*PRETRAINING_STYLES, *CAPTURED)]
+    left_out = set(run.config.styles) - set(styles)
+    shutil.copytree(
+        run.path,
+        out,
+        ignore=lambda folder, names: [
+            name for name in names if name == "train_state" or (Path(folder).name == "styles" and name in left_out)
+        ],
+    )
+    data = json.loads((out / "config.json").read_text())
+    data["styles"] = styles
+    data["pretrain"] |= {"dataset": "procedural walkers and 100STYLE, see CARD.md"}
+    data["pretrain"]["frames"] = {style: run.config.pretrain["frames"][style] for style in styles}
+    write_json(out / "config.json", data)
+    for style in styles:
+        note = json.loads((out / "styles" / style / "style.json").read_text())
+        note["info"]["source"] = "100STYLE" if style in CAPTURED else "procedural walker"
+        write_json(out / "styles" / style / "style.json", note)
+    (out / "CARD.md").write_text(card(run, config), encoding="utf-8")
+    return out
+
+
+def card(run: Run, config: Config) -> str:
+    """Returns the card of the shipped network: data, sizes, training, licence."""
+    frames = run.config.pretrain["frames"]
+    captured = sum(count for style, count in frames.items() if style.startswith("100style"))
+    clips = json.loads((config.out / "data" / "dataset.json").read_text())["clips"]
+    takes = sorted({Path(clip["file"]).stem for clip in clips if clip["file"].endswith(".bvh")})
+    return f"""# Base network
+
+A small network on which a style is learned from one clip, without training a network first.
+
+- **Data**: {sum(frames.values()):,} frames at 60 per second in {len(frames)} styles on the procedural skeleton,
+  mirror images included: the eight procedural walkers of `pfnn_jax.motion.synthetic`, {config.random_styles} walkers
+  of random styles, and {captured:,} frames of 100STYLE ({", ".join(takes)}), retargeted, as
+  captured and in {config.variants} variants whose upper bodies are posed differently. Only the styles with names are
+  shipped.
+- **Network**: layout `mason2018`, a phase-functioned network with {config.hidden} hidden units and CP adapters of rank
+  {run.config.adapter.rank}.
+- **Training**: {config.steps:,} steps of {config.batch_size} frames at a learning rate of {config.learning_rate:g}, by
+  `experiments/base_network.py`.
+- **Licence**: CC BY 4.0, as its captured motion: "The 100STYLE Dataset – Ian Mason",
+  <https://doi.org/10.5281/zenodo.8127870>, under <https://creativecommons.org/licenses/by/4.0/>; changed by
+  retargeting, mirroring and variation. The procedural walkers carry no third-party licence.
+"""
+
+
+def main(config: Config) -> None:
+    """Trains the network and writes what is shipped."""
+    print(ship(train(config), config))
+
+
 if __name__ == "__main__":
-    train(tyro.cli(Config))
+    main(tyro.cli(Config, description=__doc__))
