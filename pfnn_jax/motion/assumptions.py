@@ -17,6 +17,7 @@ from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.jumps import check_speed, longest_part
 from pfnn_jax.motion.length_unit import POSSIBLE_LEG, USUAL_LEG, guess_unit, unit_name
 from pfnn_jax.motion.reading import Axis, ReadOptions
+from pfnn_jax.motion.retargeting.resting import with_resting_heights
 from pfnn_jax.motion.travel import rebuild_travel, walks_on_the_spot
 from pfnn_jax.motion.up_axis import find_up
 
@@ -80,7 +81,7 @@ def decide_up(positions: np.ndarray, humanoid: HumanoidMap | None, options: Read
 
 
 def repair(clip: MotionClip, options: ReadOptions) -> MotionClip:
-    """Cuts jumps to other poses or places, and rebuilds travel that is lacking.
+    """Cuts jumps to other poses or places, rebuilds travel that is lacking, and measures the feet's resting heights.
 
     Of a clip that jumps the longest part is kept. Clips whose skeleton has no roles are returned unchanged.
 
@@ -106,4 +107,4 @@ def repair(clip: MotionClip, options: ReadOptions) -> MotionClip:
         clip, note = rebuild_travel(clip)
         assert clip.reading is not None
         clip = replace(clip, reading=clip.reading.noting(note))
-    return clip
+    return with_resting_heights(clip)

@@ -21,6 +21,7 @@ from pfnn_jax.motion.kinematics import (
     quat_rotate,
 )
 from pfnn_jax.motion.retargeting.reference import some_poses
+from pfnn_jax.motion.retargeting.resting import with_resting_heights
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise
 
@@ -42,7 +43,7 @@ def example(mocap: Path, name: str) -> MotionClip:
         return synthesise("neutral", np.full(240, 0.3), np.full(240, 1.3))[0]
     file, start, stop = FILES[name]
     clip = read_bvh(mocap / file)
-    return cut(clip, start, clip.num_frames if stop is None else stop)
+    return with_resting_heights(cut(clip, start, clip.num_frames if stop is None else stop))
 
 
 def world(clip: MotionClip) -> tuple[np.ndarray, np.ndarray]:
@@ -99,6 +100,8 @@ def scaled(clip: MotionClip, factor: float) -> MotionClip:
     """Returns the clip of a body of another size."""
     skeleton = replace(clip.skeleton, offsets=factor * clip.skeleton.offsets)
     skeleton = replace(skeleton, end_sites=tuple((joint, factor * site) for joint, site in skeleton.end_sites))
+    if skeleton.resting_heights is not None:
+        skeleton = replace(skeleton, resting_heights=factor * skeleton.resting_heights)
     return replace(clip, skeleton=skeleton, root_positions=factor * clip.root_positions)
 
 

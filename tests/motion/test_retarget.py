@@ -19,7 +19,7 @@ from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.retargeting import retarget as retargeting
 from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.chains import resample_chain
-from pfnn_jax.motion.retargeting.feet import flat_foot, sole_heights
+from pfnn_jax.motion.retargeting.feet import flat_foot, resting_foot, sole_heights
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_from_json, skeleton_to_json
@@ -46,6 +46,8 @@ SAME_PATH = 1e-7  # metres: through an arccos near its steep end
 MEAN_ANGLE = 1.5  # degrees, over the joints that both skeletons have
 ANKLES = 0.01  # metres, mean over the frames
 FLOOR = 0.01  # metres
+RESTING = 0.005  # metres, mean over the frames in which a foot stands flat
+STANDING = 0.2  # share of the frames in which it does
 KNEES = 2e-3  # metres that a knee moves where the leg is straight: it bends by a quarter of a degree
 SLIDE, STILL = 1.2, 0.02  # times as far as in the source, and leg lengths per second that no eye sees
 LARGEST_STEP = 15.0  # degrees a frame at 120 fps
@@ -137,9 +139,7 @@ def test_feet_stay_above_the_floor(mocap, source, target):
     moved_clip = retarget(clip, skeleton)
     floor = moved_clip.scale * soles(clip).min()
     assert soles(moved_clip.clip).min() > floor - FLOOR
-    roles = need_roles(skeleton)
-    positions = world(moved_clip.clip)[0][:, [*roles.left_foot, *roles.right_foot], 1]
-    assert positions.min() > floor - FLOOR
+    assert heights(moved_clip.clip).min() > floor + min(skeleton.resting_heights.min(), 0.0) - FLOOR
 
 
 @pytest.mark.parametrize("take", ("neutral_22_000", "proud_13_000"))
@@ -151,11 +151,35 @@ def test_a_kick_and_a_run_do_not_make_joints_jump(mocap, take):
 
 
 def soles(clip: MotionClip) -> np.ndarray:
-    """Returns the height [T] of the lower sole."""
+    """Returns the height [T] of the lower sole above the floor of the clip's skeleton."""
     body = humanoid_of(clip.skeleton)
     reference = reference_pose(clip.skeleton, body)
     feet = [flat_foot(clip.skeleton, body, reference, side) for side in ("left", "right")]
-    return sole_heights(world(clip)[0], body, feet)
+    return sole_heights(world(clip)[0], body, [*map(resting_foot, feet, clip.skeleton.resting_heights)])
+
+
+def heights(clip: MotionClip) -> np.ndarray:
+    """Returns the heights [T, 2, 2] of ankle and toe (last axis) of the left and the right foot."""
+    roles = need_roles(clip.skeleton)
+    return world(clip)[0][:, [*roles.left_foot, *roles.right_foot], 1].reshape(-1, 2, 2)
+
+
+@pytest.mark.parametrize(("source", "target"), PAIRS)
+def test_standing_feet_rest_at_the_targets_own_heights_and_come_back_to_the_sources(mocap, source, target):
+    clip, skeleton = example(mocap, source), example(mocap, target).skeleton
+    there = retarget(clip, skeleton).clip
+    back = retarget(there, clip.skeleton).clip
+    own, other = clip.skeleton.resting_heights, skeleton.resting_heights
+    standing = find_standing(clip)
+    for motion, rest in ((there, other), (back, own)):
+        excess = np.where(standing, heights(motion) - rest, 0.0).sum(axis=0) / standing.sum(axis=0)
+        assert np.abs(excess).max() < RESTING, motion.skeleton.names[:2]
+
+
+def find_standing(clip: MotionClip) -> np.ndarray:
+    """Returns the frames [T, 2, 1] in which the left and the right foot stand flat: those in which it is lowest."""
+    lowness = heights(clip).sum(axis=-1)
+    return (lowness <= np.quantile(lowness, STANDING, axis=0))[..., None]
 
 
 @pytest.mark.parametrize(("source", "target"), PAIRS)

@@ -26,6 +26,7 @@ from pfnn_jax.motion.joint_order import match_joints
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import clip_local_phases, end_effectors, fit_axes, mirror_local_phases
 from pfnn_jax.motion.labels.phase import mirror_phase
+from pfnn_jax.motion.retargeting.resting import same_floor
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, same_joints
 from pfnn_jax.motion.world_motion import world_motion
@@ -201,8 +202,8 @@ def match_hands(labelled: LabelledClip, layout: FrameLayout) -> LabelledClip:
 def match_skeleton(labelled: LabelledClip, skeleton: Skeleton) -> LabelledClip:
     """Returns the clip on a skeleton: retargeted, and with a note that says so, if it has another.
 
-    A skeleton with the same joints, in any order, and the same rest pose counts as the same, whatever its bones'
-    lengths, because features hold joint positions. Labels stay: they are those of the clip's own feet.
+    A skeleton with the same joints, in any order, the same rest pose and the same floor counts as the same, whatever
+    its bones' lengths, because features hold joint positions. Labels stay: they are those of the clip's own feet.
 
     Args:
         labelled: the clip.
@@ -212,7 +213,7 @@ def match_skeleton(labelled: LabelledClip, skeleton: Skeleton) -> LabelledClip:
         InputError: if either skeleton has no humanoid map.
     """
     clip = match_joints(labelled.clip, skeleton.names)
-    if same_joints(skeleton, clip.skeleton):
+    if same_joints(skeleton, clip.skeleton) and same_floor(clip.skeleton, skeleton):
         return labelled if clip is labelled.clip else replace(labelled, clip=clip, world=world_motion(clip))
     moved = retarget(clip, skeleton)
     note = "; ".join(filter(None, (labelled.note, moved.summary)))

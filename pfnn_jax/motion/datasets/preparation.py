@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
@@ -265,6 +265,7 @@ class _DatasetWriter:
         self.skeleton = target
         self.layout = None if target is None else layout_for(config.layout, target)
         self.clips: list[dict[str, Any]] = []
+        self.resting_heights: list[np.ndarray] = []  # of the feet in each clip that shows them
         self.skipped: list[dict[str, str]] = []
         self.notes: list[dict[str, str]] = []
         self.moments: tuple[Moments, ...] = ()
@@ -294,6 +295,8 @@ class _DatasetWriter:
                 self.style_writer = _StyleWriter(self.folder, clip.style, self.config.splits, layout)
             self.style_writer.add(image, len(self.clips))
             self.clips.append(image.entry)
+            if (heights := image.skeleton.resting_heights) is not None:
+                self.resting_heights.append(heights[::-1] if image.entry["mirrored"] else heights)
             so_far = self.moments or (NO_ROWS,) * len(image.moments)
             self.moments = tuple(merged.merge(added) for merged, added in zip(so_far, image.moments, strict=True))
 
@@ -352,7 +355,7 @@ class _DatasetWriter:
             "format": FORMAT,
             "layout": self.config.layout,
             "config": asdict(self.config),
-            "skeleton": skeleton_to_json(self.skeleton),
+            "skeleton": skeleton_to_json(self._with_resting_heights()),
             "styles": list(self.rows["train"]),
             "rows": self.rows,
             "takes_without_window": self.short,
@@ -362,6 +365,13 @@ class _DatasetWriter:
             "versions": {"pfnn_jax": version("pfnn-jax"), "numpy": version("numpy")},
         }
         (self.folder / "dataset.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+    def _with_resting_heights(self) -> Skeleton:
+        """Returns the skeleton with the medians of its clips' resting heights; a target keeps its own."""
+        assert self.skeleton is not None
+        if self.target is not None or not self.resting_heights:
+            return self.skeleton
+        return replace(self.skeleton, resting_heights=np.median(self.resting_heights, axis=0))
 
 
 def _refuse(errors: Sequence[InputError], out: Path) -> NoReturn:
