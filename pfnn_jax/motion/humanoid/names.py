@@ -38,7 +38,7 @@ HELPER_PARTS = re.compile("twist|pole|target|control|helper|rigmesh|effector|ori
 WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
 """A word or a number within a name."""
 
-PREFIX = re.compile(r"[A-Za-z]+\d*[ _.:-]+(?=\w)|[a-z]{4,}(?=[A-Z])|[A-Z]{2,}_")
+PREFIX = re.compile(r"mixamorig|[A-Za-z]+\d*[ _.:-](?=[\w ])|[a-z]{4,}(?=[A-Z])|[A-Z]{2,}_")
 """A word and its number at the beginning of a name, up to a separator or to a capital letter as in mixamorigHips."""
 
 COUNTED, GLUED = re.compile(r"(.+)_(\d+)"), re.compile(r"(left|right)(.+)")
