@@ -6,12 +6,20 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from random import Random
 
 import numpy as np
 
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_from_yaw, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import (
+    forward_kinematics,
+    quat_conjugate,
+    quat_from_yaw,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+)
 from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.reference import some_poses
 from pfnn_jax.motion.retargeting.resting import find_resting_heights, with_resting_heights
@@ -67,6 +75,32 @@ def renamed(clip: MotionClip) -> MotionClip:
     """Returns the clip with joints that have numbers for names."""
     names = tuple(f"joint {number}" for number in range(clip.skeleton.num_joints))
     return replace(clip, skeleton=replace(clip.skeleton, names=names))
+
+
+def called(clip: MotionClip, random: Random) -> MotionClip:
+    """Returns the clip with joints whose names are random words."""
+    names = tuple("".join(random.choices("abcdefghij", k=6)) + str(at) for at in range(clip.skeleton.num_joints))
+    return replace(clip, skeleton=replace(clip.skeleton, names=names))
+
+
+def padded(clip: MotionClip, count: int, seed: int) -> MotionClip:
+    """Returns the clip with joints that are in no part of the humanoid map, somewhere below its joints, in any pose."""
+    random, skeleton = np.random.default_rng(seed), clip.skeleton
+    joints = skeleton.num_joints
+    own = np.arange(joints, joints + count)
+    names = (*skeleton.names, *(f"prop {number}" for number in range(count)))
+    more = replace(
+        skeleton,
+        names=names,
+        parents=np.concatenate([skeleton.parents, random.integers(0, joints, count)]),
+        offsets=np.concatenate([skeleton.offsets, random.normal(size=(count, 3))]),
+        mirror=np.concatenate([skeleton.mirror, own]),
+        poses=None,
+        reference=None,
+    )
+    turned = quat_normalise(random.normal(size=(clip.num_frames, count, 4)))
+    rotations = np.concatenate([clip.rotations, turned], axis=1)
+    return replace(clip, skeleton=replace(more, poses=some_poses(rotations)), rotations=rotations)
 
 
 def moved(clip: MotionClip, yaw: float, shift: np.ndarray) -> MotionClip:

@@ -8,15 +8,16 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.kinematics import quat_from_axis_angle, quat_normalise
 from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.retargeting import retarget as retargeting
-from pfnn_jax.motion.retargeting.body import humanoid_of, leg_length_of
+from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.chains import resample_chain
 from pfnn_jax.motion.retargeting.feet import flat_foot, resting_foot, sole_heights
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
@@ -24,13 +25,16 @@ from pfnn_jax.motion.retargeting.resting import find_resting_heights
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_from_json, skeleton_to_json
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise
+from tests.motion.headsets import without_arms
 from tests.motion.retargeting import (
     SOURCES,
     angles,
+    called,
     example,
     known_heights,
     measured_heights,
     moved,
+    padded,
     renamed,
     scaled,
     skeleton_with_rest,
@@ -53,6 +57,9 @@ SLIDE, STILL = 1.2, 0.02  # times as far as in the source, and leg lengths per s
 LARGEST_STEP = 15.0  # degrees a frame at 120 fps
 SIDEWAYS = 0.95  # cosine of the angle by which the two-bone legs may differ from the source's thighs
 ANY_AXES = 0.06  # metres by which joints move where neither zero pose nor reference show how the body stands straight
+
+ARMLESS = 0.02  # metres: without arms the reference pose of the trunk is found from hips and head alone
+HANGS = 0.8  # cosine of the angle between a hanging arm and the vertical, on a body that leans
 
 PAIRS = list(permutations(SOURCES, 2))
 
@@ -285,6 +292,29 @@ def test_the_size_of_neither_side_matters(seed, factor, larger):
     np.testing.assert_allclose(world(other.clip)[0] / larger, world(plain.clip)[0], atol=SAME_PATH)
 
 
+@settings(max_examples=20)
+@given(seed=st.integers(0, 99), source_joints=st.integers(0, 9), target_joints=st.integers(0, 9))
+def test_joints_that_are_no_part_of_the_body_do_not_matter(seed, source_joints, target_joints):
+    clip, target = body_clip(seed, spread=0.2), example_target()
+    plain = retarget(clip, target.skeleton).clip
+    more = padded(target, target_joints, seed).skeleton
+    other = retarget(padded(clip, source_joints, seed), more).clip
+    shared = target.skeleton.num_joints
+    np.testing.assert_allclose(world(other)[0][:, :shared], world(plain)[0], atol=SAME_PATH)
+    at_rest = np.zeros((clip.num_frames, target_joints, 4))
+    at_rest[..., 0] = 1.0
+    np.testing.assert_allclose(other.rotations[:, shared:], at_rest, atol=EXACT)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 99), letters=st.randoms(use_true_random=False))
+def test_any_names_give_the_same_motion(seed, letters):
+    clip, target = body_clip(seed, spread=0.2), example_target()
+    plain = retarget(clip, target.skeleton).clip
+    other = retarget(called(clip, letters), called(target, letters).skeleton).clip
+    np.testing.assert_array_equal(other.rotations, plain.rotations)
+
+
 @given(seed=st.integers(0, 99), other=st.integers(0, 99))
 def test_local_axes_do_not_matter_where_the_reference_is_known(seed, other):
     clip, target = body_clip(seed, spread=0.2), example_target()
@@ -358,6 +388,19 @@ def test_a_longer_chain_holds_all_that_a_shorter_one_does(count, longer, seed):
     np.testing.assert_array_equal(there[:, -1], turns[:, -1])
     back = resample_chain(np.concatenate((turns[:, :1], there), axis=1), count)
     np.testing.assert_array_equal(back, turns[:, 1:])
+
+
+def test_a_body_without_arms_moves_like_one_with_arms_and_they_hang(mocap):
+    clip, target = example(mocap, "mixamo"), example(mocap, "procedural").skeleton
+    armless = without_arms(clip)
+    assert armless.skeleton.roles is None and armless.skeleton.humanoid is not None
+    (whole, _), (points, _) = (world(retarget(each, target).clip) for each in (clip, armless))
+    body = humanoid_of(target)
+    for joint in (body.hips, body.head, body.left_foot, body.right_toe):
+        np.testing.assert_allclose(points[:, joint], whole[:, joint], atol=ARMLESS)
+    for upper, hand in ((body.left_upper_arm, body.left_hand), (body.right_upper_arm, body.right_hand)):
+        arm = points[:, upper] - points[:, hand]
+        assert (arm[..., 1] > HANGS * np.linalg.norm(arm, axis=-1)).all()
 
 
 def test_the_summary_says_joints_and_scale(mocap):

@@ -154,6 +154,31 @@ def has_hand_ends(source: Source) -> bool:
     return any(re.search("[1-9]", offset) for offset in sites)
 
 
+def load_for_skeleton(
+    clip_file: ClipFile, layout: FrameLayout, skeleton: Skeleton, roles_file: str | Path | None = None
+) -> LabelledClip:
+    """Loads a clip as `load_for_layout`, and puts it onto a skeleton as `match_skeleton`.
+
+    A body that lacks joints for roles, such as one without arms, as captured by a headset and trackers at the legs, is
+    put onto the skeleton before it is labelled.
+
+    Raises:
+        NoGaitError, InputError: as `load_for_layout`; or if the clip's skeleton has no humanoid map.
+    """
+    summary = ""
+
+    def fit(clip: MotionClip) -> MotionClip:
+        nonlocal summary
+        if clip.skeleton.roles is None and clip.skeleton.humanoid is not None:
+            moved = retarget(clip, skeleton)
+            clip, summary = moved.clip, moved.summary
+        return _fit_joints(clip, layout)
+
+    labelled = _load_labelled(clip_file, layout, roles_file, fit)
+    note = "; ".join(filter(None, (labelled.note, summary)))
+    return match_skeleton(replace(labelled, note=note), skeleton)
+
+
 def load_for_layout(clip_file: ClipFile, layout: FrameLayout, roles_file: str | Path | None = None) -> LabelledClip:
     """Loads a clip at a layout's rate, with its number of joints, and with phase labels if it uses them.
 

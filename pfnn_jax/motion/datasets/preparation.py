@@ -54,7 +54,8 @@ class PrepareConfig:
         layout: frame layout: pfnn2017, mason2018, mason2022, mason2022_pfnn or mason2022_mann.
         fps: frames per second; must be the layout's.
         mirror: add the mirror image of every clip of a symmetric style.
-        grouped_std: whether to average standard deviations over blocks of columns (`fit_normaliser`).
+        grouped_std: whether to average standard deviations over blocks of columns, as the authors' code does
+            (`fit_normaliser`); otherwise every column has its own, as the paper says, and walks diverge sooner.
         validation: share of every clip's rows, in one block, that is kept for validation (Mason 2022: 0.1).
         test: share of every clip's rows, in one block, that is kept for testing.
         seed: determines where those blocks lie.
@@ -63,7 +64,7 @@ class PrepareConfig:
     layout: str = "mason2018"
     fps: float = 60.0
     mirror: bool = True
-    grouped_std: bool = False
+    grouped_std: bool = True
     validation: float = 0.0
     test: float = 0.0
     seed: int = 0

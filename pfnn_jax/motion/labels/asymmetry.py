@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pfnn_jax.motion.body_poses import body_joints, root_poses
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.ground import to_local
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.phase import CYCLE, PhaseLabels, label_phase
 from pfnn_jax.motion.reflection import WORLD_REFLECTION
-from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.trajectory import root_motion
 from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 
 MOST_SYMMETRIC = 0.35
@@ -79,20 +77,8 @@ def _covers_cycle(labels: PhaseLabels) -> bool:
 
 def _body_poses(world: WorldMotion) -> tuple[np.ndarray, np.ndarray]:
     """Returns positions [T, K, 3] relative to the root of the body's joints, in the clip and in its mirror image."""
-    root = root_motion(world.positions, world.roles, world.fps)
-    offset = world.positions.copy()
-    offset[..., [0, 2]] -= root.positions[:, None]
-    poses = to_local(offset, root.facing)
-    joints = _body_joints(world.skeleton)
+    poses, joints = root_poses(world), body_joints(world.skeleton)
     return poses[:, joints], poses[:, world.skeleton.mirror[joints]] * WORLD_REFLECTION
-
-
-def _body_joints(skeleton: Skeleton) -> np.ndarray:
-    """Returns the joints of the humanoid map, so that fingers do not outweigh the body; all joints without a map."""
-    if skeleton.humanoid is None:
-        return np.arange(skeleton.num_joints)
-    groups = skeleton.humanoid.joints().values()
-    return np.unique([j for group in groups if group is not None for j in np.atleast_1d(group)]).astype(int)
 
 
 def _mean_poses(poses: np.ndarray, mirrored: np.ndarray) -> tuple[float, float]:

@@ -108,9 +108,9 @@ def read_phase(path: Path, num_frames: int | None = None) -> PhaseLabels:
     if not labelled.any():
         raise InputError(path, "file", f"{len(cycles)} zeros", "at least one frame must have a phase")
     unwrapped = np.full(len(cycles), np.nan)
-    for start, stop in _runs(labelled):
+    for start, stop in runs_of(labelled):
         unwrapped[start:stop] = np.unwrap(cycles[start:stop] * CYCLE)
-    return _labels(len(cycles), [(np.arange(*run), unwrapped[slice(*run)]) for run in _runs(labelled)])
+    return _labels(len(cycles), [(np.arange(*run), unwrapped[slice(*run)]) for run in runs_of(labelled)])
 
 
 def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> None:
@@ -130,7 +130,7 @@ def write_phase(path: Path, labels: PhaseLabels, overwrite: bool = False) -> Non
     path = Path(path)
     refuse_existing(path, overwrite)
     labelled = labels.labelled.copy()
-    labelled[[stop for start, stop in _runs(~labels.labelled) if stop - start == 1 and stop < len(labelled)]] = False
+    labelled[[stop for start, stop in runs_of(~labels.labelled) if stop - start == 1 and stop < len(labelled)]] = False
     values = np.round(np.where(labelled, labels.phase / CYCLE, 0.0), 6)
     zero = np.concatenate([[True], values == 0, [True]])
     values[labelled & zero[1:-1] & (zero[:-2] | zero[2:])] = 1.0
@@ -153,15 +153,15 @@ def resample_phase(labels: PhaseLabels, fps_from: float, fps_to: float, num_fram
     below = np.minimum(source.astype(int), labels.num_frames - 1)
     above = np.minimum(np.ceil(source).astype(int), labels.num_frames - 1)
     unwrapped = np.full(labels.num_frames, np.nan)
-    for start, stop in _runs(labels.labelled):
+    for start, stop in runs_of(labels.labelled):
         unwrapped[start:stop] = np.unwrap(labels.phase[start:stop])
     between = source - below
     # runs are unwrapped separately; the NaN between two runs keeps a frame from mixing both
     values = unwrapped[below] + between * wrap_angle(unwrapped[above] - unwrapped[below])
     continuous = np.full(num_frames, np.nan)
-    for start, stop in _runs(np.isfinite(values)):
+    for start, stop in runs_of(np.isfinite(values)):
         continuous[start:stop] = np.unwrap(values[start:stop])
-    return _labels(num_frames, [(np.arange(*run), continuous[slice(*run)]) for run in _runs(np.isfinite(values))])
+    return _labels(num_frames, [(np.arange(*run), continuous[slice(*run)]) for run in runs_of(np.isfinite(values))])
 
 
 def _half_cycles(run: StepRun) -> np.ndarray:
@@ -212,7 +212,7 @@ def _crossings(unwrapped: np.ndarray) -> np.ndarray:
     return np.sort(frames[first])
 
 
-def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Returns (start, stop) of every run of True."""
+def runs_of(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Returns (start, stop) of every run of True in a mask [T]."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

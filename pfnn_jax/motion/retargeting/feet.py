@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_axis_angle, quat_multiply, quat_rotate
-from pfnn_jax.motion.retargeting.body import FORWARD, SIDES, UP, leg_length_of, limb
+from pfnn_jax.motion.retargeting.body import FORWARD, SIDES, UP, limb
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 SOLE_SHARE = 0.09

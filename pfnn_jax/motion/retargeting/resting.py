@@ -12,9 +12,10 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import positions_of
-from pfnn_jax.motion.retargeting.body import SIDES, humanoid_of, leg_length_of, limb
+from pfnn_jax.motion.retargeting.body import SIDES, humanoid_of, limb
 from pfnn_jax.motion.retargeting.reference import standing_pitches
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 

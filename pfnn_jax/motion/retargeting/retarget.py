@@ -14,14 +14,21 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import moving_minimum
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import (
+    forward_kinematics,
+    quat_conjugate,
+    quat_from_axis_angle,
+    quat_multiply,
+    quat_rotate,
+)
 from pfnn_jax.motion.retargeting.body import (
+    FORWARD,
     LEFT,
     SIDES,
     UP,
     humanoid_of,
-    leg_length_of,
     limb,
     neck_chain,
     torso_chain,
@@ -44,6 +51,9 @@ from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 STANCE_SECONDS = 1.0
 """Within any such time one foot of a person who walks or runs stands."""
+
+HANGING = np.deg2rad(75.0)
+"""Radians below the T-pose at which the arms of the target hang where the source has none."""
 
 ALIKE = 1e-6  # of the longest bone: offsets that differ by less are equal
 
@@ -74,7 +84,8 @@ def retarget(
 
     Bones keep their directions and hips, chest, head, hands and feet their orientations, measured from the reference
     poses of both skeletons. Spine and neck of another number of joints share the bending. Joints without a
-    counterpart, such as fingers and helper joints, are at rest. The result depends neither on names nor on local axes.
+    counterpart, such as fingers and helper joints, are at rest. Arms that the source does not have hang down. The
+    result depends neither on names nor on local axes.
 
     A skeleton with the same bones up to scale (whatever the names) keeps all rotations.
 
@@ -213,6 +224,8 @@ def _part_turns(
     _share(turns, above, resample_chain(every[:, [chest, *neck]], len(above), lower=True))
     for side in SIDES:
         _follow(turns, every, source.limb(side, ARM), target.limb(side, ARM), chest)
+        if source.limb(side, ARM)[1] is None:
+            _hang_arm(turns, side, target.limb(side, ARM))
         _follow(turns, every, source.limb(side, LEG), target.limb(side, LEG), source.hips)
     return turns
 
@@ -234,6 +247,12 @@ def _follow(
         carrier = carrier if part is None else part
         if joint is not None:
             turns[joint] = every[:, carrier]
+
+
+def _hang_arm(turns: dict[int, np.ndarray], side: str, arm: tuple[int | None, ...]) -> None:
+    """Lowers an arm of the target, without its clavicle, from the T-pose of the reference pose."""
+    lowered = quat_from_axis_angle(FORWARD, -SIDES[side] * HANGING)
+    turns.update({joint: quat_multiply(turns[joint], lowered) for joint in arm[1:] if joint is not None})
 
 
 def _fill(skeleton: Skeleton, body: HumanoidMap, world: np.ndarray, known: set[int]) -> np.ndarray:
