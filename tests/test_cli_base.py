@@ -102,7 +102,7 @@ def test_the_first_command_says_where_styles_are_kept_and_later_ones_do_not(empt
 def test_few_shot_says_what_comes_next(empty: Path, learned: Path, capsys: pytest.CaptureFixture[str]):
     run("few-shot", "base", learned / "zombie.bvh", "--name", "my walk", *QUICK)
     last = capsys.readouterr().out.splitlines()[-1]
-    assert last == "next: pfnn-jax generate base --style 'my walk' --out 'my walk.bvh'"
+    assert last == "next: pfnn-jax generate base --style 'my walk' --out 'my walk_walk.bvh'"
 
 
 def test_a_path_named_base_takes_precedence_and_this_is_said(folder: Path, monkeypatch, capsys):

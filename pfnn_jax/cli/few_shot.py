@@ -87,9 +87,8 @@ class FewShot(Command):
 
     def _next(self) -> str:
         """Returns the command that walks in the learned style."""
-        return shlex.join(
-            ["pfnn-jax", "generate", str(self.run_path), "--style", self.name, "--out", f"{self.name}.bvh"]
-        )
+        out = f"{self.name}_walk.bvh"  # another name than the clip's, which is often that of the style
+        return shlex.join(["pfnn-jax", "generate", str(self.run_path), "--style", self.name, "--out", out])
 
     def _check_recipe(self) -> None:
         """Refuses options that the recipe would ignore."""

@@ -60,7 +60,7 @@ def open_base() -> BaseRun:
     Raises:
         InputError: as `base_run`.
     """
-    target = _data_folder() / f"base-{_fingerprint(BASE_NETWORK)[:DIGITS]}"
+    target = _copy_path()
     try:
         is_new = copy_once(BASE_NETWORK, target)
     except OSError as error:
@@ -68,6 +68,15 @@ def open_base() -> BaseRun:
         raise InputError(target, "data folder", failure(error), rule) from error
     _check_copy(target)
     return BaseRun(target, is_new, _earlier(target))
+
+
+def is_base(run: Path) -> bool:
+    """Returns whether a run directory is the user's copy of this version's base network, which users know as `base`."""
+    return run.resolve() == _copy_path().resolve()
+
+
+def _copy_path() -> Path:
+    return _data_folder() / f"base-{_fingerprint(BASE_NETWORK)[:DIGITS]}"
 
 
 def _data_folder() -> Path:

@@ -17,6 +17,7 @@ from pfnn_jax.run import load_run, load_style, save_style
 from pfnn_jax.viewer.page.character import Character, with_capacity
 from pfnn_jax.viewer.page.run_library import SPARE, LoadedRun, RunLibrary, add_to_bank, compile_calibration
 from pfnn_jax.viewer.page.view import View
+from pfnn_jax.workflows.base import open_base
 from tests.raising import assert_refused
 
 FRAME = 1.0 / 60.0
@@ -57,6 +58,14 @@ def test_names_of_runs_are_short_and_distinct(library, two_runs):
     assert library.runs == ("one/run", "two/run")
     assert library.get("two/run").run.path == two_runs[1]
     assert library.styles[:3] == [("one/run", name) for name in ("depressed", "neutral", "proud")]
+
+
+def test_the_base_network_is_called_base(monkeypatch, tmp_path):
+    monkeypatch.setattr("pfnn_jax.workflows.base._data_folder", lambda: tmp_path / "data")
+    copy = open_base().path
+    assert RunLibrary([copy]).runs == ("base",)
+    own = shutil.copytree(copy, tmp_path / "own" / "base")
+    assert RunLibrary([copy, own]).runs == ("base", "own/base")
 
 
 def test_missing_and_repeated_runs_are_refused(two_runs, tmp_path):

@@ -212,7 +212,7 @@ class Character:
         with self._lock:
             loaded = self._library.get(self._run)
             label = "+".join(self._shares)
-            self._recording = Recording(loaded.run.skeleton, loaded.run.layout.fps, label, str(loaded.run.path.name))
+            self._recording = Recording(loaded.run.skeleton, loaded.run.layout.fps, label, loaded.name)
 
     def stop_recording(self) -> MotionClip | None:
         """Ends the recording and returns its clip, up to a change of run or reset; None if nothing was recorded."""

@@ -19,6 +19,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.run import Run, load_run, load_style
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.viewer.page.view import phase_scale
+from pfnn_jax.workflows.base import is_base
 
 SPARE = 8
 """Spare rows of a bank of styles: this many can be learned before the step must be compiled again."""
@@ -29,7 +30,8 @@ class LoadedRun:
     """A run with the controller that plays it; immutable, and replaced when a style is added.
 
     Attributes:
-        name: its name on the page: the folder's, preceded by parent folders if two runs would have the same.
+        name: its name on the page: `base` for the base network, else the folder's, preceded by parent folders if two
+            runs would have the same.
         run: as loaded.
         controller: of all of its styles, with spare rows.
         speeds: style -> its natural speed, m/s.
@@ -233,13 +235,17 @@ def _speeds(controller: Controller) -> dict[str, float]:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Returns short, distinct names of folders: as many of the last parts of each path as that takes."""
+    """Returns short, distinct names of runs: as many of the last parts of each path as that takes.
+
+    The base network is `base`, as on the command line: its folder is named by a fingerprint.
+    """
     whole = [path.resolve() for path in paths]
     if len(set(whole)) < len(whole):
         twice = next(path for path in whole if whole.count(path) > 1)
         raise InputError(twice, "run", "given twice", "pass each run once")
-    for parts in range(1, max(len(path.parts) for path in whole) + 1):
-        names = ["/".join(path.parts[-parts:]) for path in whole]
+    parts = [("base",) if is_base(path) else path.parts for path in whole]
+    for kept in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(part[-kept:]) for part in parts]
         if len(set(names)) == len(names):
             return names
     return [str(path) for path in whole]
