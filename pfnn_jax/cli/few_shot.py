@@ -86,10 +86,9 @@ class FewShot(Command):
         return info
 
     def _next(self) -> str:
-        """Returns the command that walks in the learned style."""
-        return shlex.join(
-            ["pfnn-jax", "generate", str(self.run_path), "--style", self.name, "--out", f"{self.name}.bvh"]
-        )
+        """Returns the command that walks in the learned style; its output is not called as the clip often is."""
+        out = f"{self.name}_walk.bvh"
+        return shlex.join(["pfnn-jax", "generate", str(self.run_path), "--style", self.name, "--out", out])
 
     def _check_recipe(self) -> None:
         """Refuses options that the recipe would ignore."""
