@@ -10,7 +10,7 @@ Data      procedural walks, Bandai-Namco-1 and -2, 100STYLE, Xia, PFNN and files
           `experiments.common.any_clip_takes`; skipped styles are reported with the reason.
 Measure   the character walks along the path of a real take at its speed, and is put back onto the actor's skeleton
           (`pfnn_jax.evaluation.actor_test`): mean distance of the joints between the mean gait cycles. A walk that
-          falls apart or does not follow the path counts as failed.
+          diverges or does not follow the path counts as failed.
 Expect    see docs/results_appendix.md.
 Run       python -m experiments.any_clip --bases NAME=RUN [NAME=RUN ...] --mocap FOLDER --out runs/any_clip
           Runs are copied before they learn. Each row is written when it is finished; run again with the same --out to

@@ -7,7 +7,8 @@ Data      the eight procedural styles; procedural walkers of random styles; 100S
           procedural skeleton; and variants of both whose upper bodies are posed differently and swing more or less,
           because an adapter recombines only what the last layer has learned to represent.
 Run       python -m experiments.base_network --hundred-style FOLDER --out runs/base
-          then copy runs/base/run to pfnn_jax/base_network. All clips that the network is judged on, in
+          then copy runs/base/run to pfnn_jax/base_network. FOLDER holds the takes of 100STYLE that CARD.md there
+          lists, and no others. All clips that the network is judged on, in
           `experiments/any_clip.py`, are of other sources, but for the two styles of 100STYLE.
 """
 
@@ -24,7 +25,7 @@ import tyro
 
 from pfnn_jax.io.files import write_json
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.datasets.clip_rows import load_for_layout, match_skeleton
+from pfnn_jax.motion.datasets.clip_rows import load_for_skeleton
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import list_clips
@@ -60,7 +61,7 @@ class Config:
     variants: int = 6
     seconds: float = 45.0
     hidden: int = 256
-    steps: int = 10000
+    steps: int = 12000
     batch_size: int = 128
     learning_rate: float = 1e-3
     dropout: float = 0.3
@@ -184,7 +185,7 @@ def captured_clips(folder: Path) -> list[LabelledClip]:
     layout, clips = mason2018(skeleton.num_joints), []
     for clip_file in list_clips(folder):
         try:
-            labelled = match_skeleton(load_for_layout(clip_file, layout), skeleton)
+            labelled = load_for_skeleton(clip_file, layout, skeleton)
         except NoGaitError:
             continue
         named = replace(labelled.clip, style=f"100style-{labelled.clip.style.lower()}")

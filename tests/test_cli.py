@@ -249,7 +249,7 @@ def test_sample_lists_the_clips_and_writes_one(tmp_path, capsys):
     ("words", "place", "rule"),
     [
         (("penguin",), "name: penguin", "zombie"),
-        (("soldier",), "--out: absent", "file to write"),
+        (("soldier",), "out: absent", "file to write"),
         (("--out", "x.bvh"), "name: absent", "name of the sample"),
         (("soldier", "--out", "x.txt"), "x.txt", ".bvh"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
@@ -99,10 +100,16 @@ def test_the_first_command_says_where_styles_are_kept_and_later_ones_do_not(empt
     assert capsys.readouterr().out == ""
 
 
-def test_few_shot_says_what_comes_next(empty: Path, learned: Path, capsys: pytest.CaptureFixture[str]):
-    run("few-shot", "base", learned / "zombie.bvh", "--name", "my walk", *QUICK)
+def test_the_command_that_few_shot_names_next_runs_next_to_a_clip_of_the_styles_name(
+    empty: Path, learned: Path, capsys: pytest.CaptureFixture[str]
+):
+    shutil.copy(learned / "zombie.bvh", "my walk.bvh")
+    run("few-shot", "base", "my walk.bvh", "--name", "my walk", *QUICK)
     last = capsys.readouterr().out.splitlines()[-1]
-    assert last == "next: pfnn-jax generate base --style 'my walk' --out 'my walk_walk.bvh'"
+    program, *words = shlex.split(last.removeprefix("next: "))
+    assert program == "pfnn-jax"
+    run(*words, "--seconds", 1)
+    assert Path(words[-1]).is_file()
 
 
 def test_a_path_named_base_takes_precedence_and_this_is_said(folder: Path, monkeypatch, capsys):

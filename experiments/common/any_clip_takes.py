@@ -19,7 +19,7 @@ from pfnn_jax.motion.datasets.labelled import LabelledClip, load_labelled, read_
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.synthetic.styles import PRETRAINING_STYLES, UNSEEN_STYLE
 from pfnn_jax.motion.synthetic.walks import mixed_schedule, synthesise
-from pfnn_jax.workflows.clip_report import clip_warnings, inspect_clip
+from pfnn_jax.workflows.clip_report import ADVICE, clip_warnings, inspect_clip
 
 LEARNED_SECONDS = 5.0
 """Longest clip to learn from."""
@@ -38,8 +38,6 @@ STEP_SECONDS = 1.0
 
 SPEED_RATIO = 1.4
 """Largest ratio between the speeds of the learned and the judged take: a run is no test of a walk."""
-
-ADVICE = "; learn from a forward walk on flat ground, or expect a poor style"
 
 OTHER_TAKE, SAME_TAKE, SAME_FRAMES = "other take", "same take, 2 s away", "learned frames"
 
@@ -193,9 +191,7 @@ def walks_in(file: ClipFile, *, single: bool, reasons: list[str], longest: float
             continue
         report = inspect_clip(labelled, True)
         if warnings := clip_warnings(report):
-            reasons.append(
-                warnings[0].removesuffix("; learn from a forward walk on flat ground, or expect a poor style")
-            )
+            reasons.append(warnings[0].removesuffix(f"; {ADVICE}"))
             continue
         yield Part(part, labelled, (start - file.start) / fps, seconds, report.speed)
 

@@ -39,12 +39,13 @@ class Sample(Command):
         if self.name not in clips:
             raise InputError("command line", "name", self.name, f"must be one of {', '.join(clips)}")
         if self.out is None:
-            raise InputError("command line", "--out", "absent", "pass the BVH file to write")
+            raise InputError("command line", "out", "absent", "pass the BVH file to write")
         from pfnn_jax.io.files import write_whole
+        from pfnn_jax.motion.synthetic.samples import SECONDS
 
         check_output(self.out, self.overwrite, ".bvh")
         write_whole(self.out, clips[self.name].read_bytes())
-        print(f"{self.out}: a walk of 4 s in the style {self.name}")
+        print(f"{self.out}: a walk of {SECONDS:g} s in the style {self.name}")
         return {"sample": self.name, "file": str(self.out)}
 
     def _refuse_output(self) -> None:

@@ -50,17 +50,17 @@ REACH = 0.5
 """Metres ahead in which a character's place on its path is looked for."""
 
 LEAST_HEIGHT, MOST_HEIGHT = 0.75, 1.25
-"""Height of the hips, relative to the actor's, outside which a walk has fallen apart."""
+"""Height of the hips, relative to the actor's, outside which a walk counts as diverged."""
 
 MOST_LEAN = 60.0
-"""Degrees between the trunk and the actor's beyond which a walk has fallen apart. The trunks of two styles of the
+"""Degrees between the trunk and the actor's beyond which a walk counts as diverged. The trunks of two styles of the
 procedural walkers differ by up to 43°."""
 
 LEAST_SPEED, MOST_SPEED = 0.5, 1.5
-"""Speed, relative to the actor's, outside which a character does not do as it is told."""
+"""Speed, relative to the actor's, outside which a character does not follow its command."""
 
-MOST_ASTRAY = 0.5
-"""Mean distance in metres from the path beyond which a character does not do as it is told."""
+MOST_PATH_ERROR = 0.5
+"""Mean distance in metres from the path beyond which a character does not follow its command."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +96,12 @@ class ActorWalk:
     Attributes:
         clip: the frames between both ends of the path.
         speed: achieved over commanded.
-        astray: mean distance from the path in metres.
+        path_error: mean distance from the path in metres.
     """
 
     clip: MotionClip
     speed: float
-    astray: float
+    path_error: float
 
 
 def make_actor(labelled: LabelledClip, run: Run) -> Actor:
@@ -194,8 +194,9 @@ def compare_walk(actor: Actor, walk: ActorWalk) -> dict[str, Any]:
     Returns:
         `distance`, between the mean gait cycles, over all joints of the body, and `trunk`, `arms` and `legs`, in
         centimetres; `skating` in cm/s; `floating`, how many centimetres higher the feet rest than the actor's;
-        `height`, of the hips over the actor's; `lean`, degrees between the trunks; `speed` and `astray` of the walk,
-        the latter in centimetres; and `faults`, why the walk counts as failed. Values that cannot be measured are None.
+        `height`, of the hips over the actor's; `lean`, degrees between the trunks; `speed` and `path_error` of the
+        walk, the latter in centimetres; and `faults`, why the walk counts as failed. Values that cannot be measured are
+        None.
     """
     world = world_motion(walk.clip)
     resting = resting_heights(feet_of(world)) - resting_heights(feet_of(actor.world))
@@ -215,13 +216,13 @@ def compare_walk(actor: Actor, walk: ActorWalk) -> dict[str, Any]:
         "height": height,
         "lean": lean,
         "speed": walk.speed,
-        "astray": 100 * walk.astray,
+        "path_error": 100 * walk.path_error,
         "faults": faults,
     }
 
 
 def list_faults(height: float, lean: float, walk: ActorWalk) -> list[str]:
-    """Returns why a walk counts as failed: it has fallen apart, or does not do as it is told; empty if it does not."""
+    """Returns why a walk counts as failed: it diverged, or does not follow its command; empty if it does neither."""
     faults = []
     if not LEAST_HEIGHT <= height <= MOST_HEIGHT:
         faults.append(f"hips at {height:.2f} of their height")
@@ -229,8 +230,8 @@ def list_faults(height: float, lean: float, walk: ActorWalk) -> list[str]:
         faults.append(f"trunk off by {lean:.0f}°")
     if not LEAST_SPEED <= walk.speed <= MOST_SPEED:
         faults.append(f"{walk.speed:.2f} of the speed")
-    if not walk.astray <= MOST_ASTRAY:
-        faults.append(f"{walk.astray:.2f} m off the path")
+    if not walk.path_error <= MOST_PATH_ERROR:
+        faults.append(f"{walk.path_error:.2f} m off the path")
     return faults
 
 

@@ -10,7 +10,7 @@ from pfnn_jax.motion.clip import MotionClip, mirror_clip
 from pfnn_jax.motion.ground import to_local
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import Roles, need_roles
-from pfnn_jax.motion.trajectory import root_motion
+from pfnn_jax.motion.trajectory import relative_to_root, root_motion
 
 WINDOW_FPS = 60.0
 """Frame rate of the windows."""
@@ -45,11 +45,8 @@ def motion_windows(
     if len(positions) < frames + 1:
         return np.zeros((0, frames, 6 * positions.shape[1]), np.float32)
     root = root_motion(positions, roles, WINDOW_FPS)
-    facing = root.facing
-    seen = positions.copy()
-    seen[..., [0, 2]] -= root.positions[:, None]
-    velocities = to_local(np.diff(positions, axis=0) * WINDOW_FPS, facing[1:])
-    rows = np.concatenate([to_local(seen, facing)[1:], velocities], axis=1).reshape(len(positions) - 1, -1)
+    velocities = to_local(np.diff(positions, axis=0) * WINDOW_FPS, root.facing[1:])
+    rows = np.concatenate([relative_to_root(positions, root)[1:], velocities], axis=1).reshape(len(positions) - 1, -1)
     starts = np.arange(0, len(rows) - frames + 1, stride)
     return rows[starts[:, None] + np.arange(frames)].astype(np.float32)
 

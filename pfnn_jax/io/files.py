@@ -17,7 +17,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -272,8 +272,9 @@ def _remove_stale(target: Path) -> None:
 def _remove_abandoned(target: Path) -> None:
     """Removes old unfinished copies of `copy_once`. Their process may belong to another machine, so age decides."""
     for entry in target.parent.glob(f".{target.name}.*.copy"):
-        if time.time() - entry.stat().st_mtime > ABANDONED:
-            remove(entry)
+        with suppress(FileNotFoundError):  # another process may remove it at the same time
+            if time.time() - entry.stat().st_mtime > ABANDONED:
+                remove(entry)
 
 
 def _copy_files(source: Path, new: Path) -> None:

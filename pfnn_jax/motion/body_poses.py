@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from pfnn_jax.motion.ground import to_local
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.trajectory import root_motion
+from pfnn_jax.motion.trajectory import relative_to_root, root_motion
 from pfnn_jax.motion.world_motion import WorldMotion
 
 
 def root_poses(world: WorldMotion) -> np.ndarray:
     """Returns positions [T, J, 3] of all joints in metres, relative to the root on the ground; heights are kept."""
-    root = root_motion(world.positions, world.roles, world.fps)
-    offset = world.positions.copy()
-    offset[..., [0, 2]] -= root.positions[:, None]
-    return to_local(offset, root.facing)
+    return relative_to_root(world.positions, root_motion(world.positions, world.roles, world.fps))
 
 
 def body_joints(skeleton: Skeleton) -> np.ndarray:

@@ -88,6 +88,18 @@ def layout_root(positions: np.ndarray, roles: Roles, layout: FrameLayout) -> Roo
     return hips_root(positions, roles) if layout.hips_heading else root_motion(positions, roles, layout.fps)
 
 
+def relative_to_root(positions: np.ndarray, root: Root) -> np.ndarray:
+    """Returns positions [T, J, 3] of joints relative to the root on the ground; heights are kept.
+
+    Args:
+        positions: [T, J, 3] metres, in the world.
+        root: of the T frames.
+    """
+    offset = positions.copy()
+    offset[..., [0, 2]] -= root.positions[:, None]
+    return to_local(offset, root.facing)
+
+
 def trajectory_windows(root: Root, fps: float) -> tuple[np.ndarray, np.ndarray]:
     """Returns the trajectory around every frame, relative to its root: 12 samples within one second either way.
 

@@ -21,6 +21,9 @@ from pfnn_jax.run import Run
 from pfnn_jax.run_config import list_styles, style_note
 from pfnn_jax.training.log import read_metrics
 
+ADVICE = "expect a poor style, or learn from a part of the clip that walks straight ahead"
+"""What to do about a clip that is not a forward walk; the warning ends with it."""
+
 LARGEST_ANGLE = np.deg2rad(15.0)
 """Radians between travel and facing. Bandai-Namco, Xia and 100STYLE: walks and runs ahead at most 7.4°, walks through a
 turn of 90° at most 13°, side steps at least 17°."""
@@ -187,8 +190,7 @@ def _gait_warnings(report: ClipReport) -> list[str]:
     if report.bounce > MOST_BOUNCE * report.leg:
         limit = MOST_BOUNCE * report.leg
         found.append(f"the hips rise and fall by {report.bounce:.2f} m (at most {limit:.2f} m on flat ground)")
-    rule = "expect a poor style, or learn from a part of the clip that walks straight ahead"
-    return [f"the clip is not a forward walk: {'; '.join(found)}; {rule}"] if found else []
+    return [f"the clip is not a forward walk: {'; '.join(found)}; {ADVICE}"] if found else []
 
 
 def _mirror_warnings(report: ClipReport) -> list[str]:

@@ -142,13 +142,13 @@ def tune_style(
     _check_length(learn, config.batch_size, clip_file.path)
     reference = run_error(run)
 
-    def tune(parts: list[Features], begin: float, what: str) -> Tuned:
-        def report(progress: TrainingProgress) -> None:
+    def tune(rows: Rows, begin: float, what: str) -> Tuned:
+        def show(progress: TrainingProgress) -> None:
             progress_callback(begin + 0.45 * progress.step / progress.steps, what)
 
-        return tune_generator(run.shared, generator, _rows(run, parts), config, progress_callback=report)
+        return tune_generator(run.shared, generator, rows, config, progress_callback=show)
 
-    tried, tuned = tune(learn, 0.0, "trying"), tune(parts, 0.45, "tuning")
+    tried, tuned = tune(_rows(run, learn), 0.0, "trying"), tune(_rows(run, parts), 0.45, "tuning")
     progress_callback(0.9, "walking in circles")
     error, without = _held_out_errors(run, [tried.style, load_choice(run, None)], held)
     result = StyleResult(error, without, _stability_check(run, parts)(tuned.style))

@@ -55,8 +55,8 @@ def actor(run) -> Actor:
     return make_actor(take(), run)
 
 
-def walk(clip: MotionClip, speed: float = 1.0, astray: float = 0.0) -> ActorWalk:
-    return ActorWalk(clip, speed, astray)
+def walk(clip: MotionClip, speed: float = 1.0, path_error: float = 0.0) -> ActorWalk:
+    return ActorWalk(clip, speed, path_error)
 
 
 def test_actors_own_walk_differs_by_nothing(actor):
@@ -95,9 +95,9 @@ def test_still_body_has_no_steps(actor):
     assert found["distance"] is None and "no steps" in found["faults"]
 
 
-@pytest.mark.parametrize(("speed", "astray"), [(0.2, 0.0), (1.8, 0.0), (1.0, 2.0)])
-def test_disobedient_walk_has_failed(actor, speed, astray):
-    assert len(compare_walk(actor, walk(actor.world.clip, speed, astray))["faults"]) == 1
+@pytest.mark.parametrize(("speed", "path_error"), [(0.2, 0.0), (1.8, 0.0), (1.0, 2.0)])
+def test_a_walk_that_does_not_follow_its_command_has_failed(actor, speed, path_error):
+    assert len(compare_walk(actor, walk(actor.world.clip, speed, path_error))["faults"]) == 1
 
 
 def test_path_contains_the_take_between_straight_pieces(actor):

@@ -261,7 +261,7 @@ def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
     free.set()
     first.join(SOON)
     assert client.received == [
-        ("second.bvh is not learned", "Another file is being learned; upload this one again afterwards.")
+        ("second.bvh is not learned", "Another clip is being learned; try this one again afterwards.")
     ]
 
 

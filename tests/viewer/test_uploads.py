@@ -110,7 +110,7 @@ def test_an_upload_of_another_skeleton_is_put_onto_the_runs(library, run_path, z
     jax.tree.map(np.testing.assert_array_equal, here, there)
 
 
-def test_an_upload_that_is_no_walk_ahead_is_learned_with_warnings(library, run_path, tmp_path):
+def test_an_upload_that_is_not_a_forward_walk_is_learned_with_warnings(library, run_path, tmp_path):
     clip, _ = synthesise("zombie", np.zeros(150), np.full(150, 0.9))
     reverse = replace(clip, root_positions=clip.root_positions[::-1], rotations=clip.rotations[::-1])
     write_bvh(tmp_path / "back.bvh", reverse)

@@ -170,6 +170,22 @@ def test_a_killed_copy_is_not_a_run_and_is_removed_when_it_is_old(home: Path, mo
     assert not left.exists()
 
 
+def test_a_killed_copy_that_another_process_removes_meanwhile_stops_nobody(home: Path, monkeypatch: pytest.MonkeyPatch):
+    left, remove = home / f".{open_base().path.name}.0.copy", files.remove
+    shutil.rmtree(home)
+    left.mkdir(parents=True)
+    os.utime(left, (0, 0))
+
+    def removed_already(path: Path) -> None:
+        remove(path)
+        if path == left:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+
+    monkeypatch.setattr(files, "remove", removed_already)
+    assert content(base_run()) == content(BASE_NETWORK)
+    assert not left.exists()
+
+
 def test_a_full_disk_leaves_nothing(home: Path, monkeypatch: pytest.MonkeyPatch):
     def fail(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -76,7 +76,7 @@ def test_plain_walks_have_no_warning_and_are_mirrored(style):
         (partly_labelled(walk(), 0.5), "steps in only 50% of its frames"),
     ],
 )
-def test_a_clip_that_is_no_walk_ahead_is_named(labelled, said):
+def test_a_clip_that_is_not_a_forward_walk_is_named(labelled, said):
     warnings = clip_warnings(inspect_clip(labelled, mirror=True))
     assert len(warnings) == 1 and warnings[0].startswith(NO_WALK) and said in warnings[0]
 
@@ -96,7 +96,7 @@ def test_a_clip_that_is_no_walk_ahead_is_named(labelled, said):
         ("xia-test/proud_22_000.bvh", "no alternating steps"),
     ],
 )
-def test_real_walks_ahead_are_told_from_others(mocap, file, said):
+def test_real_forward_walks_are_distinguished_from_other_motion(mocap, file, said):
     labelled = load_labelled(ClipFile(mocap / file, "any"), phase=False)
     warnings = [line for line in clip_warnings(inspect_clip(labelled)) if line.startswith(NO_WALK)]
     if said is None:

@@ -55,7 +55,7 @@ class PrepareConfig:
         fps: frames per second; must be the layout's.
         mirror: add the mirror image of every clip of a symmetric style.
         grouped_std: whether to average standard deviations over blocks of columns, as the authors' code does
-            (`fit_normaliser`); otherwise every column has its own, as the paper says, and walks diverge sooner.
+            (`fit_normaliser`); otherwise every column has its own, as the paper says.
         validation: share of every clip's rows, in one block, that is kept for validation (Mason 2022: 0.1).
         test: share of every clip's rows, in one block, that is kept for testing.
         seed: determines where those blocks lie.

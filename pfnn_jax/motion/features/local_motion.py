@@ -10,7 +10,7 @@ import numpy as np
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.ground import to_local
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply, quat_rotate
-from pfnn_jax.motion.trajectory import Root, layout_root, trajectory_windows
+from pfnn_jax.motion.trajectory import Root, layout_root, relative_to_root, trajectory_windows
 from pfnn_jax.motion.world_motion import WorldMotion
 
 AXES = {"joint_forward": np.array([0.0, 0.0, 1.0]), "joint_up": np.array([0.0, 1.0, 0.0])}
@@ -56,8 +56,6 @@ def localise(motion: WorldMotion, layout: FrameLayout) -> LocalMotion:
     """
     positions = motion.positions
     root = layout_root(positions, motion.roles, layout)
-    offset = positions.copy()
-    offset[..., [0, 2]] -= root.positions[:, None]
     steps = np.diff(positions, axis=0) * motion.fps
     if layout.next_frame:
         steps = np.concatenate([steps[:1], steps])
@@ -65,7 +63,7 @@ def localise(motion: WorldMotion, layout: FrameLayout) -> LocalMotion:
         world=motion,
         root=root,
         windows=trajectory_windows(root, motion.fps),
-        positions=to_local(offset, root.facing),
+        positions=relative_to_root(positions, root),
         velocities=to_local(steps, root.facing[: len(steps)]),
         rotations=quat_multiply(quat_from_yaw(-root.yaw)[:, None], motion.rotations),
     )

@@ -52,7 +52,7 @@ from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 STANCE_SECONDS = 1.0
 """Within any such time one foot of a person who walks or runs stands."""
 
-HANGING = np.deg2rad(75.0)
+ARMS_DOWN = np.deg2rad(75.0)
 """Radians below the T-pose at which the arms of the target hang where the source has none."""
 
 ALIKE = 1e-6  # of the longest bone: offsets that differ by less are equal
@@ -251,7 +251,7 @@ def _follow(
 
 def _hang_arm(turns: dict[int, np.ndarray], side: str, arm: tuple[int | None, ...]) -> None:
     """Lowers an arm of the target, without its clavicle, from the T-pose of the reference pose."""
-    lowered = quat_from_axis_angle(FORWARD, -SIDES[side] * HANGING)
+    lowered = quat_from_axis_angle(FORWARD, -SIDES[side] * ARMS_DOWN)
     turns.update({joint: quat_multiply(turns[joint], lowered) for joint in arm[1:] if joint is not None})
 
 

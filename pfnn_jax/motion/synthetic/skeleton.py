@@ -11,8 +11,8 @@ THIGH, SHIN = 0.42, 0.41
 """Lengths of the upper and lower leg in metres."""
 ANKLE_HEIGHT = 0.085
 """Height of the ankle joint above the sole in metres."""
-TOE_HEIGHT = ANKLE_HEIGHT - 0.065
-"""Height of the toe joint above the sole in metres."""
+TOE_DROP = 0.065
+"""Metres from the ankle joint down to the toe joint of a flat foot."""
 
 # One row per joint of the midline and of the left side: name, parent, offset in metres. The rest pose is a T pose.
 _MIDLINE = (
@@ -32,7 +32,7 @@ _LEG = (
     ("UpLeg", "Hips", (0.095, -0.03, 0.0)),
     ("Leg", "UpLeg", (0.0, -THIGH, 0.0)),
     ("Foot", "Leg", (0.0, -SHIN, 0.0)),
-    ("ToeBase", "Foot", (0.0, -0.065, 0.14)),
+    ("ToeBase", "Foot", (0.0, -TOE_DROP, 0.14)),
 )
 _END_SITES = {"Head": (0.0, 0.19, 0.01), "Hand": (0.16, 0.0, 0.0), "ToeBase": (0.0, -0.005, 0.07)}
 _FLIP = np.array([-1.0, 1.0, 1.0])
@@ -78,6 +78,6 @@ def synthetic_skeleton() -> Skeleton:
         offsets=np.stack([row[2] for row in rows]),
         end_sites=_end_sites(names),
         mirror=np.arange(len(names)),
-        resting_heights=np.array([[ANKLE_HEIGHT, TOE_HEIGHT]] * 2),
+        resting_heights=np.array([[ANKLE_HEIGHT, ANKLE_HEIGHT - TOE_DROP]] * 2),
     )
     return assign_roles(skeleton, source="procedural walker")

@@ -144,7 +144,7 @@ class Tab:
         """
         if not self._learning.acquire(blocking=False):
             panel.notify(
-                f"{filename[:80]} is not learned", "Another file is being learned; upload this one again afterwards."
+                f"{filename[:80]} is not learned", "Another clip is being learned; try this one again afterwards."
             )
             return
         run = character.run

@@ -128,8 +128,8 @@ def learn_upload(
 
     Raises:
         InputError: for an unknown run; for a file that is too large, not text, not BVH, with too many joints or frames,
-            too short or long, without steps if the run needs them, or with another skeleton; for a run's folder that
-            cannot be written. Nothing has changed then.
+            too short or long, without steps if the run needs them, or of a skeleton that is not a humanoid; for a run's
+            folder that cannot be written. Nothing has changed then.
         LearningCancelled: if the page ends meanwhile.
     """
     name = style_name(filename)
