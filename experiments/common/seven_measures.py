@@ -15,7 +15,7 @@ from experiments.common.seven_models import Model
 from experiments.common.seven_takes import Take, Takes, common_columns, rows_of, windows_of
 from pfnn_jax.control.loop.rollout import stability
 from pfnn_jax.control.stability import PEAK_RATIO, TURN_RATE, is_stable_turn, walk_circles
-from pfnn_jax.evaluation.metrics import bone_length_error, foot_skating, resting_heights
+from pfnn_jax.evaluation.metrics import bone_length_error, foot_skating, planted_heights
 from pfnn_jax.evaluation.motion_windows import motion_windows
 from pfnn_jax.evaluation.style_classifier import (
     StyleClassifier,
@@ -70,7 +70,7 @@ def make_reference(classifier: StyleClassifier, styles: Sequence[str], takes: Se
     found = {}
     for style in dict.fromkeys(take.style for take in walking):
         found[style] = features(classifier, windows_of([t for t in walking if t.style == style], styles)[0])
-    ground = resting_heights(np.concatenate([_feet(take) for take in walking]))
+    ground = planted_heights(np.concatenate([_feet(take) for take in walking]))
     return Reference(classifier, tuple(styles), found, ground)
 
 

@@ -15,7 +15,7 @@ from pfnn_jax.control.controller import Controller
 from pfnn_jax.control.generation import track_path
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.gait_cycle import cycle_distance, mean_cycle
-from pfnn_jax.evaluation.metrics import foot_skating, path_error, resting_heights
+from pfnn_jax.evaluation.metrics import foot_skating, path_error, planted_heights
 from pfnn_jax.inference.predictor import Predictor
 from pfnn_jax.inference.rows import evaluate_rows
 from pfnn_jax.motion.body_poses import body_joints, root_poses
@@ -199,7 +199,7 @@ def compare_walk(actor: Actor, walk: ActorWalk) -> dict[str, Any]:
         None.
     """
     world = world_motion(walk.clip)
-    resting = resting_heights(feet_of(world)) - resting_heights(feet_of(actor.world))
+    resting = planted_heights(feet_of(world)) - planted_heights(feet_of(actor.world))
     poses, true = root_poses(world), root_poses(actor.world)
     height = float(poses[:, world.roles.hips, 1].mean() / true[:, world.roles.hips, 1].mean())
     lean = _angle(trunk_of(poses, world), trunk_of(true, actor.world))
@@ -296,7 +296,7 @@ def trunk_of(poses: np.ndarray, world: WorldMotion) -> np.ndarray:
 def skating_of(world: WorldMotion) -> float:
     """Returns how fast feet slide near the height at which they rest in the same motion, in cm/s (`foot_skating`)."""
     feet = feet_of(world)
-    return 100 * foot_skating(feet, world.fps, resting_heights(feet))
+    return 100 * foot_skating(feet, world.fps, planted_heights(feet))
 
 
 def feet_of(world: WorldMotion) -> np.ndarray:

@@ -70,7 +70,7 @@ def bone_length_error(positions: np.ndarray, parents: np.ndarray, lengths: np.nd
     return float(np.abs(found - np.asarray(lengths)[joints]).mean())
 
 
-def resting_heights(feet: np.ndarray, quantile: float = 0.1) -> np.ndarray:
+def planted_heights(feet: np.ndarray, quantile: float = 0.1) -> np.ndarray:
     """Returns the height [F] of planted foot joints in metres, a low quantile of heights in real motion [T, F, 3]."""
     return np.quantile(feet[..., 1], quantile, axis=0)
 

@@ -20,7 +20,7 @@ from pfnn_jax.evaluation.metrics import (
     jitter,
     nearest_pose_distance,
     one_step_error,
-    resting_heights,
+    planted_heights,
     skating_ratio,
 )
 from pfnn_jax.inference.predictor import Predictor, evaluate
@@ -148,7 +148,7 @@ def circle_test(
     for side in range(2):
         outputs, joints = np.asarray(frames.outputs[side])[warm_up:], np.asarray(frames.joint_positions[side])[warm_up:]
         rate = achieved_turn_rate(np.asarray(frames.root_yaw[side])[warm_up:], layout.fps)
-        ground = resting_heights(real[:, feet])
+        ground = planted_heights(real[:, feet])
         sides.append(
             {
                 "turn_rate": rate / np.rad2deg(TURN_RATE) * (1.0 if side == 0 else -1.0),

@@ -205,7 +205,7 @@ def test_nearest_pose_distance_does_not_depend_on_the_chunk_size(rng, monkeypatc
 def test_resting_heights_are_the_heights_in_stance():
     feet = np.concatenate([moving_foot(0.0, 0.02), moving_foot(0.0, 0.09)], axis=1)
     feet[40:, :, 1] += 0.2
-    np.testing.assert_allclose(metrics.resting_heights(feet), [0.02, 0.09], atol=EXACT)
+    np.testing.assert_allclose(metrics.planted_heights(feet), [0.02, 0.09], atol=EXACT)
 
 
 def test_procedural_walks_have_no_sliding_constant_bones_and_the_commanded_turn_rate():
