@@ -29,10 +29,9 @@ notebooks: .venv/.installed
 demo: .venv/.installed
 	$(BIN)/pfnn-jax demo --out demo --overwrite
 
-# A character to drive in the browser: the demo's network, trained first where there is none, or none to the end.
+# A character to drive in the browser, in the styles of the package's base network.
 play: .venv/.installed
-	test -f demo/report.html || $(MAKE) demo
-	$(BIN)/pfnn-jax play demo/run --port $(PORT)
+	$(BIN)/pfnn-jax play --port $(PORT)
 
 serve: .venv/.installed
 	$(BIN)/mkdocs serve

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -136,10 +137,14 @@ def check_new_style(path: str | Path, name: str, overwrite: bool = False) -> Pat
     """Returns the folder of a style to be saved; to be called before long work.
 
     Raises:
-        InputError: if the name cannot be a folder's, or the style exists and `overwrite` is not set.
+        InputError: if the name cannot be a folder's, the style exists and `overwrite` is not set, or the run cannot be
+            written.
     """
     folder = Path(path) / "styles" / check_style_name(name, Path(path))
     refuse_existing(folder, overwrite)
+    parent = folder.parent if folder.parent.exists() else Path(path)
+    if parent.exists() and not os.access(parent, os.W_OK):
+        raise InputError(parent, "folder", "read-only", "must be writable: styles are saved in it")
     return folder
 
 

@@ -47,6 +47,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
             pytest.skip("JAX finds no accelerator on this machine")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def data_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keeps the base network and its styles out of the user's own data folder, in programs that tests start too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data_home")))
+        yield
+
+
 @pytest.fixture(scope="module", autouse=True)
 def release_compiled_functions() -> Iterator[None]:
     """Drops compiled functions after a test module where the process holds many.

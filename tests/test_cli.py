@@ -27,6 +27,7 @@ from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
 from pfnn_jax.run import fingerprint, load_run, load_style
 from pfnn_jax.run_config import list_styles, style_note, train_step
 from pfnn_jax.training.config import FILM_FEW_SHOT, MASON2018_FEW_SHOT, FewShotConfig
+from pfnn_jax.workflows.samples import sample_clips
 from tests.trained import made_once
 
 SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
@@ -161,11 +162,12 @@ FOUND = {
     "frames": 1,
     "seconds": 1.0,
     "choice": {"epochs": 100, "held_out_error": 2.0},
+    "held_out_error": 2.0,
     "error_without_style": 3.0,
     "stable_on_turns": False,
     "mirrored": False,
     "asymmetry": 0.5,
-    "warnings": ["it falls", "it is no walk"],
+    "warnings": ["it falls", "it is not a walk"],
 }
 
 
@@ -217,23 +219,44 @@ def test_few_shot_says_what_its_error_means(folder, requested, capsys):
     assert "not mirrored" in shown and "without the style 3.000" in shown and "1.0 = predicting the mean" in shown
     assert [line for line in shown.splitlines() if line.startswith("warning: ")] == [
         "warning: it falls",
-        "warning: it is no walk",
+        "warning: it is not a walk",
     ]
     requested()
     assert "not mirrored (left and right differ by 0.50)" in capsys.readouterr().out
 
 
-def test_few_shot_warns_of_a_clip_that_is_no_walk_and_asks_the_clip_not_its_name(folder, tmp_path, capsys):
+def test_few_shot_warns_of_a_clip_that_is_not_a_walk_and_asks_the_clip_not_its_name(folder, tmp_path, capsys):
     shutil.copytree(folder / "run", tmp_path / "run")
     clip = read_bvh(folder / "zombie.bvh")
     reverse = dataclasses.replace(clip, root_positions=clip.root_positions[::-1], rotations=clip.rotations[::-1])
     write_bvh(tmp_path / "back.bvh", reverse)
     run("few-shot", tmp_path / "run", tmp_path / "back.bvh", "--name", "back", *QUICK)
-    assert "warning: the clip is no walk ahead: it moves backwards" in capsys.readouterr().out
+    assert "warning: the clip is not a forward walk: it moves backwards" in capsys.readouterr().out
     run("few-shot", tmp_path / "run", folder / "zombie.bvh", "--name", "DragLeg", *QUICK)
     shown = capsys.readouterr().out
-    assert "and their mirror image (left and right differ by 0.0" in shown and "no walk ahead" not in shown
+    assert "and their mirror image (left and right differ by 0.0" in shown and "not a forward walk" not in shown
     assert style_note(tmp_path / "run", "DragLeg")["info"]["mirrored"]
+
+
+def test_sample_lists_the_clips_and_writes_one(tmp_path, capsys):
+    run("sample")
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(sample_clips())
+    run("sample", "soldier", "--out", tmp_path / "walk.bvh")
+    assert (tmp_path / "walk.bvh").read_bytes() == sample_clips()["soldier"].read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "place", "rule"),
+    [
+        (("penguin",), "name: penguin", "zombie"),
+        (("soldier",), "--out: absent", "file to write"),
+        (("--out", "x.bvh"), "name: absent", "name of the sample"),
+        (("soldier", "--out", "x.txt"), "x.txt", ".bvh"),
+    ],
+)
+def test_sample_refuses_what_it_cannot_write(refused, words, place, rule):
+    line = refused("sample", *words)
+    assert place in line and rule in line
 
 
 @pytest.mark.parametrize("mode", ["cubic", "nearest50"])

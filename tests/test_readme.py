@@ -31,7 +31,25 @@ def test_the_example_in_the_readme_runs(tmp_path: Path):
     [(_, code)] = blocks("python", [ROOT / "README.md"])
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=400)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "example" / "figure_eight.html").stat().st_size > 50_000
+    assert (tmp_path / "walk.html").stat().st_size > 50_000
+    assert (tmp_path / "walk.bvh").exists()
+
+
+def test_the_first_commands_in_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from pfnn_jax.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    played = []
+    monkeypatch.setattr("pfnn_jax.viewer.page.play.play", lambda paths, **_: played.extend(paths))
+    install, *lines = blocks("sh", [ROOT / "README.md"])[0][1].splitlines()
+    assert install.startswith("pip install")
+    for line in lines:
+        program, *words = line.partition("#")[0].split()
+        assert program == "pfnn-jax"
+        main(words)
+    [run] = played
+    assert "zombie" in {style.name for style in (run / "styles").iterdir()}
 
 
 def test_commands_are_shown():

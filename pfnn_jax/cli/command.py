@@ -11,14 +11,17 @@ from typing import Annotated, Any
 import tyro
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import refuse_existing, require_suffix
+from pfnn_jax.io.files import locate, refuse_existing, require_suffix
 from pfnn_jax.motion.reading import ReadOptions
 
 FLAT = tyro.conf.arg(name="")
 """The fields of a configuration become options without a prefix: --hidden, not --config.hidden."""
 
 Run = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(name="run", metavar="RUN")]
-"""A run directory as a positional argument."""
+"""A run directory, or the word `base`, as a positional argument; `open_run` returns the directory."""
+
+BASE = Path("base")
+"""Word of the command line for the user's copy of the package's base network."""
 
 Reading = Annotated[ReadOptions, FLAT]
 """The options of every command that reads clips: --unit, --up, --source-fps, --travel."""
@@ -43,6 +46,36 @@ class Command:
     def ending(self) -> AbstractContextManager[None]:
         """Returns a context for the end of the program, which sees its exit code."""
         return nullcontext()
+
+
+def open_run(run: Path) -> Path:
+    """Returns the directory of the run that a command line names, and checks that it can be loaded.
+
+    The word `base` names the base network, unless the working directory holds something of that name, which is said.
+    When the base network is first copied into the user's data folder, a line says where.
+
+    Raises:
+        InputError: if it is not a run directory or not yet trained, or if the base network cannot be copied.
+    """
+    from pfnn_jax.run_config import check_finished
+
+    if run == BASE and locate(run) is None:
+        return _open_base()
+    if run == BASE:
+        print_notes(run, [f"is {run.absolute()}, not the base network of the package; rename it to use that"])
+    check_finished(run)
+    return run
+
+
+def _open_base() -> Path:
+    from pfnn_jax.workflows.base import open_base
+
+    base = open_base()
+    if base.is_new:
+        print(f"base: copied to {base.path}; styles learned on it are kept there")
+        for path in base.earlier:
+            print_notes(path, ["holds styles learned on an earlier base network; it stays, and can be used as a run"])
+    return base.path
 
 
 def print_notes(file: Path | str, notes: Iterable[str]) -> None:

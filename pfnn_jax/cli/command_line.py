@@ -19,6 +19,7 @@ COMMANDS = {
     "prepare": "Turn folders of BVH files into a dataset for training.",
     "pretrain": "Train a network and its styles on a dataset.",
     "few-shot": "Learn a new style from one clip.",
+    "sample": "List the sample clips, or write one.",
     "generate": "Generate motion in a style along a path.",
     "play": "Drive a character in the browser.",
     "render": "Draw clips as a page, a film or a picture.",

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional
 
-from pfnn_jax.cli.command import Command, Reading, Run, print_notes
+from pfnn_jax.cli.command import Command, Reading, Run, open_run, print_notes
 from pfnn_jax.motion.reading import ReadOptions
 
 
@@ -18,7 +18,7 @@ class Evaluate(Command):
     """Measure one-step errors of a run on clips that it has not seen, by style and by group of outputs.
 
     Attributes:
-        run_path: a run.
+        run_path: a run, or `base`.
         source: folder of BVH files, or one file.
         style: style of the run to test on all clips; by default the one that each clip is named after.
         roles: JSON file that names the joints' roles.
@@ -33,14 +33,13 @@ class Evaluate(Command):
 
     def run(self) -> Any:
         from pfnn_jax.motion.datasets.sources import list_clips
-        from pfnn_jax.run_config import check_finished
 
-        check_finished(self.run_path)
+        path = open_run(self.run_path)
         clips = list_clips(self.source, reading=self.reading)
         from pfnn_jax.evaluation.clips import evaluate_clips
         from pfnn_jax.run import load_run
 
-        result = evaluate_clips(load_run(self.run_path), clips, self.style, self.roles)
+        result = evaluate_clips(load_run(path), clips, self.style, self.roles)
         print("mean squared one-step error / variance of the training data: lower is better, 1.0 = predicting the mean")
         for style, errors in result.items():
             for file, note in errors.get("notes", {}).items():

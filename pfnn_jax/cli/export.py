@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pfnn_jax.cli.command import Command, Run, check_output, parse_choice
+from pfnn_jax.cli.command import Command, Run, check_output, open_run, parse_choice
 from pfnn_jax.interop.export.formats import Format
 
 
@@ -15,7 +15,7 @@ class Export(Command):
     """Export a run's network for game engines, with a description of everything that they need to run it.
 
     Attributes:
-        run_path: a run.
+        run_path: a run, or `base`.
         format: onnx or stablehlo, a function for one style; or bins, the files of the authors' demos.
         out: folder of the export.
         style: one of the run's styles, or a mixture `A:0.5+B:0.5` whose weights sum to one. By default the motion is
@@ -32,16 +32,14 @@ class Export(Command):
     overwrite: bool = False
 
     def run(self) -> Any:
-        from pfnn_jax.run_config import check_finished
-
         check_output(self.out, self.overwrite)
-        check_finished(self.run_path)
-        style = parse_choice(self.style, self.run_path)
+        path = open_run(self.run_path)
+        style = parse_choice(self.style, path)
         from pfnn_jax.cli.progress import stages
         from pfnn_jax.interop.export.run import export_run
         from pfnn_jax.run import load_run
 
-        run = load_run(self.run_path)
+        run = load_run(path)
         with stages("exporting") as stage:
             stage(f"converting the network to {self.format} and checking it")
             description = export_run(

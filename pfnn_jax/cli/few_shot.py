@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -9,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from pfnn_jax.cli.command import FLAT, Command, Reading, Run, print_notes
+from pfnn_jax.cli.command import FLAT, Command, Reading, Run, open_run, print_notes
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.reading import ReadOptions
@@ -25,7 +26,7 @@ class FewShot(Command):
     """Learn a new style from one clip. The shared network stays frozen.
 
     Attributes:
-        run_path: a pretrained run.
+        run_path: a pretrained run, or `base` for the network of the package.
         clip: BVH file. A `.phase` file of the same name is used if there is one; otherwise phases are labelled.
         name: name of the new style.
         start: first frame to use, counted at the file's own frame rate.
@@ -57,15 +58,15 @@ class FewShot(Command):
     def run(self) -> Any:
         self._check_recipe()
         from pfnn_jax.cli.progress import progress
-        from pfnn_jax.run_config import check_finished, check_new_style
+        from pfnn_jax.run_config import check_new_style
 
-        check_finished(self.run_path)
-        check_new_style(self.run_path, self.name, self.overwrite)
+        path = open_run(self.run_path)
+        check_new_style(path, self.name, self.overwrite)
         clip = ClipFile(self.clip, self.name, start=self.start, stop=self.stop, reading=self.reading)
         from pfnn_jax.run import load_run
         from pfnn_jax.workflows.learn import learn_style, tune_style
 
-        run = load_run(self.run_path)
+        run = load_run(path)
         with progress("learning") as report:
             options: Any = {
                 "mirror": self.mirror,
@@ -81,7 +82,14 @@ class FewShot(Command):
         self._print(info)
         for warning in info["warnings"]:
             print(f"warning: {warning}")
+        print(f"next: {self._next()}")
         return info
+
+    def _next(self) -> str:
+        """Returns the command that walks in the learned style."""
+        return shlex.join(
+            ["pfnn-jax", "generate", str(self.run_path), "--style", self.name, "--out", f"{self.name}.bvh"]
+        )
 
     def _check_recipe(self) -> None:
         """Refuses options that the recipe would ignore."""
@@ -115,10 +123,10 @@ class FewShot(Command):
         print(f"{self.name}: {info['frames']} frames, {mirrored}; {info['seconds']:.1f} s")
         if self.recipe == "generator":
             print(f"training loss {info['loss']:.4g}")
-            return
-        choice = dict(info["choice"])
-        error, without = choice.pop("held_out_error"), info["error_without_style"]
-        print("chosen: " + ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in choice.items()))
+        else:
+            chosen = {name: value for name, value in info["choice"].items() if name != "held_out_error"}
+            print("chosen: " + ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in chosen.items()))
+        error, without = info["held_out_error"], info["error_without_style"]
         print(
             f"held-out error {error:.3f}, without the style {without:.3f} (lower is better, 1.0 = predicting the mean)"
         )

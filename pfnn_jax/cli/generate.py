@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pfnn_jax.cli.command import Command, Run, check_output, parse_choice
+from pfnn_jax.cli.command import Command, Run, check_output, open_run, parse_choice
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.modes import Mode
 
@@ -16,7 +16,7 @@ class Generate(Command):
     """Generate motion in a style along a path, and write it to a BVH file.
 
     Attributes:
-        run_path: a run.
+        run_path: a run, or `base`.
         style: one of its styles, or a mixture `A:0.5+B:0.3+C:0.2` whose weights sum to one. By default the motion is
             style-agnostic, or on a FiLM run in the mean of its styles.
         path: straight, circle, figure-eight, or a CSV file of points x,z in metres.
@@ -47,20 +47,19 @@ class Generate(Command):
 
     def run(self) -> Any:
         from pfnn_jax.motion.paths import make_path
-        from pfnn_jax.run_config import check_finished
 
         check_output(self.out, self.overwrite, ".bvh")
         if self.mode != "cubic" and not self.published_loop:
             raise InputError("command line", "mode", self.mode, "must be cubic without --published-loop")
         path = make_path(self.path, self.size)
-        check_finished(self.run_path)
-        style = parse_choice(self.style, self.run_path)
+        run_path = open_run(self.run_path)
+        style = parse_choice(self.style, run_path)
         from pfnn_jax.cli.progress import stages
         from pfnn_jax.motion.bvh import write_bvh
         from pfnn_jax.run import load_run, load_style
         from pfnn_jax.workflows.generate import generate_clip
 
-        run = load_run(self.run_path)
+        run = load_run(run_path)
         for name in [style] if isinstance(style, str) else style or ():
             load_style(run, name)
         options: Any = {"speed": self.speed, "seconds": self.seconds, "foot_ik": self.foot_ik}

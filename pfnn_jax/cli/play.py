@@ -10,8 +10,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional
 
-from pfnn_jax.cli.command import Command
-from pfnn_jax.errors import InputError
+from pfnn_jax.cli.command import BASE, Command, open_run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,30 +18,25 @@ class Play(Command):
     """Drive a character in the browser, in the styles of one or several runs. Ctrl-C ends it.
 
     Attributes:
-        run_paths: runs whose styles can be chosen.
+        run_paths: runs whose styles can be chosen; by default `base`, the network of the package.
         host: address to listen at. With any other than the default, other machines can reach the page.
         port: port to listen at; 0 takes a free one.
         open: open the page in this machine's browser.
     """
 
-    run_paths: Annotated[Positional[tuple[Path, ...]], tyro.conf.arg(name="run", metavar="RUN [RUN...]")]
+    run_paths: Annotated[Positional[tuple[Path, ...]], tyro.conf.arg(name="run", metavar="[RUN...]")] = (BASE,)
     host: str = "127.0.0.1"
     port: int = 8080
     open: bool = False
 
     def run(self) -> Any:
-        from pfnn_jax.run_config import check_finished
-
-        if not self.run_paths:
-            raise InputError("command line", "runs", "none", "name at least one run directory")
-        for path in self.run_paths:
-            check_finished(path)
+        paths = [open_run(path) for path in self.run_paths or (BASE,)]
         from pfnn_jax.cli.interrupts import release
         from pfnn_jax.viewer.page.play import play
 
         release()  # `play` ends its server and its recordings on Ctrl-C
-        play(self.run_paths, host=self.host, port=self.port, open_browser=self.open)
-        return {"runs": self.run_paths}
+        play(paths, host=self.host, port=self.port, open_browser=self.open)
+        return {"runs": paths}
 
     def ending(self) -> AbstractContextManager[None]:
         from pfnn_jax.viewer.page.background import ends_with

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional
 
-from pfnn_jax.cli.command import Command, Run, check_output, parse_choice
+from pfnn_jax.cli.command import Command, Run, check_output, open_run, parse_choice
 from pfnn_jax.inference.modes import LayerNorm, Mode
 
 
@@ -18,7 +18,7 @@ class Predict(Command):
     """Evaluate a run's network on rows of a file.
 
     Attributes:
-        run_path: a run.
+        run_path: a run, or `base`.
         rows: `.npz` file with `x` in the layout's units and `phase` in radians, or `gating_x` for a gating network.
             `style` [N], or `styles` [N, M] with `weights` [N, M], select each row's own style by its index in the run.
         out: `.npz` file for the outputs `y`, in the layout's units.
@@ -38,15 +38,13 @@ class Predict(Command):
     overwrite: bool = False
 
     def run(self) -> Any:
-        from pfnn_jax.run_config import check_finished
-
         check_output(self.out, self.overwrite, ".npz")
-        check_finished(self.run_path)
-        style = parse_choice(self.style, self.run_path)
+        path = open_run(self.run_path)
+        style = parse_choice(self.style, path)
         from pfnn_jax.inference.rows import predict_file
 
         y = predict_file(
-            self.run_path,
+            path,
             self.rows,
             self.out,
             style=style,

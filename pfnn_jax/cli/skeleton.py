@@ -46,7 +46,7 @@ def describe_skeleton(clip: Any) -> dict[str, Any]:
     """
     import numpy as np
 
-    from pfnn_jax.motion.humanoid.describe import left_out, leg_reach, rest_axes, rest_pose_kind
+    from pfnn_jax.motion.humanoid.describe import left_out, leg_length_of, rest_axes, rest_pose_kind
     from pfnn_jax.motion.humanoid.find import need_humanoid
 
     skeleton = clip.skeleton
@@ -63,7 +63,7 @@ def describe_skeleton(clip: Any) -> dict[str, Any]:
         "rest_pose": kind,
         "up": up,
         "facing": facing,
-        "leg_metres": leg_reach(skeleton, humanoid),
+        "leg_metres": leg_length_of(skeleton, humanoid),
         "reading": None if clip.reading is None else clip.reading.to_json(),
         "notes": list(clip.notes),
         "pairs": [[names[j], names[k]] for j, k in enumerate(skeleton.mirror) if j < k],

@@ -119,7 +119,7 @@ def procedural_dataset(out: Path, config: DemoConfig, overwrite: bool = False) -
     clips = [
         clip for style in PRETRAINING_STYLES for clip in synthetic_clips(style, config.seconds_per_style, config.seed)
     ]
-    return prepare(clips, out, PrepareConfig(grouped_std=True, seed=config.seed), overwrite=overwrite)
+    return prepare(clips, out, PrepareConfig(seed=config.seed), overwrite=overwrite)
 
 
 def straight_walk(seconds: float, seed: int) -> LabelledClip:

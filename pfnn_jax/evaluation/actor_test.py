@@ -24,10 +24,11 @@ from pfnn_jax.motion.datasets.clip_rows import labelled_features, match_skeleton
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.filters import gaussian_filter
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.phase import PhaseLabels, label_phase
 from pfnn_jax.motion.paths import Path, resample_path
-from pfnn_jax.motion.retargeting.body import humanoid_of, leg_length_of
+from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.world_motion import WorldMotion, world_motion

@@ -28,6 +28,9 @@ Tree = TypeVar("Tree")
 TREE = "parameters"
 """Folder of the Orbax checkpoint inside a record."""
 
+COMMITTED = "commit_success.txt"
+"""File by which Orbax marks a complete checkpoint; only its existence counts."""
+
 FILES = "files.json"
 """The checkpoint's files and their sizes, by which a damaged copy is recognised."""
 
@@ -50,6 +53,8 @@ def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]
         _need_room(folder, new, sum(leaf.nbytes for leaf in jax.tree.leaves(arrays)))
         with _quiet():
             ocp.save(str((new / TREE).absolute()), arrays)
+        # Orbax writes the checkpoint's path into this file; runs are passed on, and that path is gone after the rename.
+        (new / TREE / COMMITTED).write_text("Checkpoint commit was successful\n", encoding="utf-8")
         write_json(new / FILES, _sizes(new / TREE))
         write_json(new / note_name, note)
 

@@ -14,6 +14,8 @@ import math
 import os
 import re
 import shutil
+import time
+import uuid
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
@@ -25,6 +27,9 @@ import numpy as np
 from pfnn_jax.errors import InputError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+
+ABANDONED = 3600.0
+"""Seconds after which the unfinished copy of a folder is that of a program that was killed."""
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
@@ -81,6 +86,41 @@ def replacing(target: Path) -> Iterator[Path]:
             exchange(new, target)
     finally:
         remove(new)
+
+
+def copy_once(source: Path, target: Path) -> bool:
+    """Copies a folder to a place where it appears complete or not at all; what exists there stays as it is.
+
+    Unlike with `replacing`, several processes may copy at once, also on machines that share a file system: the first to
+    finish makes the folder, and what is written into it meanwhile is not lost.
+
+    Args:
+        source: a folder; its permissions are not copied, since it may be read-only.
+        target: the path to write; parents are made.
+
+    Returns:
+        Whether this call has made the folder.
+
+    Raises:
+        InputError: if the disk is full; nothing is left of the attempt.
+        OSError: if the folder cannot be made for another reason.
+    """
+    if target.exists():
+        return False
+    new = target.with_name(f".{target.name}.{uuid.uuid4().hex}.copy")
+    try:
+        with reporting_full_disk(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            _remove_abandoned(target)
+            _copy_files(source, new)
+            os.rename(new, target)
+    except OSError:
+        if not target.exists():  # else another process has made it in the meantime
+            raise
+        return False
+    finally:
+        remove(new)
+    return True
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -227,6 +267,24 @@ def _remove_stale(target: Path) -> None:
         found = pattern.fullmatch(entry.name)
         if found is not None and not _is_running(int(found[1])):
             remove(entry)
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Removes old unfinished copies of `copy_once`. Their process may belong to another machine, so age decides."""
+    for entry in target.parent.glob(f".{target.name}.*.copy"):
+        if time.time() - entry.stat().st_mtime > ABANDONED:
+            remove(entry)
+
+
+def _copy_files(source: Path, new: Path) -> None:
+    """Copies a folder's content, without permissions."""
+    new.mkdir()
+    for path in sorted(source.rglob("*")):
+        place = new / path.relative_to(source)
+        if path.is_dir():
+            place.mkdir()
+        else:
+            shutil.copyfile(path, place)
 
 
 def _is_running(pid: int) -> bool:

@@ -13,12 +13,16 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, cut
+from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.jumps import check_speed, longest_part
 from pfnn_jax.motion.length_unit import POSSIBLE_LEG, USUAL_LEG, guess_unit, unit_name
 from pfnn_jax.motion.reading import Axis, ReadOptions
-from pfnn_jax.motion.skeleton import Roles
+from pfnn_jax.motion.retargeting.resting import with_resting_heights
 from pfnn_jax.motion.travel import rebuild_travel, walks_on_the_spot
 from pfnn_jax.motion.up_axis import find_up
+
+USUAL_FPS = (10.0, 500.0)
+"""Frames per second outside of which a file's rate is doubtful: 0.333333 s for a frame is a common slip."""
 
 
 def decide_unit(leg: float, is_leg: bool, options: ReadOptions, path: str | Path) -> tuple[float, str]:
@@ -45,19 +49,31 @@ def decide_unit(leg: float, is_leg: bool, options: ReadOptions, path: str | Path
     return unit, note
 
 
-def decide_up(positions: np.ndarray, roles: Roles | None, options: ReadOptions) -> tuple[Axis, str]:
+def doubt_rate(fps: float, options: ReadOptions) -> str:
+    """Returns a note if a file's frame rate is one that motion is hardly recorded at; empty if it is given.
+
+    Args:
+        fps: frames per second.
+        options: what the user says.
+    """
+    if options.source_fps is not None or USUAL_FPS[0] <= fps <= USUAL_FPS[1]:
+        return ""
+    return f"`Frame Time` means {fps:.4g} frames per second: pass `--source-fps` if that is wrong"
+
+
+def decide_up(positions: np.ndarray, humanoid: HumanoidMap | None, options: ReadOptions) -> tuple[Axis, str]:
     """Returns the axis of a file that points up, and a note unless the body stands along Y.
 
     Args:
         positions: [N, J, 3] joint positions of some poses in any unit.
-        roles: None if they were not found: Y is then taken.
+        humanoid: None if it was not found: Y is then taken.
         options: what the user says.
     """
     if options.up != "auto":
         return options.up, ""
-    if roles is None:
+    if humanoid is None:
         return "y", ""
-    up, stands = find_up(positions, roles)
+    up, stands = find_up(positions, humanoid)
     if not stands:
         return up, "the body stands along no axis; up is taken to be y: pass `--up` if that is wrong"
     note = f"the body stands along {up} and is turned so that y points up: pass `--up y` if that is wrong"
@@ -65,7 +81,7 @@ def decide_up(positions: np.ndarray, roles: Roles | None, options: ReadOptions) 
 
 
 def repair(clip: MotionClip, options: ReadOptions) -> MotionClip:
-    """Cuts jumps to other poses or places, and rebuilds travel that is lacking.
+    """Cuts jumps to other poses or places, rebuilds travel that is lacking, and measures the feet's resting heights.
 
     Of a clip that jumps the longest part is kept. Clips whose skeleton has no roles are returned unchanged.
 
@@ -85,9 +101,10 @@ def repair(clip: MotionClip, options: ReadOptions) -> MotionClip:
         )
     elif note:
         clip = cut(replace(clip, reading=clip.reading.noting(note)), start, stop)
-    check_speed(clip)
+    if (note := check_speed(clip)) and clip.reading is not None:
+        clip = replace(clip, reading=clip.reading.noting(note))
     if options.travel == "rebuild" or (options.travel == "auto" and walks_on_the_spot(clip)):
         clip, note = rebuild_travel(clip)
         assert clip.reading is not None
         clip = replace(clip, reading=clip.reading.noting(note))
-    return clip
+    return with_resting_heights(clip)

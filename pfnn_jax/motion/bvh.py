@@ -11,6 +11,9 @@ import functools
 import io
 import math
 import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,8 +21,11 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import refuse_existing, write_whole
-from pfnn_jax.motion.assumptions import decide_unit, decide_up, repair
+from pfnn_jax.motion.assumptions import decide_unit, decide_up, doubt_rate, repair
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.lexicon import limb_points
+from pfnn_jax.motion.humanoid.names import read_names
 from pfnn_jax.motion.kinematics import (
     AXES,
     joint_positions,
@@ -31,7 +37,7 @@ from pfnn_jax.motion.kinematics import (
 from pfnn_jax.motion.length_unit import CENTIMETRE
 from pfnn_jax.motion.reading import Axis, Reading, ReadOptions, Travel, Up, check_options
 from pfnn_jax.motion.retargeting.reference import some_poses
-from pfnn_jax.motion.roles import assign_roles, is_hips_name, is_upper_body_name, leg_length, longest_chain
+from pfnn_jax.motion.roles import assign_roles, is_hips_name, is_upper_body_name, longest_chain
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.up_axis import TURNS, stand_up
 
@@ -40,7 +46,12 @@ CHANNELS = {f"{axis}{kind}": f"{kind[0]}{axis}" for axis in "XYZ" for kind in ("
 LONGEST_FRAME, SHORTEST_FRAME = 1.0, 1e-5  # seconds
 STRETCH = 0.02  # share of the longest limb by which bones may vary and still count as rigid
 NO_OFFSET = 1e-4  # share of OFFSET's length up to which position channels count as zero
-NUM_POSES = 30  # enough to tell left from right in a walk or a run
+NUM_POSES = 20  # at most; enough to tell left from right in a walk or a run
+HIERARCHY = re.compile(r"\s*HIERARCHY\b", re.IGNORECASE)
+MOTION = re.compile(r"^[ \t]*MOTION[ \t]*$|(?<=\})\s*MOTION\b", re.IGNORECASE | re.MULTILINE)
+# tools that cut files may leave the old number of frames next to the new one
+COUNT = re.compile(r"\s*Frames\s*:[ \t]*(\S*)\s+", re.IGNORECASE)
+HEAD = re.compile(rf"((?:{COUNT.pattern})+)Frame\s+Time\s*:[ \t]*(\S*)[^\S\n]*\n?", re.IGNORECASE)
 RATE_STEP = 2e-4  # relative; printed frame times have few decimals: 0.008333 means 120 fps
 
 
@@ -110,7 +121,7 @@ class _Tokens:
             self.lines += [number] * len(words)
         self.next = 0
 
-    def fail(self, value: object, rule: str) -> InputError:
+    def fail(self, value: str, rule: str) -> InputError:
         line = self.lines[min(max(self.next - 1, 0), len(self.words) - 1)] if self.words else 1
         return InputError(self.path, f"line {line}", shorten(value), rule)
 
@@ -129,7 +140,7 @@ class _Tokens:
     def number(self, what: str) -> float:
         word = self.take(f"{what} must be a number")
         try:
-            value = float(word)
+            value = _real(word)
         except ValueError:
             raise self.fail(word, f"{what} must be a number") from None
         if not abs(value) <= LIMIT:
@@ -138,7 +149,7 @@ class _Tokens:
 
     def vector(self, what: str) -> np.ndarray:
         try:
-            values = [float(word) for word in self.words[self.next : self.next + 3]]
+            values = [_real(word) for word in self.words[self.next : self.next + 3]]
         except ValueError:
             values = []
         if len(values) == 3 and all(abs(value) <= LIMIT for value in values):
@@ -156,10 +167,15 @@ class _Tokens:
         return " ".join(words)
 
 
-def shorten(value: object) -> str:
+def _real(word: str) -> float:
+    """Returns a word as a number; some exporters write decimal commas."""
+    return float(word.rstrip(",").replace(",", ".") if "," in word else word)
+
+
+@functools.lru_cache(maxsize=1024)
+def shorten(value: str) -> str:
     """Returns a value as printable text of at most 40 characters, for messages of one line."""
-    text = str(value)
-    text = text if text.isprintable() else ascii(text)
+    text = value if value.isprintable() else ascii(value)
     return text if len(text) <= 40 else text[:37] + "..."
 
 
@@ -169,36 +185,53 @@ def _read_text(path: Path) -> str:
     except OSError as error:
         raise InputError(path, "file", error.strerror or error, "must be a readable BVH file") from None
     try:
-        text = raw.decode("utf-8-sig")
+        text = raw.decode("utf-16" if raw.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError:
-        text = raw.decode("latin-1")  # joint names in older encodings
+        text = _decode_older(raw)
+    text = text.rstrip("\0\x1a")  # ends of files on old systems
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def _decode_older(raw: bytes) -> str:
+    """Returns the text of a file whose joint names are in an older encoding: Shift JIS if it has Japanese sides."""
+    with suppress(UnicodeDecodeError):
+        text = raw.decode("cp932")
+        if "左" in text:
+            return text
+    return raw.decode("latin-1")
 
 
 def _split(path: Path, text: str, need_rate: bool) -> tuple[str, list[int], float, int, str]:
     """Splits a text into hierarchy, numbers of frames, frame time in seconds, line of the first frame, and numbers."""
-    if not re.match(r"\s*HIERARCHY\b", text, re.IGNORECASE):
+    if not HIERARCHY.match(text):
         raise InputError(
             path,
             "line 1",
             shorten(text.strip()[:80].split("\n")[0] or "empty file"),
             "must start with HIERARCHY",
         )
-    motion = re.search(r"^[ \t]*MOTION[ \t]*$|(?<=\})\s*MOTION\b", text, re.IGNORECASE | re.MULTILINE)
+    motion = _find_motion(text)
     if motion is None:
         raise InputError(path, f"line {text.count(chr(10)) + 1}", "end of file", "MOTION must follow the hierarchy")
-    # tools that cut files may leave the old number of frames next to the new one
-    count = r"\s*Frames\s*:[ \t]*(\S*)\s+"
-    head = re.compile(rf"((?:{count})+)Frame\s+Time\s*:[ \t]*(\S*)[^\S\n]*\n?", re.IGNORECASE)
-    match = head.match(text, motion.end())
-    line = text.count("\n", 0, motion.end()) + 1
+    begin, end = motion
+    match = HEAD.match(text, end)
     if match is None:
-        after = shorten(text[motion.end() : motion.end() + 40].strip() or "end of file")
+        line = text.count("\n", 0, end) + 1
+        after = shorten(text[end : end + 40].strip() or "end of file")
         raise InputError(path, f"line {line}", after, "MOTION precedes `Frames: N` and `Frame Time: SECONDS`")
     first_line = text.count("\n", 0, match.end()) + 1
-    counts = [_parse_count(path, text, found) for found in re.compile(count, re.I).finditer(text, *match.span(1))]
+    counts = [_parse_count(path, text, found) for found in COUNT.finditer(text, *match.span(1))]
     seconds = _parse_frame_time(path, f"line {text.count(chr(10), 0, match.start(3)) + 1}", match[3], need_rate)
-    return text[: motion.start()], counts, seconds, first_line, text[match.end() :]
+    return text[:begin], counts, seconds, first_line, text[match.end() :]
+
+
+def _find_motion(text: str) -> tuple[int, int] | None:
+    """Returns where the word MOTION behind the hierarchy begins and ends, or None."""
+    plain = text.find("\nMOTION\n")  # in nearly all files, and found faster
+    if plain >= 0:
+        return plain + 1, plain + len("\nMOTION")
+    found = MOTION.search(text)
+    return None if found is None else found.span()
 
 
 def _parse_count(path: Path, text: str, found: re.Match[str]) -> int:
@@ -215,7 +248,7 @@ def _parse_count(path: Path, text: str, found: re.Match[str]) -> int:
 def _parse_frame_time(path: Path, place: str, word: str, need_rate: bool) -> float:
     """Returns the seconds of a frame; not a number if they are not usable and need not be."""
     try:
-        seconds = float(word)
+        seconds = _real(word)
     except ValueError:
         seconds = float("nan")
     if SHORTEST_FRAME <= seconds <= LONGEST_FRAME:
@@ -317,6 +350,8 @@ def _parse_frames(path: Path, numbers: str, first_line: int, counts: list[int], 
     if columns == 0:
         raise InputError(path, "hierarchy", "no channels", "at least one joint must move")
     values = None
+    if "," in numbers:  # decimal commas, or commas between numbers with decimal points
+        numbers = numbers.replace(",", " " if "." in numbers else ".")
     if not numbers.isspace() and numbers:
         try:
             values = np.loadtxt(io.StringIO(numbers), dtype=float, comments=None, ndmin=2)
@@ -360,10 +395,12 @@ def read_skeleton(path: str | Path) -> Skeleton:
         InputError: if the hierarchy is malformed, naming the line.
     """
     path = Path(path)
-    joints = _parse_hierarchy(path, re.split(r"(?m)^[ \t]*MOTION\b", _read_text(path), maxsplit=1)[0])
-    kept = joints[_first_kept(joints) :]
-    names, parents, end_sites = _tree(kept)
-    offsets = np.array([np.zeros(3), *(joint.offset for joint in kept[1:])])
+    text = _read_text(path)
+    motion = _find_motion(text)
+    joints = _parse_hierarchy(path, text if motion is None else text[: motion[0]])
+    kept = _kept(joints)
+    names, parents, end_sites = _tree(joints, kept)
+    offsets = np.array([np.zeros(3), *(joint.offset for joint in joints[kept][1:])])
     return Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
 
 
@@ -379,9 +416,10 @@ def read_bvh(
     """Reads a BVH file.
 
     Joints above the hips that only carry the root, such as `joint_Root` of the Bandai-Namco files, are merged into the
-    hips: joint 0 moves by the product of their transforms. Position channels replace OFFSET, unless all are zero and
-    OFFSET is not; below the root they must be constant (within 2 % of the longest limb, as bones are rigid), and their
-    median becomes the offset. A joint without children and without End Site ends in itself.
+    hips: joint 0 moves by the product of their transforms, and their names in `roles_file` mean it. Position channels
+    replace OFFSET, unless all are zero and OFFSET is not; below the root they must be constant (within 2 % of the
+    longest limb, as bones are rigid), and their median becomes the offset. A joint without children and without
+    End Site ends in itself.
 
     What a file does not state is found from its motion: see `reading.ReadOptions` for the options, and
     `MotionClip.reading` for what was decided. Jumps are cut out (`jumps.longest_part`).
@@ -419,50 +457,60 @@ def read_whole(path: str | Path, options: ReadOptions, roles_file: str | Path | 
     path = Path(path)
     check_options(options, path)
     text = parse_bvh(path, need_rate=options.source_fps is None)
-    names, parents, end_sites, positions, rotations = _fold(text.joints, *_channels(text.joints, text.values))
+    kept = _kept(text.joints)
+    names, parents, end_sites, positions, rotations = _fold(text.joints, kept, *_channels(text.joints, text.values))
     offsets = _rest_offsets(positions)
     bare = Skeleton(names, parents, offsets, end_sites, np.arange(len(names)))
     _require_rigid(path, bare, positions)
-    skeleton, axis, lying = _find_body(bare, rotations, options, roles_file, path)
-    known = skeleton.roles is not None
-    leg = leg_length(skeleton, skeleton.roles) if skeleton.roles is not None else 0.75 * longest_chain(bare)
+    merged = [text.joints[joint].name for joint in _above(text.joints, kept.start)]
+    skeleton, axis, lying = _find_body(bare, rotations, options, roles_file, path, merged)
+    body = skeleton.humanoid
+    known = body is not None and body.left_foot is not None and body.right_foot is not None
+    leg = leg_length_of(skeleton, body) if body is not None and known else 0.75 * longest_chain(bare)
     unit, doubt = decide_unit(leg, known, options, path)
     sites = tuple((joint, site * unit) for joint, site in end_sites)
     skeleton = replace(skeleton, offsets=offsets * unit, end_sites=sites)
     fps = _frame_rate(text.frame_time) if options.source_fps is None else float(options.source_fps)
-    reading = Reading(unit, axis, fps, len(rotations)).noting(*_text_notes(text), doubt, lying)
+    named_by = "" if roles_file is None else str(roles_file)
+    reading = Reading(unit, axis, fps, len(rotations), roles_file=named_by)
+    reading = reading.noting(*_text_notes(text, kept), doubt_rate(fps, options), doubt, lying)
     clip = MotionClip(skeleton, fps, positions[:, 0] * unit, rotations, source=str(path), reading=reading)
     clip = stand_up(clip, axis)
     return replace(clip, skeleton=replace(clip.skeleton, poses=some_poses(clip.rotations)))
 
 
 def _find_body(
-    bare: Skeleton, rotations: np.ndarray, options: ReadOptions, roles_file: str | Path | None, path: Path
+    bare: Skeleton,
+    rotations: np.ndarray,
+    options: ReadOptions,
+    roles_file: str | Path | None,
+    path: Path,
+    merged: Collection[str],
 ) -> tuple[Skeleton, Axis, str]:
-    """Returns the skeleton with its roles, the axis of the file that points up, and a note on it.
+    """Returns the skeleton with its map and roles, the axis of the file that points up, and a note on it.
 
     Where names do not tell left from right, poses that stand do: roles are found again once the axis is known.
     """
 
     @functools.cache
     def poses() -> np.ndarray:
-        return joint_positions(bare, rotations[:: max(1, len(rotations) // NUM_POSES)])
+        return joint_positions(bare, rotations[:: -(-len(rotations) // NUM_POSES)])
 
     def assign(axis: Axis) -> Skeleton:
         file = None if roles_file is None else Path(roles_file)
         standing = poses if axis == "y" else lambda: quat_rotate(TURNS[axis], poses())
-        return assign_roles(bare, file, str(path), poses=standing)
+        return assign_roles(bare, file, str(path), poses=standing, merged=merged)
 
     first: Axis = "y" if options.up == "auto" else options.up
     skeleton = assign(first)
-    if skeleton.roles is None:
+    if skeleton.humanoid is None:
         return skeleton, first, ""
-    axis, note = decide_up(poses(), skeleton.roles, options)
+    axis, note = decide_up(poses(), skeleton.humanoid, options)
     again = skeleton if axis == first else assign(axis)
-    return skeleton if again.roles is None else again, axis, note
+    return skeleton if again.humanoid is None else again, axis, note
 
 
-def _text_notes(text: BvhText) -> list[str]:
+def _text_notes(text: BvhText, kept: slice) -> list[str]:
     """Returns what is odd about the text of a file."""
     notes = []
     if set(text.counts) != {len(text.values)}:
@@ -471,6 +519,10 @@ def _text_notes(text: BvhText) -> list[str]:
     unmoved = [joint.name for joint in text.joints if joint.unmoved]
     if unmoved:
         notes.append(f"position channels of {len(unmoved)} joints are zero, such as {unmoved[0]}: OFFSET is used")
+    carriers = set(_above(text.joints, kept.start))
+    props = [joint.name for at, joint in enumerate(text.joints[: kept.start]) if at not in carriers]
+    if props := [*props, *(joint.name for joint in text.joints[kept.stop :])]:
+        notes.append(f"{len(props)} joints next to the hips are no part of the body, such as {props[0]}: left out")
     return notes
 
 
@@ -516,35 +568,91 @@ def _all_zero(values: np.ndarray, first: list[float], columns: list[int], joint:
     return all(abs(first[column]) < size for column in columns) and bool((np.abs(values[:, columns]) < size).all())
 
 
-def _fold(joints: list[BvhJoint], positions: np.ndarray, rotations: np.ndarray):
-    """Merges the joints above the hips into joint 0; returns names, parents, end sites, positions, rotations."""
-    first = _first_kept(joints)
+def _fold(joints: list[BvhJoint], kept: slice, positions: np.ndarray, rotations: np.ndarray):
+    """Merges the joints above the kept ones into joint 0; returns names, parents, end sites, positions, rotations."""
+    chain = [*_above(joints, kept.start), kept.start]
     position, rotation = positions[:, 0], rotations[:, 0]
-    for joint in range(1, first + 1):
+    for joint in chain[1:]:
         position = position + quat_rotate(rotation, positions[:, joint])
         rotation = quat_multiply(rotation, rotations[:, joint])
-    positions, rotations = positions[:, first:].copy(), rotations[:, first:].copy()
+    positions, rotations = positions[:, kept].copy(), rotations[:, kept].copy()
     positions[:, 0], rotations[:, 0] = position, rotation
-    return *_tree(joints[first:]), positions, rotations
+    return *_tree(joints, kept), positions, rotations
 
 
-def _first_kept(joints: list[BvhJoint]) -> int:
-    """Returns the index of the joint that becomes joint 0."""
+def _kept(joints: list[BvhJoint]) -> slice:
+    """Returns which joints are kept: the one that becomes joint 0, and all below it."""
     first = 0
-    while joints[first].num_children == 1 and not joints[first].end_sites and not _is_body_name(joints[first].name):
-        first += 1  # the only child follows its parent
+    while not _is_body_name(joints[first].name):
+        if joints[first].num_children == 1 and not joints[first].end_sites:
+            first += 1  # the only child follows its parent
+        elif (body := _travelling_body(joints, first)) is not None:
+            first = body
+        else:
+            break
     if joints[first].num_children < 2 and not is_hips_name(joints[first].name):
         first = 0  # a chain without hips is kept whole
-    return first
+    return slice(first, _end_of(joints, first))
 
 
-def _tree(kept: list[BvhJoint]) -> tuple[tuple[str, ...], np.ndarray, tuple[tuple[int, np.ndarray], ...]]:
-    """Returns names, parents and end sites of joints of which the first becomes joint 0."""
-    parents = np.array([-1] + [joint.parent - kept[0].parent - 1 for joint in kept[1:]])
-    end_sites = tuple((index, site) for index, joint in enumerate(kept) for site in joint.end_sites)
-    return tuple(joint.name for joint in kept), parents, end_sites
+def _travelling_body(joints: list[BvhJoint], root: int) -> int | None:
+    """Returns the child of a joint that carries hips or legs and travels, next to props and controls alone."""
+    children = [joint for joint in range(root + 1, len(joints)) if joints[joint].parent == root]
+    bodies = [child for child in children if _has_body(joints[child : _end_of(joints, child)])]
+    if len(bodies) != 1 or not _has_legs(joints[bodies[0] : _end_of(joints, bodies[0])]):
+        return None
+    joint, travels = bodies[0], _travels(joints[bodies[0]])
+    while joints[joint].num_children == 1 and not is_hips_name(joints[joint].name):
+        joint += 1  # the only child follows its parent
+        travels |= _travels(joints[joint])
+    return bodies[0] if travels else None
 
 
+def _travels(joint: BvhJoint) -> bool:
+    """Returns whether a joint has channels for all three positions."""
+    return sum(channel[0] == "P" for channel in joint.channels or ()) == 3
+
+
+def _has_body(joints: list[BvhJoint]) -> bool:
+    """Returns whether a joint's name is that of a part of the body."""
+    return any(_is_body_name(joint.name) or _limb_parts(joint) for joint in joints)
+
+
+def _has_legs(joints: list[BvhJoint]) -> bool:
+    """Returns whether a joint's name is that of the hips or of a leg."""
+    return any(is_hips_name(joint.name) or "shin" in _limb_parts(joint) for joint in joints)
+
+
+def _limb_parts(joint: BvhJoint) -> dict[str, float]:
+    """Returns the parts of a limb that a joint's name may mean."""
+    return limb_points(read_names((joint.name,))[0])
+
+
+def _end_of(joints: list[BvhJoint], first: int) -> int:
+    """Returns the index behind a joint and all below it, which follow it."""
+    below = range(first + 1, len(joints))
+    return next((joint for joint in below if joints[joint].parent < first), len(joints))
+
+
+def _above(joints: list[BvhJoint], joint: int) -> list[int]:
+    """Returns the ancestors of a joint, from the root downwards."""
+    above = []
+    while (joint := joints[joint].parent) >= 0:
+        above.insert(0, joint)
+    return above
+
+
+def _tree(
+    joints: list[BvhJoint], kept: slice
+) -> tuple[tuple[str, ...], np.ndarray, tuple[tuple[int, np.ndarray], ...]]:
+    """Returns names, parents and end sites of the kept joints, of which the first becomes joint 0."""
+    body = joints[kept]
+    parents = np.array([-1] + [joint.parent - kept.start for joint in body[1:]])
+    end_sites = tuple((index, site) for index, joint in enumerate(body) for site in joint.end_sites)
+    return tuple(joint.name for joint in body), parents, end_sites
+
+
+@functools.lru_cache(maxsize=1024)
 def _is_body_name(name: str) -> bool:
     """Returns whether a joint plays a part of the body: a headset's skeleton is rooted at the head, above the spine."""
     return is_hips_name(name) or is_upper_body_name(name)
@@ -555,7 +663,9 @@ def _rest_offsets(positions: np.ndarray) -> np.ndarray:
     offsets = positions[0].copy()
     varying = np.any(positions != offsets, axis=0)
     varying[0] = False
-    offsets[varying] = np.median(positions[:, varying], axis=0)
+    low, high = (len(positions) - 1) // 2, len(positions) // 2
+    ordered = np.partition(positions[:, varying], (low, high), axis=0)  # np.median would import numpy.ma first
+    offsets[varying] = (ordered[low] + ordered[high]) / 2
     offsets[0] = 0.0
     return offsets
 

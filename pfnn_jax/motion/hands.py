@@ -80,6 +80,7 @@ def _insert(skeleton: Skeleton, roles: Roles, sites: dict[int, int], order: np.n
         humanoid=None if skeleton.humanoid is None else skeleton.humanoid.move(lambda joint: int(place[joint])),
         poses=None if skeleton.poses is None else _with_tips(skeleton.poses, order),
         reference=None if skeleton.reference is None else skeleton.reference[with_hand],
+        resting_heights=skeleton.resting_heights,
     )
 
 

@@ -9,10 +9,10 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import Roles, need_roles
 
-FASTEST = 15.0
-"""Metres per second; sprinters reach 12.4."""
+FASTEST, FAST = 15.0, 9.0
+"""Metres per second that no person reaches, as sprinters reach 12.4, and that only sprinters do."""
 
-SUSPECT_SPEED, SUSPECT_ANGLE = 8.0, np.pi / 4
+SUSPECT_SPEED, SUSPECT_ANGLE = 8.0, np.pi / 6
 """Metres per second of the hips, and radians per frame of any joint, above which two frames are compared."""
 
 POSE_STEP, POSE_SPEED = 0.08, 3.0
@@ -24,12 +24,17 @@ CONTRAST = 5.0
 STILL_CONTRAST, STILL = 3.0, 1e-3
 """The same next to a pose that is held, with its steps in metres, or at an end of the clip."""
 
+MOVING = 0.02
+"""Metres per second from which a joint moves: held poses may tremble a little."""
+
 MIN_FRAMES = 10
 """Frames of the shortest clip that is examined, and of the shortest part that is kept."""
 
 
 def longest_part(clip: MotionClip) -> tuple[int, int, str]:
     """Returns the first frame and the end of the longest part of a clip without a jump, and a note if it is a part.
+
+    Frames in which the body moves count before others: a T-pose may be held for longer than the motion.
 
     Args:
         clip: of a skeleton with roles.
@@ -46,7 +51,8 @@ def longest_part(clip: MotionClip) -> tuple[int, int, str]:
     if not len(jumps):
         return whole
     edges = np.concatenate(([0], jumps + 1, [clip.num_frames]))
-    part = int(np.argmax(np.diff(edges)))
+    moving = np.concatenate(([0], np.cumsum(_moves(clip))))
+    part = int(np.lexsort((-np.diff(edges), -np.diff(moving[edges])))[0])
     start, stop = int(edges[part]), int(edges[part + 1])
     if stop - start < MIN_FRAMES:
         rule = f"at least {MIN_FRAMES} successive frames must be without a jump: check `--unit` and `--source-fps`"
@@ -56,18 +62,25 @@ def longest_part(clip: MotionClip) -> tuple[int, int, str]:
     return start, stop, f"the body jumps at frame {where}: only frames {first + start} to {first + stop - 1} are used"
 
 
-def check_speed(clip: MotionClip) -> None:
+def check_speed(clip: MotionClip) -> str:
     """Checks that the body moves no faster than a person can, on average over half a second.
+
+    Returns:
+        A note if it moves as only sprinters do; else an empty text.
 
     Raises:
         InputError: if it does.
     """
     if clip.num_frames < MIN_FRAMES:
-        return
+        return ""
     speeds = _hips_speed(clip)
     width = min(len(speeds), max(1, round(clip.fps / 2)))
     total = np.concatenate(([0.0], np.cumsum(speeds)))
-    _refuse_faster(clip, float((total[width:] - total[:-width]).max()) / width)
+    speed = float((total[width:] - total[:-width]).max()) / width
+    _refuse_faster(clip, speed)
+    rate = f"{clip.fps:.4g} frames per second"
+    note = f"the body moves at {speed:.1f} m/s at {rate}: pass `--source-fps` or `--unit` if that is wrong"
+    return note if speed > FAST else ""
 
 
 def _refuse_faster(clip: MotionClip, speed: float) -> None:
@@ -88,23 +101,43 @@ def _jumps(clip: MotionClip, speeds: np.ndarray) -> np.ndarray:
     suspects = np.flatnonzero((speeds > SUSPECT_SPEED) | (cosine < np.cos(SUSPECT_ANGLE / 2)))
     if not len(suspects):
         return suspects
-    frames = np.clip(suspects[:, None] + np.arange(-1, 3), 0, clip.num_frames - 1)
-    roles = need_roles(clip.skeleton)
-    positions, _ = forward_kinematics(
-        clip.skeleton, clip.root_positions[frames.ravel()], clip.rotations[frames.ravel()]
-    )
-    body = positions[:, _body(roles)].reshape(len(suspects), 4, -1, 3)
-    moved = np.linalg.norm(np.diff(body[:, :, 0], axis=1), axis=-1)  # [N, 3] of the hips
+    frames = np.clip(suspects[:, None] + np.arange(-2, 4), 0, clip.num_frames - 1)
+    body = _body_positions(clip, frames.ravel()).reshape(len(suspects), 6, -1, 3)
+    moved = np.linalg.norm(np.diff(body[:, :, 0], axis=1), axis=-1)  # [N, 5] of the hips
     posed = np.linalg.norm(np.diff(body - body[:, :, :1], axis=1), axis=-1).mean(axis=-1)
-    place = (moved[:, 1] * clip.fps > SUSPECT_SPEED) & _stands_out(moved)
-    pose = (posed[:, 1] > max(POSE_STEP, POSE_SPEED / clip.fps)) & _stands_out(posed)
-    return suspects[place | pose | (moved[:, 1] * clip.fps > FASTEST)]
+    place = (moved[:, 2] * clip.fps > SUSPECT_SPEED) & _stands_out(moved)
+    pose = (posed[:, 2] > max(POSE_STEP, POSE_SPEED / clip.fps)) & _stands_out(posed)
+    return suspects[place | pose | (moved[:, 2] * clip.fps > FASTEST)]
 
 
 def _stands_out(steps: np.ndarray) -> np.ndarray:
-    """Returns whether the middle of three successive steps [N, 3] is far larger than both others."""
-    fast, slow = np.maximum(steps[:, 0], steps[:, 2]), np.minimum(steps[:, 0], steps[:, 2])
-    return steps[:, 1] > np.where(slow < STILL, STILL_CONTRAST, CONTRAST) * fast
+    """Returns whether the middle of five successive steps [N, 5] is far larger than those around it.
+
+    Next to a pose that is held, two steps of like size may stand out together: a file that was resampled has a frame
+    halfway between a T-pose and the motion.
+    """
+    before, after = steps[:, 1], steps[:, 3]
+    fast, slow = np.maximum(before, after), np.minimum(before, after)
+    alone = steps[:, 2] > np.where(slow < STILL, STILL_CONTRAST, CONTRAST) * fast
+    double = np.zeros(len(steps), bool)
+    for partner, outer, held in ((steps[:, 3], steps[:, 4], before), (steps[:, 1], steps[:, 0], after)):
+        least = np.minimum(steps[:, 2], partner)
+        for one, other in ((held, outer), (outer, held)):
+            double |= (one < STILL) & (least > STILL_CONTRAST * other)
+    return alone | double
+
+
+def _moves(clip: MotionClip) -> np.ndarray:
+    """Returns [T] whether a joint of the body moves to the next frame; the last frame as that before."""
+    body = _body_positions(clip, np.arange(clip.num_frames))
+    steps = np.linalg.norm(np.diff(body, axis=0), axis=-1).max(axis=1) * clip.fps > MOVING
+    return np.append(steps, steps[-1])
+
+
+def _body_positions(clip: MotionClip, frames: np.ndarray) -> np.ndarray:
+    """Returns the positions [N, B, 3] of the joints with roles in some frames [N]; hips first."""
+    positions, _ = forward_kinematics(clip.skeleton, clip.root_positions[frames], clip.rotations[frames])
+    return positions[:, _body(need_roles(clip.skeleton))]
 
 
 def _body(roles: Roles) -> list[int]:

@@ -11,6 +11,7 @@ finite everywhere.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -241,14 +242,9 @@ def forward_kinematics(
     """
     rotations = np.asarray(rotations)
     positions, world = np.empty(rotations.shape[:-1] + (3,)), np.empty(rotations.shape)
-    parents, offsets = skeleton.parents, skeleton.offsets
+    offsets = skeleton.offsets
     positions[:, 0], world[:, 0] = root_positions, rotations[:, 0]
-    depth = np.zeros(len(parents), dtype=int)
-    for joint in range(1, len(parents)):
-        depth[joint] = depth[parents[joint]] + 1
-    for level in range(1, int(depth.max()) + 1):  # all joints of one depth at once
-        joints = np.flatnonzero(depth == level)
-        above = parents[joints]
+    for joints, above in _levels(tuple(skeleton.parents.tolist())):
         turn = world[:, above]
         positions[:, joints] = positions[:, above] + quat_rotate(turn, offsets[joints])
         world[:, joints] = quat_multiply(turn, rotations[:, joints])
@@ -262,18 +258,23 @@ def joint_positions(skeleton: Skeleton, rotations: np.ndarray) -> np.ndarray:
         skeleton: J joints.
         rotations: [T, J, 4] local rotations.
     """
-    local, parents = quat_to_matrix(rotations), skeleton.parents
+    local = quat_to_matrix(rotations)
     positions, world = np.zeros(rotations.shape[:-1] + (3,)), local.copy()
-    depth = np.zeros(len(parents), dtype=int)
-    for joint in range(1, len(parents)):
-        depth[joint] = depth[parents[joint]] + 1
-    for level in range(1, int(depth.max()) + 1):
-        joints = np.flatnonzero(depth == level)
-        above = parents[joints]
+    for joints, above in _levels(tuple(skeleton.parents.tolist())):
         turn = world[:, above]
         positions[:, joints] = positions[:, above] + (turn @ skeleton.offsets[joints, :, None])[..., 0]
         world[:, joints] = turn @ local[:, joints]
     return positions
+
+
+@functools.lru_cache(maxsize=64)
+def _levels(parents: tuple[int, ...]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Returns the joints of each depth below the root and their parents, which are posed at once."""
+    depth = np.zeros(len(parents), dtype=int)
+    for joint, parent in enumerate(parents[1:], start=1):
+        depth[joint] = depth[parent] + 1
+    levels = (np.flatnonzero(depth == level) for level in range(1, int(depth.max()) + 1))
+    return [(joints, np.array(parents)[joints]) for joints in levels]
 
 
 def _parity(i: int, j: int) -> float:

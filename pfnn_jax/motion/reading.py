@@ -59,6 +59,7 @@ class Reading:
         fps: frames per second.
         frames_in_file: number of frames in the file.
         first_frame: index in the file of the clip's first frame.
+        roles_file: name of the JSON file that named the joints' roles; empty without one.
         notes: one line for each assumption that may be wrong, and for each repair.
     """
 
@@ -67,6 +68,7 @@ class Reading:
     fps: float
     frames_in_file: int
     first_frame: int = 0
+    roles_file: str = ""
     notes: tuple[str, ...] = ()
 
     def noting(self, *notes: str) -> Reading:
@@ -75,7 +77,8 @@ class Reading:
 
     def to_json(self) -> dict[str, Any]:
         """Returns the record as JSON data, without the notes."""
-        return {"unit": self.unit, "up": self.up, "fps": self.fps, "first_frame": self.first_frame}
+        record = {"unit": self.unit, "up": self.up, "fps": self.fps, "first_frame": self.first_frame}
+        return {**record, "roles_file": self.roles_file} if self.roles_file else record
 
 
 def check_options(options: ReadOptions, path: str | Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,30 +11,28 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.humanoid.find import find_humanoid
-from pfnn_jax.motion.humanoid.lexicon import trunk_part
+from pfnn_jax.motion.humanoid.lexicon import HIPS_WORDS, trunk_part
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.names import read_names, words_of
-from pfnn_jax.motion.humanoid.overrides import listed, read_overrides_file
+from pfnn_jax.motion.humanoid.overrides import listed, read_overrides_file, rename_joints
 from pfnn_jax.motion.humanoid.pairs import find_mirror
-from pfnn_jax.motion.skeleton import Roles, Skeleton, rest_pose
+from pfnn_jax.motion.humanoid.tree import joint_tree
+from pfnn_jax.motion.skeleton import Roles, Skeleton
 
 ROLE_NAMES = tuple(field.name for field in fields(Roles))
 
 
 def chain_up(parents: np.ndarray, joint: int) -> list[int]:
     """Returns the joint and all its ancestors, up to the root."""
-    chain = [int(joint)]
-    while parents[chain[-1]] >= 0:
-        chain.append(int(parents[chain[-1]]))
-    return chain
+    return list(joint_tree(tuple(parents.tolist())).above(joint))
 
 
 def longest_chain(skeleton: Skeleton) -> float:
     """Returns the length of the longest chain of bones from the root, without End Sites, in the skeleton's unit."""
-    reach = np.zeros(skeleton.num_joints)
-    for joint in range(1, skeleton.num_joints):
-        reach[joint] = reach[skeleton.parents[joint]] + np.linalg.norm(skeleton.offsets[joint])
-    return float(reach.max())
+    lengths, reach = np.linalg.norm(skeleton.offsets, axis=1).tolist(), [0.0] * skeleton.num_joints
+    for joint, parent in enumerate(skeleton.parents.tolist()[1:], start=1):
+        reach[joint] = reach[parent] + lengths[joint]
+    return max(reach)
 
 
 def roles_of(humanoid: HumanoidMap, names: tuple[str, ...], source: str | Path = "skeleton") -> Roles:
@@ -96,6 +94,7 @@ def assign_roles(
     source: str | Path = "skeleton",
     *,
     poses: Callable[[], np.ndarray] | np.ndarray | None = None,
+    merged: Collection[str] = (),
 ) -> Skeleton:
     """Returns the skeleton with humanoid map, roles and left-right partners filled in.
 
@@ -108,13 +107,17 @@ def assign_roles(
             `{"hips": "Pelvis", "left_foot": ["Ankle_L", "Ball_L"]}`. Bones that it does not name are found as usual.
         source: file to name in messages.
         poses: as in `find_humanoid`.
+        merged: names of joints that reading merged into joint 0; the file may call it by them.
 
     Raises:
         InputError: if the file is not such a JSON object, or names an unknown bone, or an unknown or impossible joint.
     """
     humanoid = None
     try:
-        overrides = None if roles_file is None else read_overrides_file(Path(roles_file))
+        overrides = None
+        if roles_file is not None:
+            called = dict.fromkeys(merged, skeleton.names[0])
+            overrides = rename_joints(read_overrides_file(Path(roles_file)), called)
         humanoid = find_humanoid(skeleton, poses=poses, overrides=overrides, source=roles_file or source)
     except InputError:
         if roles_file is not None:
@@ -126,27 +129,10 @@ def assign_roles(
 def is_hips_name(name: str) -> bool:
     """Returns whether a joint's name means hips."""
     words = [word for word in words_of(name.rsplit(":", 1)[-1]) if not word.isdigit()]
-    return bool(words) and words[-1] in ("hips", "pelvis")
+    return bool(words) and words[-1] in HIPS_WORDS - {"hip"}
 
 
 def is_upper_body_name(name: str) -> bool:
     """Returns whether a joint's name means head, neck or spine: such a joint above the hips is one of the body."""
     (label,) = read_names((name,))
     return trunk_part(label) in ("head", "neck", "spine") and label.part != "body"
-
-
-def leg_length(skeleton: Skeleton, roles: Roles) -> float:
-    """Returns the length of the bones from hip to ankle, averaged over both legs, in the skeleton's unit.
-
-    An ankle that hangs elsewhere than under its hip counts by its distance in the rest pose.
-    """
-    lengths = np.linalg.norm(skeleton.offsets, axis=-1)
-    total = 0.0
-    for hip, (ankle, _) in ((roles.left_hip, roles.left_foot), (roles.right_hip, roles.right_foot)):
-        chain = chain_up(skeleton.parents, ankle)
-        if hip in chain:
-            total += float(lengths[chain[: chain.index(hip)]].sum())
-        else:
-            pose = rest_pose(skeleton)
-            total += float(np.linalg.norm(pose[ankle] - pose[hip]))
-    return total / 2

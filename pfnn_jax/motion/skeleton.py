@@ -66,6 +66,9 @@ class Skeleton:
             zero pose does not.
         reference: [J, 4] world rotations of the joints in the reference pose (`retargeting.reference`), or None where
             the zero pose or `poses` show it.
+        resting_heights: [2, 2] metres above y = 0 of the ankle and the toe joint (columns) of the left and the right
+            foot (rows) while it stands flat in motion on this skeleton (`retargeting.resting`), or None if unknown.
+            Without a toe joint the second is the first.
     """
 
     names: tuple[str, ...]
@@ -77,6 +80,7 @@ class Skeleton:
     humanoid: HumanoidMap | None = None
     poses: np.ndarray | None = None
     reference: np.ndarray | None = None
+    resting_heights: np.ndarray | None = None
 
     @property
     def num_joints(self) -> int:
@@ -200,11 +204,14 @@ def skeleton_to_json(skeleton: Skeleton) -> dict[str, Any]:
         "roles": None if skeleton.roles is None else {k: _plain(v) for k, v in asdict(skeleton.roles).items()},
         "humanoid": None if skeleton.humanoid is None else map_to_json(skeleton.humanoid),
         "reference": None if (reference := _reference(skeleton)) is None else np.asarray(reference).tolist(),
+        "resting_heights": None if (heights := skeleton.resting_heights) is None else np.asarray(heights).tolist(),
     }
 
 
 def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton") -> Skeleton:
-    """Returns the skeleton that `skeleton_to_json` described; files of earlier versions have no humanoid map.
+    """Returns the skeleton that `skeleton_to_json` described.
+
+    Files of earlier versions have no humanoid map, reference pose or resting heights.
 
     Args:
         data: as `skeleton_to_json` returns it.
@@ -222,6 +229,7 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
             rule = f"must have one for each of {joints} joints"
             raise InputError(source, f"skeleton.{key}", f"{len(data[key])} entries", rule)
     roles, humanoid, reference = data["roles"], data.get("humanoid"), data.get("reference")
+    heights = data.get("resting_heights")
     return Skeleton(
         names=tuple(data["names"]),
         parents=np.array(data["parents"], np.int64),
@@ -231,6 +239,7 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         roles=None if roles is None else _roles(roles),
         humanoid=None if humanoid is None else map_from_json(humanoid, source),
         reference=None if reference is None else np.array(reference, np.float64).reshape(joints, 4),
+        resting_heights=None if heights is None else np.array(heights, np.float64).reshape(2, 2),
     )
 
 

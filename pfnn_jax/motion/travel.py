@@ -8,8 +8,10 @@ import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter, moving_average, moving_minimum
+from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.kinematics import forward_kinematics
-from pfnn_jax.motion.roles import chain_up, leg_length
+from pfnn_jax.motion.roles import chain_up
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 
 SPOT = 0.7
@@ -54,7 +56,7 @@ def walks_on_the_spot(clip: MotionClip) -> bool:
     Args:
         clip: of a skeleton with roles.
     """
-    leg = leg_length(clip.skeleton, need_roles(clip.skeleton))
+    leg = _leg(clip)
     ground = clip.root_positions[:, [0, 2]]
     if clip.num_frames < MIN_FRAMES or np.ptp(ground, axis=0).max() > SPOT * leg:
         return False
@@ -73,7 +75,7 @@ def rebuild_travel(clip: MotionClip) -> tuple[MotionClip, str]:
     Args:
         clip: of a skeleton with roles.
     """
-    velocity, _ = _support(clip, leg_length(clip.skeleton, need_roles(clip.skeleton)))
+    velocity, _ = _support(clip, _leg(clip))
     travelled = np.concatenate((np.zeros((1, 2)), np.cumsum((velocity[1:] + velocity[:-1]) / 2, axis=0))) / clip.fps
     positions = clip.root_positions.copy()
     positions[:, [0, 2]] += travelled
@@ -83,6 +85,11 @@ def rebuild_travel(clip: MotionClip) -> tuple[MotionClip, str]:
         f"walks on the spot: {metres:.1f} m of travel ({metres / seconds:.2f} m/s) are rebuilt from the standing feet"
     )
     return replace(clip, root_positions=positions), f"{note}; `--travel keep` leaves it"
+
+
+def _leg(clip: MotionClip) -> float:
+    """Returns the length of the clip's legs in metres."""
+    return leg_length_of(clip.skeleton, need_humanoid(clip.skeleton, clip.source or "skeleton"))
 
 
 def _support(clip: MotionClip, leg: float) -> tuple[np.ndarray, np.ndarray]:

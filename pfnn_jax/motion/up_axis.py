@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.map import LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
 from pfnn_jax.motion.reading import AXES, Axis
-from pfnn_jax.motion.skeleton import Roles
 
 HALF = np.sqrt(0.5)
 
@@ -30,19 +30,22 @@ BENDING = 0.5
 """... and in nine tenths of the poses."""
 
 
-def find_up(positions: np.ndarray, roles: Roles) -> tuple[Axis, bool]:
+def find_up(positions: np.ndarray, humanoid: HumanoidMap) -> tuple[Axis, bool]:
     """Finds the axis along which a body stands.
 
     Y is kept unless the body stands along another axis: people also crouch, crawl and lie.
 
     Args:
         positions: [N, J, 3] joint positions of poses in any unit.
-        roles: feet and head.
+        humanoid: with feet, or shins without them, and a head, or the top of neck and spine without it.
 
     Returns:
         The axis, and whether the body stands along it.
     """
-    body = positions[:, roles.head] - (positions[:, roles.left_foot[0]] + positions[:, roles.right_foot[0]]) / 2
+    trunk = (humanoid.hips, *humanoid.spine, *humanoid.neck)
+    top = trunk[-1] if humanoid.head is None else humanoid.head
+    left, right = (shin if foot is None else foot for shin, foot in (humanoid.limb(side, LEG)[1:3] for side in SIDES))
+    body = positions[:, top] - (positions[:, left] + positions[:, right]) / 2
     shares = np.sort(body / np.maximum(np.linalg.norm(body, axis=-1, keepdims=True), 1e-9), axis=0)
     middle = shares[len(shares) // 2]
     axis = int(np.argmax(np.abs(middle)))

@@ -1,3 +1,4 @@
+from .base import base_run as base_run
 from .generate import generate_clip as generate_clip
 from .learn import learn_style as learn_style
 from .learn import tune_style as tune_style
@@ -9,3 +10,4 @@ from .runs import list_styles as list_styles
 from .runs import load_run as load_run
 from .runs import load_style as load_style
 from .runs import save_style as save_style
+from .samples import sample_clips as sample_clips

@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from pfnn_jax.control.run_settings import loop_config
@@ -17,8 +18,7 @@ from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import (
     labelled_features,
-    load_for_layout,
-    match_skeleton,
+    load_for_skeleton,
 )
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.sources import ClipFile
@@ -28,10 +28,22 @@ from pfnn_jax.run import Run, load_generator, load_run, save_style
 from pfnn_jax.run_config import check_adapter, check_new_style
 from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig, TuningConfig
 from pfnn_jax.training.data import Rows, hold_out
-from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style
+from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style, row_errors
+from pfnn_jax.training.loop import Progress as TrainingProgress
 from pfnn_jax.training.loop import no_progress
-from pfnn_jax.training.tuning import tune_generator
-from pfnn_jax.workflows.clip_report import ClipReport, clip_warnings, inspect_clip, result_warnings, training_loss
+from pfnn_jax.training.tuning import Tuned, tune_generator
+from pfnn_jax.workflows.clip_report import (
+    ClipReport,
+    RunError,
+    StyleResult,
+    clip_warnings,
+    inspect_clip,
+    result_warnings,
+    run_error,
+)
+
+HELD_OUT = FewShotConfig().held_out
+"""Share of the clip, at its end, on which a tuned generator's error is measured."""
 
 Progress = Callable[[float, str], Any]
 """Called with the share that is done, 0 to 1, and what is being done."""
@@ -59,8 +71,9 @@ def learn_style(
         progress_callback: called with the share that is done, 0 to 1, and what is being done.
 
     Returns:
-        What is saved as `info` in style.json: source, frames, speed, the choice and the ranking behind it, seconds;
-        `warnings` lists what may be wrong with the clip or the style, one line each.
+        What is saved as `info` in style.json: source, frames, speed, held-out error, the choice and the ranking behind
+        it, seconds; `notes` lists what was done to read the clip, `warnings` what may be wrong with the clip or the
+        style, one line each.
 
     Raises:
         InputError: for a bad clip, a clip without steps or of a skeleton that is not a humanoid, a style that exists,
@@ -74,18 +87,17 @@ def learn_style(
     _check_method(run, config)
     labelled, report, parts = _read_clip(run, clip_file, mirror, roles_file, progress_callback)
     _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
-    about, loss = _about_clip(run, labelled, parts, report), training_loss(run)
+    reference = run_error(run)
     found = _fit(run, parts, config, progress_callback)
+    result = StyleResult(found.choice.held_out_error, found.error_without_style, bool(found.stable_on_turns))
     info = {
-        **about,
+        **_about_clip(run, labelled, parts, report),
+        **_about_result(result, report, reference),
         "config": asdict(config),
         "choice": found.choice._asdict(),
-        "stable_on_turns": found.stable_on_turns,
-        "error_without_style": found.error_without_style,
         "ranking": [choice._asdict() for choice in found.ranking],
         "seconds": time.perf_counter() - started,
     }
-    info["warnings"] += result_warnings(info, loss)
     progress_callback(0.98, "saving")
     save_style(run.path, clip_file.style, found.style, info, overwrite)
     return info
@@ -103,7 +115,8 @@ def tune_style(
 ) -> dict[str, Any]:
     """Learns a style by tuning the run's FiLM generator to its clip, and saves the FiLM style that it then predicts.
 
-    The tuned generator is not kept: the run's own stays as it was trained.
+    The generator is tuned twice: to the first part of the clip, to measure the error on its last part, and to all of
+    it. The tuned generators are not kept: the run's own stays as it was trained.
 
     Args:
         run: a run pretrained with FiLM, or its directory.
@@ -111,8 +124,8 @@ def tune_style(
         config: how to tune; `TuningConfig()` by default.
 
     Returns:
-        What is saved as `info` in style.json: source, frames, speed, settings, seconds, the last loss; `warnings` lists
-        what may be wrong with the clip, one line each.
+        What is saved as `info` in style.json: source, frames, speed, held-out error, settings, seconds, the last loss;
+        `notes` and `warnings` as in `learn_style`.
 
     Raises:
         InputError: for a bad clip or one whose skeleton is not a humanoid, a style that exists, or a run without a
@@ -125,17 +138,23 @@ def tune_style(
     check_new_style(run.path, clip_file.style, overwrite)
     generator = load_generator(run)
     labelled, report, parts = _read_clip(run, clip_file, mirror, roles_file, progress_callback)
-    _check_length(parts, config.batch_size, clip_file.path)
-    about = _about_clip(run, labelled, parts, report)
-    tuned = tune_generator(
-        run.shared,
-        generator,
-        _rows(run, clip_file.style, parts),
-        config,
-        progress_callback=lambda progress: progress_callback(0.95 * progress.step / progress.steps, "tuning"),
-    )
+    learn, held = hold_out(parts, HELD_OUT, str(clip_file.path))
+    _check_length(learn, config.batch_size, clip_file.path)
+    reference = run_error(run)
+
+    def tune(parts: list[Features], begin: float, what: str) -> Tuned:
+        def report(progress: TrainingProgress) -> None:
+            progress_callback(begin + 0.45 * progress.step / progress.steps, what)
+
+        return tune_generator(run.shared, generator, _rows(run, parts), config, progress_callback=report)
+
+    tried, tuned = tune(learn, 0.0, "trying"), tune(parts, 0.45, "tuning")
+    progress_callback(0.9, "walking in circles")
+    error, without = _held_out_errors(run, [tried.style, load_choice(run, None)], held)
+    result = StyleResult(error, without, _stability_check(run, parts)(tuned.style))
     info = {
-        **about,
+        **_about_clip(run, labelled, parts, report),
+        **_about_result(result, report, reference),
         "config": asdict(config),
         "loss": float(tuned.losses[-1]),
         "seconds": time.perf_counter() - started,
@@ -176,9 +195,9 @@ def load_for_run(clip_file: ClipFile, run: Run, roles_file: str | Path | None = 
     """Reads and labels a clip of any skeleton, and puts it onto the run's; its `note` says what was done.
 
     Raises:
-        InputError: as `load_for_layout`; or if the clip's skeleton is not a humanoid.
+        InputError: as `load_for_skeleton`.
     """
-    return match_skeleton(load_for_layout(clip_file, run.layout, roles_file), run.skeleton)
+    return load_for_skeleton(clip_file, run.layout, run.skeleton, roles_file)
 
 
 def _read_clip(
@@ -187,8 +206,6 @@ def _read_clip(
     """Returns the clip on the run's skeleton, what was found in it, and its rows, with those of its mirror image."""
     progress_callback(0.0, "labelling")
     labelled = load_for_run(clip_file, run, roles_file)
-    if labelled.note:
-        progress_callback(0.0, labelled.note)
     report = inspect_clip(labelled, mirror)
     return labelled, report, labelled_features(labelled, run.layout, report.mirrored)
 
@@ -197,18 +214,26 @@ def _fit(
     run: Run, parts: list[Features], config: FewShotConfig, progress_callback: Progress = no_progress
 ) -> FewShotResult:
     """Learns a style from the rows of its clip and its mirror image; nothing is saved."""
-    first = parts[0]
-    is_stable = make_stability_check(
-        run.shared, run.normaliser, run.layout, first.x, first.y, first.phase, loop_config(run)
-    )
     # FiLM starts from the mean of the run's styles: the identity FiLM is far from every style.
     start = load_choice(run, None) if config.method == "film" else None
-    rows = _rows(run, "style", parts)
-    return fit_style(run.shared, rows, config, start=start, is_stable=is_stable, progress_callback=progress_callback)
+    options: Any = {"start": start, "is_stable": _stability_check(run, parts), "progress_callback": progress_callback}
+    return fit_style(run.shared, _rows(run, parts), config, **options)
 
 
-def _rows(run: Run, style: str, parts: list[Features]) -> Rows:
-    return Rows.from_features({style: parts}, run.layout, run.normaliser, run.skeleton.parents)
+def _stability_check(run: Run, parts: list[Features]) -> Callable[[Any], bool]:
+    """Returns a function that says whether a style walks circles without diverging, from the clip's first row."""
+    first = parts[0]
+    return make_stability_check(run.shared, run.normaliser, run.layout, first.x, first.y, first.phase, loop_config(run))
+
+
+def _held_out_errors(run: Run, styles: list[Any], held: list[Features]) -> list[float]:
+    """Returns the error of each style, of one kind, on rows that it was not learned from."""
+    bank = jax.tree.map(lambda *leaves: np.stack(leaves), *styles)
+    return row_errors(bank, run.shared, _rows(run, held).parts[0]).mean(axis=1).tolist()
+
+
+def _rows(run: Run, parts: list[Features]) -> Rows:
+    return Rows.from_features({"style": parts}, run.layout, run.normaliser, run.skeleton.parents)
 
 
 def _as_run(run: Run | str | Path) -> Run:
@@ -232,8 +257,12 @@ def _about_clip(run: Run, labelled: LabelledClip, parts: list[Features], report:
         "mirrored": report.mirrored,
         "asymmetry": report.asymmetry,
         "speed": median_speed(run.layout, parts[0].y),
-        "warnings": clip_warnings(report),
     }
+
+
+def _about_result(result: StyleResult, report: ClipReport, reference: RunError | None) -> dict[str, Any]:
+    """Returns the entries of a style's `style.json` that judge it, however it was learned."""
+    return {**result._asdict(), "warnings": [*clip_warnings(report), *result_warnings(result, reference)]}
 
 
 def _check_method(run: Run, config: FewShotConfig) -> None:

@@ -12,6 +12,8 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.models.network import Network
+from pfnn_jax.models.style import Style
 from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.skeleton import skeleton_to_json
@@ -28,12 +30,16 @@ from pfnn_jax.run import (
 from pfnn_jax.run_config import RunConfig, load_config, save_config, train_progress
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Rows
+from pfnn_jax.training.few_shot_learning import row_errors
 from pfnn_jax.training.log import append_metrics, rewind_metrics
 from pfnn_jax.training.loop import Progress, TrainState, no_progress
 from pfnn_jax.training.pretraining import init_state, pretrain, styles_of
 
 LENGTHS = ("epochs", "steps")
 """Settings that may change when a run is resumed: it can be trained longer."""
+
+ERROR_ROWS = 1024
+"""Rows on which the error of each style is measured at the end, evenly spaced."""
 
 
 def pretrain_run(
@@ -47,7 +53,8 @@ def pretrain_run(
 ) -> Run:
     """Trains a shared network and a style for each name in a dataset, and writes them as a run.
 
-    With FiLM the generator is written too, and the styles are its mean FiLM styles over all windows of each.
+    With FiLM the generator is written too, and the styles are its mean FiLM styles over all windows of each. Each
+    style's `error` is kept with it (`style_error`), so that styles learned later can be compared.
 
     The training state is saved every `config.save_every` steps; the shared parameters and the styles are written
     once, at the end. A run killed before resumes from its last complete state and repeats the rest bit for bit. A
@@ -89,6 +96,27 @@ def pretrain_run(
     state = pretrain(rows, config, state=state, progress_callback=progress_callback, state_callback=save)
     _save_result(out, state, dataset, styles_of(state, rows))
     return load_run(out)
+
+
+def style_error(shared: Network, style: Style, dataset: Dataset, name: str) -> tuple[float, str]:
+    """Returns the one-step error of a style on rows of its own, and the split that they are from.
+
+    The measure is that of few-shot learning's held-out error: squared, normalised, mean over outputs and rows, without
+    dropout. Rows of the validation split were never trained on. A dataset without one leaves the training rows, whose
+    error is a lower bound.
+
+    Args:
+        shared: pretrained network.
+        style: parameters of the style.
+        dataset: that the network was trained on.
+        name: of the style.
+    """
+    split = "validation" if dataset.rows.get("validation", {}).get(name) else "train"
+    rows = Rows.from_dataset(dataset, [name], split=split, max_bytes=0)
+    count = dataset.rows[split][name]
+    chosen = np.linspace(0, count - 1, min(count, ERROR_ROWS)).round().astype(int)
+    trained = jax.tree.map(lambda leaf: np.asarray(leaf)[None], style)
+    return float(row_errors(trained, shared, rows.take(chosen)).mean()), split
 
 
 def run_config_of(dataset: Dataset, config: PretrainConfig) -> RunConfig:
@@ -163,10 +191,13 @@ def _save_result(out: Path, state: TrainState, dataset: Dataset, bank: Any) -> N
     for index, name in enumerate(dataset.styles):
         style = jax.tree.map(lambda leaf, i=index: np.asarray(leaf[i]), bank)
         y = dataset.arrays(name)[1]
+        error, split = style_error(state.params.shared, style, dataset, name)
         info = {
             "source": str(dataset.path),
             "frames": dataset.frames[name],
             "speed": median_speed(dataset.layout, y[::10]),
             "steps": int(state.step),
+            "error": error,
+            "error_split": split,
         }
         save_style(out, name, style, info, overwrite=True)

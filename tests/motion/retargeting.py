@@ -6,13 +6,22 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from random import Random
 
 import numpy as np
 
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_from_yaw, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import (
+    forward_kinematics,
+    quat_conjugate,
+    quat_from_yaw,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+)
 from pfnn_jax.motion.retargeting.reference import some_poses
+from pfnn_jax.motion.retargeting.resting import with_resting_heights
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise
 
@@ -34,7 +43,7 @@ def example(mocap: Path, name: str) -> MotionClip:
         return synthesise("neutral", np.full(240, 0.3), np.full(240, 1.3))[0]
     file, start, stop = FILES[name]
     clip = read_bvh(mocap / file)
-    return cut(clip, start, clip.num_frames if stop is None else stop)
+    return with_resting_heights(cut(clip, start, clip.num_frames if stop is None else stop))
 
 
 def world(clip: MotionClip) -> tuple[np.ndarray, np.ndarray]:
@@ -54,6 +63,32 @@ def renamed(clip: MotionClip) -> MotionClip:
     return replace(clip, skeleton=replace(clip.skeleton, names=names))
 
 
+def called(clip: MotionClip, random: Random) -> MotionClip:
+    """Returns the clip with joints whose names are random words."""
+    names = tuple("".join(random.choices("abcdefghij", k=6)) + str(at) for at in range(clip.skeleton.num_joints))
+    return replace(clip, skeleton=replace(clip.skeleton, names=names))
+
+
+def padded(clip: MotionClip, count: int, seed: int) -> MotionClip:
+    """Returns the clip with joints that are in no part of the humanoid map, somewhere below its joints, in any pose."""
+    random, skeleton = np.random.default_rng(seed), clip.skeleton
+    joints = skeleton.num_joints
+    own = np.arange(joints, joints + count)
+    names = (*skeleton.names, *(f"prop {number}" for number in range(count)))
+    more = replace(
+        skeleton,
+        names=names,
+        parents=np.concatenate([skeleton.parents, random.integers(0, joints, count)]),
+        offsets=np.concatenate([skeleton.offsets, random.normal(size=(count, 3))]),
+        mirror=np.concatenate([skeleton.mirror, own]),
+        poses=None,
+        reference=None,
+    )
+    turned = quat_normalise(random.normal(size=(clip.num_frames, count, 4)))
+    rotations = np.concatenate([clip.rotations, turned], axis=1)
+    return replace(clip, skeleton=replace(more, poses=some_poses(rotations)), rotations=rotations)
+
+
 def moved(clip: MotionClip, yaw: float, shift: np.ndarray) -> MotionClip:
     """Returns the clip turned about the vertical through the origin, then shifted."""
     turn, rotations = quat_from_yaw(yaw), clip.rotations.copy()
@@ -65,6 +100,8 @@ def scaled(clip: MotionClip, factor: float) -> MotionClip:
     """Returns the clip of a body of another size."""
     skeleton = replace(clip.skeleton, offsets=factor * clip.skeleton.offsets)
     skeleton = replace(skeleton, end_sites=tuple((joint, factor * site) for joint, site in skeleton.end_sites))
+    if skeleton.resting_heights is not None:
+        skeleton = replace(skeleton, resting_heights=factor * skeleton.resting_heights)
     return replace(clip, skeleton=skeleton, root_positions=factor * clip.root_positions)
 
 

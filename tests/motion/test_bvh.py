@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 from pathlib import Path
@@ -259,6 +260,25 @@ def test_a_roles_file_sets_the_roles(tmp_path):
     (tmp_path / "roles.json").write_text('{"head": "neck"}')
     clip = read_bvh(tmp_path / "adult.bvh", roles_file=tmp_path / "roles.json")
     assert clip.skeleton.names[need_roles(clip.skeleton).head] == "neck"
+
+
+@pytest.mark.parametrize("name", ["bandai-namco-2/dataset-2_walk_normal_001.bvh", "made"])
+def test_a_roles_file_may_name_a_joint_that_is_merged_into_the_hips(mocap, tmp_path, name):
+    path = mocap / name
+    if name == "made":
+        path = tmp_path / "adult.bvh"
+        write_bvh(path, body_clip())
+        hips = path.read_text()
+        above = "HIERARCHY\nROOT joint_Root\n{\nOFFSET 0 0 0\nCHANNELS 0\n"
+        path.write_text(hips.replace("HIERARCHY\nROOT", f"{above}JOINT").replace("MOTION", "}\nMOTION"))
+    plain = read_bvh(path)
+    assert "joint_Root" not in plain.skeleton.names
+    file = tmp_path / "roles.json"
+    file.write_text('{"hips": "joint_Root"}')
+    named = read_bvh(path, roles_file=file)
+    assert named.skeleton.roles == plain.skeleton.roles and named.skeleton.names == plain.skeleton.names
+    file.write_text(json.dumps({"hips": "joint_Root", "spine": [plain.skeleton.names[0]]}))
+    assert_refused(lambda: read_bvh(path, roles_file=file), file=file, place="bone spine", rule_mentions="is also hips")
 
 
 def test_an_existing_file_is_replaced_only_with_overwrite(tmp_path):

@@ -83,10 +83,11 @@ def test_without_mirroring_no_clip_is_mirrored(takes, tmp_path):
     assert dataset.frames["proud"] == 238 + 118 and not any(clip["mirrored"] for clip in dataset.clips)
 
 
-def test_statistics_merged_clip_by_clip_are_those_of_all_training_rows(takes, tmp_path):
-    dataset = prepare(takes, tmp_path / "set", PrepareConfig(validation=0.2))
+@pytest.mark.parametrize("grouped", [False, True])
+def test_statistics_merged_clip_by_clip_are_those_of_all_training_rows(takes, tmp_path, grouped):
+    dataset = prepare(takes, tmp_path / "set", PrepareConfig(validation=0.2, grouped_std=grouped))
     rows = [np.concatenate([dataset.arrays(style)[k] for style in dataset.styles]) for k in (0, 1)]
-    whole = fit_normaliser(rows[0], rows[1], dataset.layout)
+    whole = fit_normaliser(rows[0], rows[1], dataset.layout, grouped)
     for side in ("inputs", "outputs"):
         found, wanted = getattr(dataset.normaliser, side), getattr(whole, side)
         np.testing.assert_allclose(found.mean, wanted.mean, atol=FLOAT32)
@@ -110,8 +111,7 @@ def test_rows_equal_the_features_of_their_clip_and_frame(dataset, takes):
             np.testing.assert_array_equal(phase[clips == index], features.phase[rows])
 
 
-def test_grouped_statistics_share_one_deviation_per_block(takes, tmp_path):
-    dataset = prepare(takes, tmp_path / "set", PrepareConfig(grouped_std=True))
+def test_by_default_statistics_share_one_deviation_per_block(dataset):
     at = dataset.layout.input_slice("joint_position")
     assert len(set(dataset.normaliser.inputs.std[at].tolist())) == 1
 

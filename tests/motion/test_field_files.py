@@ -20,13 +20,14 @@ from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.shared_unit import share_units
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, unlisted_files
 from pfnn_jax.motion.ground import wrap_angle
+from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.joint_order import match_joints
 from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
 from pfnn_jax.motion.labels.footsteps import NoGaitError, find_steps
 from pfnn_jax.motion.labels.phase import CYCLE, PhaseLabels, label_phase, pad_phase
 from pfnn_jax.motion.length_unit import CMU, DECIMETRE, FOOT, INCH, UNITS, guess_unit
 from pfnn_jax.motion.reading import AXES, Axis, Reading, ReadOptions
-from pfnn_jax.motion.roles import leg_length
 from pfnn_jax.motion.skeleton import check_same_topology, need_roles, plain_names, rest_directions_differ
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise
 from pfnn_jax.motion.world_motion import world_motion
@@ -62,7 +63,7 @@ def head_above_ankles(clip: MotionClip) -> float:
 
 
 def leg(clip: MotionClip) -> float:
-    return leg_length(clip.skeleton, need_roles(clip.skeleton))
+    return leg_length_of(clip.skeleton, need_humanoid(clip.skeleton))
 
 
 def steps(labels: PhaseLabels) -> int:
@@ -178,6 +179,19 @@ def test_decimetres_are_found(mocap):
     clip = read_bvh(mocap / "field" / "makehuman_walk_decimetres.bvh")
     assert reading(clip).unit == DECIMETRE
     assert head_above_ankles(clip) == pytest.approx(1.33, abs=0.02)
+
+
+@pytest.mark.parametrize("connector", ["__UpLeg", "UpLeg0", "Thigh", "Hip"])
+def test_hip_joints_are_apart(mocap, tmp_path, connector):
+    """Both legs begin at one place, 0.1 m from the hip joints; with that bone they would be 0.92 m long, not 0.82 m."""
+    path = tmp_path / "clip.bvh"
+    path.write_text((mocap / "field" / "makehuman_walk_decimetres.bvh").read_text().replace("__UpLeg", connector))
+    clip = read_bvh(path)
+    roles = need_roles(clip.skeleton)
+    assert [clip.skeleton.names[joint] for joint in (roles.left_hip, roles.right_hip)] == ["UpLeg_L", "UpLeg_R"]
+    assert reading(clip).unit == DECIMETRE and leg(clip) == pytest.approx(0.82, abs=0.01)
+    adult = walk()
+    assert leg(clip) / head_above_ankles(clip) == pytest.approx(leg(adult) / head_above_ankles(adult), abs=0.02)
 
 
 def test_zero_positions_leave_the_offsets(mocap):
@@ -532,6 +546,26 @@ def test_a_table_says_how_files_are_read(tmp_path):
     assert [entry["reading"]["unit"] for entry in dataset.clips if not entry["mirrored"]] == [INCH, INCH, CMU, CMU]
 
 
+def test_a_table_names_the_joints_of_each_folder(tmp_path):
+    clips = tmp_path / "clips"
+    for style in ("old", "young"):
+        (clips / style).mkdir(parents=True)
+        saved(clips / style, walk())
+    (clips / "old" / "roles.json").write_text('{"head": "Neck"}')
+    (clips / "clips.csv").write_text("files,unit,roles\nold/*,,old/roles.json\n*,centimetre,\n")
+    (tmp_path / "all.json").write_text('{"head": "Spine"}')
+    heads = [
+        part.skeleton.names[need_roles(part.skeleton).head]
+        for part in (read_cut_clip(clip, tmp_path / "all.json").clip for clip in list_clips(clips))
+    ]
+    assert heads == ["Neck", "Spine"]  # the table's file comes before that of the call
+    dataset = prepare(list_clips(clips), tmp_path / "data", PrepareConfig("mason2022"))
+    files = {entry["style"]: entry["reading"].get("roles_file", "") for entry in dataset.clips}
+    assert files["old"].endswith("roles.json") and files["young"] == ""
+    (clips / "old" / "roles.json").write_text("{")
+    assert_refused(lambda: list_clips(clips), file="roles.json", place="file")
+
+
 @pytest.mark.parametrize(
     ("text", "place"),
     [
@@ -542,6 +576,8 @@ def test_a_table_says_how_files_are_read(tmp_path):
         ("files,up\n\nold/*,north\n", "line 3, up"),
         ("files,source_fps\nold/*,fast\n", "line 2, source_fps"),
         ("files,up\nnone/*,z\n", "line 2"),
+        ("files,roles\nold/*,none.json\n", "line 2, roles"),
+        ("files,roles\nold/*,old\n", "line 2, roles"),
     ],
 )
 def test_faults_of_a_table_are_named_by_line(tmp_path, text, place):

@@ -10,6 +10,7 @@ from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip import mirror_clip
 from pfnn_jax.motion.datasets.labelled import load_clip
 from pfnn_jax.motion.datasets.sources import list_clips
+from pfnn_jax.motion.datasets.target_skeleton import ends_in_hand_sites
 from pfnn_jax.motion.features.layout import layout_for
 from pfnn_jax.motion.hands import extend_hands
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
@@ -98,3 +99,14 @@ def test_both_hand_ends_and_roles_are_needed():
     one = dataclasses.replace(clip, skeleton=dataclasses.replace(clip.skeleton, end_sites=sites))
     assert extend_hands(one) is one
     assert_refused(lambda: extend_hands(dataclasses.replace(clip, skeleton=body())), place="skeleton")
+
+
+def test_hand_ends_are_recognised_by_structure_not_by_name():
+    clip = body_clip()
+    called = {"l_hand": "l_handSite", "r_hand": "r_handSite"}
+    names = tuple(called.get(name, name) for name in clip.skeleton.names)
+    assert not ends_in_hand_sites(dataclasses.replace(clip.skeleton, names=names))
+    longer = extend_hands(clip).skeleton
+    assert ends_in_hand_sites(longer) and not ends_in_hand_sites(clip.skeleton)
+    names = tuple(name.replace("Site", "End") for name in longer.names)
+    assert ends_in_hand_sites(dataclasses.replace(longer, names=names))

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.find import find_humanoid, need_humanoid
 from pfnn_jax.motion.humanoid.map import BONES, LEG, HumanoidMap, map_from_json, map_to_json
 from pfnn_jax.motion.humanoid.names import plain_names, read_names
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_axis_angle
-from pfnn_jax.motion.roles import assign_roles, leg_length
+from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, rest_pose, skeleton_from_json, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from tests.motion.expected_maps import CHARACTERS, MOCAP, NO_NAMES
@@ -88,8 +89,9 @@ def test_feet_that_hang_under_the_root_are_found(characters):
     roles, humanoid = need_roles(found), need_humanoid(found)
     assert any("Foot.L is not under the leg" in line for line in humanoid.explanation)
     assert found.mirror[roles.left_foot[0]] == roles.right_foot[0]
-    distance = np.linalg.norm(poses[0, roles.left_foot[0]] - poses[0, roles.left_hip])
-    assert leg_length(found, roles) == pytest.approx(distance)
+    hip, knee, ankle = poses[0, [roles.left_hip, humanoid.left_shin, roles.left_foot[0]]]
+    distance = np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee)
+    assert leg_length_of(found, need_humanoid(found)) == pytest.approx(distance)
 
 
 @pytest.mark.parametrize("name", ["vrm0_cryptovoxels", "vrm0_godette", "vrm1_example"])

@@ -11,9 +11,18 @@ from hypothesis import strategies as st
 
 from pfnn_jax.motion.humanoid.find import find_humanoid
 from pfnn_jax.motion.humanoid.pairs import find_mirror
-from pfnn_jax.motion.kinematics import quat_from_euler, quat_from_yaw, quat_rotate
+from pfnn_jax.motion.kinematics import (
+    quat_conjugate,
+    quat_from_euler,
+    quat_from_yaw,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+)
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
+from pfnn_jax.motion.up_axis import TURNS
+from tests.motion.retargeting import skeleton_with_rest
 from tests.motion.rigs import bvh_skeleton, without_names
 from tests.motion.skeletons import body
 
@@ -119,6 +128,63 @@ def test_names_and_places_give_the_same_map(skeletons, source, seed, scale, yaw)
         bone: joint for bone, joint in expected.items() if bone not in ("spine", "neck")
     }
     assert set(found.spine + found.neck) <= set(humanoid.spine + humanoid.neck)
+
+
+SIDES = ("{side}_{part}", "{part}_{side}", "{part}.{side}", "{side} {part}", "{side}-{part}")
+SIDE_WORDS = (("l", "r"), ("L", "R"), ("left", "right"), ("Left", "Right"), ("Lft", "Rgt"))
+PREFIXES = ("", "mixamorig:", "hero:rig:", "Bip01 ", "Character1_", "DEF-", "Armature|")
+SUFFIXES = ("", "_jnt", "_bind_{at:03d}", "_{at:02d}")
+
+
+@settings(max_examples=100)
+@given(
+    form=st.sampled_from(SIDES),
+    words=st.sampled_from(SIDE_WORDS),
+    prefix=st.sampled_from(PREFIXES),
+    suffix=st.sampled_from(SUFFIXES),
+    case=st.sampled_from([str, str.upper, str.title]),
+)
+def test_spellings_do_not_change_the_map(form, words, prefix, suffix, case):
+    skeleton = body()
+    names = []
+    for at, name in enumerate(skeleton.names):
+        side, _, part = name.rpartition("_")
+        plain = form.format(side=words["lr".index(side)], part=case(part)) if side else case(part)
+        names.append(prefix + plain + suffix.format(at=at))
+    other = replace(skeleton, names=tuple(names))
+    found, expected = find_humanoid(other), find_humanoid(skeleton)
+    assert (found.joints(), found.confidence) == (expected.joints(), expected.confidence)
+    np.testing.assert_array_equal(find_mirror(other, found), find_mirror(skeleton, expected))
+
+
+@pytest.mark.parametrize("source", SOURCES)
+@settings(max_examples=30)
+@given(seed=SEEDS, some=st.booleans())
+def test_the_rest_pose_does_not_change_the_map(skeletons, source, seed, some):
+    """The zero pose may be any, in all joints or in some, if other poses show how the body stands."""
+    skeleton, random = skeletons[source], np.random.default_rng(seed)
+    pose = quat_normalise(random.normal(size=(skeleton.num_joints, 4)))
+    if some:
+        pose = np.where(random.random(skeleton.num_joints)[:, None] < 0.3, pose, [1.0, 0.0, 0.0, 0.0])
+    other = skeleton_with_rest(skeleton, pose)
+    poses, expected = rest_pose(skeleton)[None], find_humanoid(skeleton)
+    found = find_humanoid(other, poses=poses)
+    assert found.joints() == expected.joints()
+    np.testing.assert_array_equal(find_mirror(other, found), find_mirror(skeleton, expected))
+    mute = find_humanoid(without_names(other), poses=poses)
+    assert (mute.left_thigh, mute.right_hand) == (expected.left_thigh, expected.right_hand)
+
+
+@pytest.mark.parametrize("source", ["synthetic", "body", "100style/Neutral_FW.bvh"])
+@settings(max_examples=30)
+@given(axis=st.sampled_from(sorted(TURNS)), yaw=st.floats(-np.pi, np.pi), lean=st.floats(-25, 25))
+def test_no_rotation_changes_the_map(skeletons, source, axis, yaw, lean):
+    """Any axis may point up, whatever the body faces and however it leans."""
+    skeleton = skeletons[source]
+    tilt = quat_from_euler(np.array([np.radians(lean), 0.0, 0.0]), "XYZ")
+    turn = quat_multiply(quat_conjugate(TURNS[axis]), quat_multiply(quat_from_yaw(yaw), tilt))
+    poses = quat_rotate(turn, rest_pose(skeleton))[None]
+    assert find_humanoid(skeleton, poses=poses).joints() == find_humanoid(skeleton).joints()
 
 
 @pytest.mark.parametrize("source", ["synthetic", "body", "100style/Neutral_FW.bvh"])

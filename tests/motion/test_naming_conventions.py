@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pfnn_jax.motion.humanoid.find import find_humanoid
 from pfnn_jax.motion.humanoid.map import BONES
+from pfnn_jax.motion.humanoid.pairs import find_mirror
 from tests.motion.rigs import tree
 
 Place = tuple[float, float, float]
@@ -103,8 +106,73 @@ CONVENTIONS = {
         thigh:{Left}UpLeg>Hips @thigh:{Left}UpLegRoll>{Left}UpLeg shin:{Left}Leg>{Left}UpLegRoll
         foot:{Left}Foot>{Left}Leg
         toe:{Left}ToeBase>{Left}Foot""",
+    "miku miku dance": """
+        @hips:全ての親 @hips:センター>全ての親 @hips:グルーブ>センター hips:腰>グルーブ spine:上半身>腰
+        spine:上半身2>上半身 neck:首>上半身2 head:頭>首 @head:{左}目>頭 @hips:下半身>腰 @clavicle:{左}肩P>上半身2
+        clavicle:{左}肩>{左}肩P
+        @clavicle:{左}肩C>{左}肩 upper_arm:{左}腕>{左}肩C @lower_arm:{左}腕捩>{左}腕 lower_arm:{左}ひじ>{左}腕捩
+        @hand:{左}手捩>{左}ひじ hand:{左}手首>{左}手捩 @hand:{左}親指０>{左}手首 @hand:{左}中指１>{左}手首
+        thigh:{左}足>下半身 shin:{左}ひざ>{左}足 foot:{左}足首>{左}ひざ toe:{左}つま先>{左}足首
+        @thigh:{左}足D>下半身 @shin:{左}ひざD>{左}足D @foot:{左}足ＩＫ>全ての親 @toe:{左}つま先ＩＫ>{左}足ＩＫ""",
+    "miku miku dance, half-width": """
+        hips:センター spine:上半身>センター neck:首>上半身 head:頭>首 @hips:下半身>センター clavicle:{左}肩>上半身
+        upper_arm:{左}腕>{左}肩 lower_arm:{左}ひじ>{左}腕 hand:{左}手首>{左}ひじ thigh:{左}足>下半身
+        shin:{左}ひざ>{左}足 foot:{左}足首>{左}ひざ @foot:{左}足IK>センター""",
+    "chinese": """
+        hips:骨盆 spine:脊椎1>骨盆 spine:脊椎2>脊椎1 neck:脖子>脊椎2 head:头部>脖子 clavicle:{左}锁骨>脊椎2
+        upper_arm:{左}上臂>{左}锁骨 lower_arm:{左}前臂>{左}上臂 hand:{左}手>{左}前臂 thigh:{左}大腿>骨盆
+        shin:{左}小腿>{左}大腿 foot:{左}脚>{左}小腿 toe:{左}脚趾>{左}脚""",
+    "korean": """
+        hips:골반 spine:척추>골반 neck:목>척추 head:머리>목 clavicle:{왼}쪽어깨>척추 upper_arm:{왼}쪽위팔>{왼}쪽어깨
+        lower_arm:{왼}쪽팔꿈치>{왼}쪽위팔 hand:{왼}쪽손목>{왼}쪽팔꿈치 thigh:{왼}쪽허벅지>골반
+        shin:{왼}쪽무릎>{왼}쪽허벅지 foot:{왼}쪽발목>{왼}쪽무릎 toe:{왼}쪽발가락>{왼}쪽발목""",
+    "german": """
+        hips:Hüfte spine:Wirbelsäule>Hüfte spine:Brust>Wirbelsäule neck:Hals>Brust head:Kopf>Hals
+        clavicle:Schulter_{L}>Brust upper_arm:Oberarm_{L}>Schulter_{L} lower_arm:Unterarm_{L}>Oberarm_{L}
+        hand:Hand_{L}>Unterarm_{L} thigh:Oberschenkel_{L}>Hüfte shin:Unterschenkel_{L}>Oberschenkel_{L}
+        foot:Fuß_{L}>Unterschenkel_{L} toe:Zehen_{L}>Fuß_{L}""",
+    "german, in words": """
+        hips:Becken spine:Ruecken>Becken neck:Nacken>Ruecken head:Kopf>Nacken clavicle:{Linke}sSchluesselbein>Ruecken
+        upper_arm:{Linke}rOberarm>{Linke}sSchluesselbein lower_arm:{Linke}rEllbogen>{Linke}rOberarm
+        hand:{Linke}sHandgelenk>{Linke}rEllbogen thigh:{Linke}rOberschenkel>Becken
+        shin:{Linke}sKnie>{Linke}rOberschenkel foot:{Linke}rFuss>{Linke}sKnie""",
+    "french": """
+        hips:Bassin spine:Colonne1>Bassin spine:Colonne2>Colonne1 neck:Cou>Colonne2 head:Tête>Cou
+        clavicle:Épaule_{G}>Colonne2 upper_arm:Bras_{G}>Épaule_{G} lower_arm:AvantBras_{G}>Bras_{G}
+        hand:Main_{G}>AvantBras_{G} thigh:Cuisse_{G}>Bassin shin:Genou_{G}>Cuisse_{G} foot:Pied_{G}>Genou_{G}
+        toe:Orteils_{G}>Pied_{G}""",
+    "french, in words": """
+        hips:Hanches spine:Torse>Hanches neck:Cou>Torse head:Tete>Cou clavicle:Clavicule{Gauche}>Torse
+        upper_arm:Bras{Gauche}>Clavicule{Gauche} lower_arm:Coude{Gauche}>Bras{Gauche}
+        hand:Poignet{Gauche}>Coude{Gauche} thigh:Cuisse{Gauche}>Hanches shin:Jambe{Gauche}>Cuisse{Gauche}
+        foot:Cheville{Gauche}>Jambe{Gauche}""",
+    "spanish": """
+        hips:Cadera spine:Columna>Cadera spine:Pecho>Columna neck:Cuello>Pecho head:Cabeza>Cuello
+        clavicle:Hombro{Izq}>Pecho upper_arm:Brazo{Izq}>Hombro{Izq} lower_arm:Antebrazo{Izq}>Brazo{Izq}
+        hand:Mano{Izq}>Antebrazo{Izq} thigh:Muslo{Izq}>Cadera shin:Pierna{Izq}>Muslo{Izq} foot:Pie{Izq}>Pierna{Izq}""",
+    "italian": """
+        hips:Bacino spine:Schiena>Bacino spine:Torace>Schiena neck:Collo>Torace head:Testa>Collo
+        clavicle:spalla_{sx}>Torace upper_arm:braccio_{sx}>spalla_{sx} lower_arm:avambraccio_{sx}>braccio_{sx}
+        hand:mano_{sx}>avambraccio_{sx} thigh:coscia_{sx}>Bacino shin:gamba_{sx}>coscia_{sx}
+        foot:piede_{sx}>gamba_{sx}""",
+    "portuguese": """
+        hips:Quadril spine:Coluna>Quadril neck:Pescoço>Coluna head:Cabeça>Pescoço clavicle:Ombro_{L}>Coluna
+        upper_arm:Braço_{L}>Ombro_{L} lower_arm:Antebraço_{L}>Braço_{L} hand:Mão_{L}>Antebraço_{L}
+        thigh:Coxa_{L}>Quadril shin:Joelho_{L}>Coxa_{L} foot:Pé_{L}>Joelho_{L}""",
 }
-MARKS = {"{L}": "LR", "{l}": "lr", "{Left}": ("Left", "Right"), "{LEFT}": ("LEFT", "RIGHT")}
+MARKS = {
+    "{L}": "LR",
+    "{l}": "lr",
+    "{Left}": ("Left", "Right"),
+    "{LEFT}": ("LEFT", "RIGHT"),
+    "{左}": "左右",
+    "{왼}": ("왼", "오른"),
+    "{Linke}": ("Linke", "Rechte"),
+    "{G}": "GD",
+    "{Gauche}": ("Gauche", "Droite"),
+    "{Izq}": ("Izq", "Der"),
+    "{sx}": ("sx", "dx"),
+}
 
 
 def rig(text: str):
@@ -146,4 +214,20 @@ def test_naming_conventions(convention):
     skeleton, expected = rig(CONVENTIONS[convention])
     humanoid = find_humanoid(skeleton)
     assert humanoid.names(skeleton.names) == expected
-    assert humanoid.confidence == 1.0
+    if humanoid.left_toe is not None:
+        assert humanoid.confidence == 1.0  # toes confirm left and right
+    mirror = find_mirror(skeleton, humanoid)
+    assert all(
+        mirror[joint] == other
+        for bone, joint in humanoid.joints().items()
+        if bone.startswith("left_") and isinstance(other := humanoid.joints()[bone.replace("left", "right")], int)
+    )
+
+
+@pytest.mark.parametrize("convention", ["miku miku dance", "chinese", "korean", "german", "french"])
+def test_geometry_confirms_names_of_any_language(convention):
+    """Names with the sides exchanged are doubtful."""
+    skeleton, _ = rig(CONVENTIONS[convention])
+    flipped = replace(skeleton, offsets=skeleton.offsets * np.array([-1.0, 1.0, 1.0]))
+    humanoid = find_humanoid(flipped)
+    assert humanoid.confidence < 1.0 and any("doubtful" in line for line in humanoid.explanation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +12,14 @@ from hypothesis import strategies as st
 
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, mirror_clip
-from pfnn_jax.motion.humanoid.find import need_humanoid
+from pfnn_jax.motion.humanoid.find import find_humanoid, need_humanoid
 from pfnn_jax.motion.humanoid.map import ARM, LEG
 from pfnn_jax.motion.humanoid.pairs import find_mirror
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_normalise, quat_rotate
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.motion.world_motion import world_motion
-from tests.motion.rigs import without_names
+from tests.motion.rigs import bvh_skeleton, without_names
 from tests.motion.skeletons import MIRROR, body
 
 EXACT = 1e-9  # metres: float64 chains, and the fit of rest frames
@@ -120,3 +121,23 @@ def test_partners_are_found_by_the_map_where_names_have_no_sides():
     skeleton = assign_roles(without_names(body()))
     np.testing.assert_array_equal(skeleton.mirror, MIRROR)
     np.testing.assert_array_equal(find_mirror(without_names(body())), np.arange(20))  # without a map nothing tells
+
+
+PREFIXES: dict[str, Callable[[str, int], str]] = {
+    "of all": lambda name, _: f"Character1_{name}",
+    "of most": lambda name, at: f"Character1_{name}" if at % 5 < 3 else name,
+    "namespace of most": lambda name, at: f"rig:{name}" if at % 10 < 7 else name,
+    "without separator": lambda name, _: f"mixamorig{name}",
+    "of a biped": lambda name, _: f"Bip01 {name}",
+}
+
+
+@pytest.mark.parametrize("prefix", PREFIXES)
+@pytest.mark.parametrize("name", ["makehuman_walk_pairs", "mass_walk", "wham", "kimodo_soma_elderly", "univrm"])
+def test_prefixes_of_exporters_change_no_pairs(mocap, name, prefix):
+    skeleton = bvh_skeleton(mocap / "field" / f"{name}.bvh")
+    names = tuple(PREFIXES[prefix](each, at) for at, each in enumerate(skeleton.names))
+    other = replace(skeleton, names=names)
+    body, expected = find_humanoid(other), find_humanoid(skeleton)
+    assert body.joints() == expected.joints()
+    np.testing.assert_array_equal(find_mirror(other, body), find_mirror(skeleton, expected))

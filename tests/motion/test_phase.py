@@ -113,6 +113,12 @@ def test_a_punch_and_a_jump_are_refused(mocap, name):
         label_phase(read_bvh(path))
 
 
+def test_the_refusal_names_the_rate_of_the_file_not_that_of_the_resampled_clip(mocap):
+    file = ClipFile(mocap / "xia-test" / "neutral_16_000.bvh", "neutral")
+    with pytest.raises(NoGaitError, match="the file's 120 frames per second"):
+        label_phase(load_clip(file, fps=60.0))
+
+
 def test_a_standing_clip_is_refused(mocap):
     file = next(file for file in list_clips(mocap / "100style") if file.path.stem == "Neutral_ID")
     with pytest.raises(NoGaitError, match="no steps"):

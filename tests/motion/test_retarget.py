@@ -8,25 +8,29 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.kinematics import quat_from_axis_angle, quat_normalise
 from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.retargeting import retarget as retargeting
-from pfnn_jax.motion.retargeting.body import humanoid_of, leg_length_of
+from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.chains import resample_chain
-from pfnn_jax.motion.retargeting.feet import flat_foot, sole_heights
+from pfnn_jax.motion.retargeting.feet import flat_foot, resting_foot, sole_heights
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_from_json, skeleton_to_json
+from tests.motion.headsets import without_arms
 from tests.motion.retargeting import (
     SOURCES,
     angles,
+    called,
     example,
     moved,
+    padded,
     renamed,
     scaled,
     skeleton_with_rest,
@@ -42,11 +46,16 @@ SAME_PATH = 1e-7  # metres: through an arccos near its steep end
 MEAN_ANGLE = 1.5  # degrees, over the joints that both skeletons have
 ANKLES = 0.01  # metres, mean over the frames
 FLOOR = 0.01  # metres
+RESTING = 0.005  # metres, mean over the frames in which a foot stands flat
+STANDING = 0.2  # share of the frames in which it does
 KNEES = 2e-3  # metres that a knee moves where the leg is straight: it bends by a quarter of a degree
 SLIDE, STILL = 1.2, 0.02  # times as far as in the source, and leg lengths per second that no eye sees
 LARGEST_STEP = 15.0  # degrees a frame at 120 fps
 SIDEWAYS = 0.95  # cosine of the angle by which the two-bone legs may differ from the source's thighs
 ANY_AXES = 0.06  # metres by which joints move where neither zero pose nor reference show how the body stands straight
+
+ARMLESS = 0.02  # metres: without arms the reference pose of the trunk is found from hips and head alone
+HANGS = 0.8  # cosine of the angle between a hanging arm and the vertical, on a body that leans
 
 PAIRS = list(permutations(SOURCES, 2))
 
@@ -130,9 +139,7 @@ def test_feet_stay_above_the_floor(mocap, source, target):
     moved_clip = retarget(clip, skeleton)
     floor = moved_clip.scale * soles(clip).min()
     assert soles(moved_clip.clip).min() > floor - FLOOR
-    roles = need_roles(skeleton)
-    positions = world(moved_clip.clip)[0][:, [*roles.left_foot, *roles.right_foot], 1]
-    assert positions.min() > floor - FLOOR
+    assert heights(moved_clip.clip).min() > floor + min(skeleton.resting_heights.min(), 0.0) - FLOOR
 
 
 @pytest.mark.parametrize("take", ("neutral_22_000", "proud_13_000"))
@@ -144,11 +151,35 @@ def test_a_kick_and_a_run_do_not_make_joints_jump(mocap, take):
 
 
 def soles(clip: MotionClip) -> np.ndarray:
-    """Returns the height [T] of the lower sole."""
+    """Returns the height [T] of the lower sole above the floor of the clip's skeleton."""
     body = humanoid_of(clip.skeleton)
     reference = reference_pose(clip.skeleton, body)
     feet = [flat_foot(clip.skeleton, body, reference, side) for side in ("left", "right")]
-    return sole_heights(world(clip)[0], body, feet)
+    return sole_heights(world(clip)[0], body, [*map(resting_foot, feet, clip.skeleton.resting_heights)])
+
+
+def heights(clip: MotionClip) -> np.ndarray:
+    """Returns the heights [T, 2, 2] of ankle and toe (last axis) of the left and the right foot."""
+    roles = need_roles(clip.skeleton)
+    return world(clip)[0][:, [*roles.left_foot, *roles.right_foot], 1].reshape(-1, 2, 2)
+
+
+@pytest.mark.parametrize(("source", "target"), PAIRS)
+def test_standing_feet_rest_at_the_targets_own_heights_and_come_back_to_the_sources(mocap, source, target):
+    clip, skeleton = example(mocap, source), example(mocap, target).skeleton
+    there = retarget(clip, skeleton).clip
+    back = retarget(there, clip.skeleton).clip
+    own, other = clip.skeleton.resting_heights, skeleton.resting_heights
+    standing = find_standing(clip)
+    for motion, rest in ((there, other), (back, own)):
+        excess = np.where(standing, heights(motion) - rest, 0.0).sum(axis=0) / standing.sum(axis=0)
+        assert np.abs(excess).max() < RESTING, motion.skeleton.names[:2]
+
+
+def find_standing(clip: MotionClip) -> np.ndarray:
+    """Returns the frames [T, 2, 1] in which the left and the right foot stand flat: those in which it is lowest."""
+    lowness = heights(clip).sum(axis=-1)
+    return (lowness <= np.quantile(lowness, STANDING, axis=0))[..., None]
 
 
 @pytest.mark.parametrize(("source", "target"), PAIRS)
@@ -216,6 +247,29 @@ def test_the_size_of_neither_side_matters(seed, factor, larger):
     other = retarget(scaled(clip, factor), scaled(target, larger).skeleton)
     assert other.scale == pytest.approx(plain.scale * larger / factor)
     np.testing.assert_allclose(world(other.clip)[0] / larger, world(plain.clip)[0], atol=SAME_PATH)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 99), source_joints=st.integers(0, 9), target_joints=st.integers(0, 9))
+def test_joints_that_are_no_part_of_the_body_do_not_matter(seed, source_joints, target_joints):
+    clip, target = body_clip(seed, spread=0.2), example_target()
+    plain = retarget(clip, target.skeleton).clip
+    more = padded(target, target_joints, seed).skeleton
+    other = retarget(padded(clip, source_joints, seed), more).clip
+    shared = target.skeleton.num_joints
+    np.testing.assert_allclose(world(other)[0][:, :shared], world(plain)[0], atol=SAME_PATH)
+    at_rest = np.zeros((clip.num_frames, target_joints, 4))
+    at_rest[..., 0] = 1.0
+    np.testing.assert_allclose(other.rotations[:, shared:], at_rest, atol=EXACT)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 99), letters=st.randoms(use_true_random=False))
+def test_any_names_give_the_same_motion(seed, letters):
+    clip, target = body_clip(seed, spread=0.2), example_target()
+    plain = retarget(clip, target.skeleton).clip
+    other = retarget(called(clip, letters), called(target, letters).skeleton).clip
+    np.testing.assert_array_equal(other.rotations, plain.rotations)
 
 
 @given(seed=st.integers(0, 99), other=st.integers(0, 99))
@@ -291,6 +345,19 @@ def test_a_longer_chain_holds_all_that_a_shorter_one_does(count, longer, seed):
     np.testing.assert_array_equal(there[:, -1], turns[:, -1])
     back = resample_chain(np.concatenate((turns[:, :1], there), axis=1), count)
     np.testing.assert_array_equal(back, turns[:, 1:])
+
+
+def test_a_body_without_arms_moves_like_one_with_arms_and_they_hang(mocap):
+    clip, target = example(mocap, "mixamo"), example(mocap, "procedural").skeleton
+    armless = without_arms(clip)
+    assert armless.skeleton.roles is None and armless.skeleton.humanoid is not None
+    (whole, _), (points, _) = (world(retarget(each, target).clip) for each in (clip, armless))
+    body = humanoid_of(target)
+    for joint in (body.hips, body.head, body.left_foot, body.right_toe):
+        np.testing.assert_allclose(points[:, joint], whole[:, joint], atol=ARMLESS)
+    for upper, hand in ((body.left_upper_arm, body.left_hand), (body.right_upper_arm, body.right_hand)):
+        arm = points[:, upper] - points[:, hand]
+        assert (arm[..., 1] > HANGS * np.linalg.norm(arm, axis=-1)).all()
 
 
 def test_the_summary_says_joints_and_scale(mocap):

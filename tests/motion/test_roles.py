@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.find import find_humanoid
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_yaw
-from pfnn_jax.motion.roles import assign_roles, find_mirror, find_roles, is_hips_name, leg_length
+from pfnn_jax.motion.roles import assign_roles, find_mirror, find_roles, is_hips_name
 from pfnn_jax.motion.skeleton import Roles, Skeleton
 from tests.motion.skeletons import MIRROR, NAMES, OFFSETS, PARENTS, body
 from tests.raising import assert_refused
@@ -119,7 +121,7 @@ def test_hips_are_the_joint_above_both_legs_whatever_is_called_pelvis():
 
 def test_leg_length_is_hip_to_ankle():
     skeleton = body()
-    assert leg_length(skeleton, EXPECTED) == pytest.approx(0.42 + np.hypot(0.42, 0.02))
+    assert leg_length_of(skeleton, find_humanoid(skeleton)) == pytest.approx(0.42 + np.hypot(0.42, 0.02))
 
 
 @pytest.mark.parametrize("name", ["Hips", "mixamorig:Hips", "Bip01 Pelvis", "CC_Base_Pelvis_01"])

@@ -22,8 +22,9 @@ from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.shared_unit import share_units
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.features.layout import block_columns, mason2018
+from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.length_unit import CENTIMETRE, INCH
-from pfnn_jax.motion.roles import leg_length
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
@@ -60,7 +61,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 
 def rest_leg(skeleton: Skeleton) -> float:
-    return leg_length(skeleton, need_roles(skeleton))
+    return leg_length_of(skeleton, need_humanoid(skeleton))
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.workflows.samples import sample_clips
 
 # A tab can close while its picture is being sent; `play` ignores the warning, but each test has its own filters.
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning")
@@ -17,6 +18,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connecti
 AT_HOME = 0.05  # metres from the middle that count as not having moved: the character shifts its weight at the start
 NEAR = 0.2  # metres: a step that is completed
 CORNER = 0.9  # weight of a style near whose corner the point was put
+LEARNING = 240e3  # milliseconds to wait for a style on a loaded machine
 
 
 def files_of(run: Path) -> dict[str, bytes]:
@@ -161,11 +163,20 @@ def test_a_bad_clip_is_refused_and_changes_nothing(visitor, served, played_run, 
 
 def test_a_good_clip_becomes_a_style_that_moves(visitor, played_run, zombie_bvh):
     visitor.page.locator("input[type=file]").set_input_files(zombie_bvh)
-    visitor.page.locator("[data-message=good], [data-message=warning]").wait_for()
+    visitor.page.locator("[data-message=good], [data-message=warning]").wait_for(timeout=LEARNING)
     assert "zombie walk" in visitor.options("Style")
     visitor.wait(lambda: visitor.read("style") == "zombie walk", "the character is in the new style")
     assert (played_run / "styles" / "zombie walk" / "style.json").is_file()
     visitor.walk(0.3)
+
+
+def test_a_sample_clip_is_learned_as_an_upload_is(visitor, played_run):
+    visitor.press("soldier")
+    message = visitor.page.locator("[data-message=good], [data-message=warning]").filter(has_text="soldier")
+    message.wait_for(timeout=LEARNING)
+    assert message.inner_text().count("Note: ") == 1 and "retargeted from 21 to 21 joints" in message.inner_text()
+    visitor.wait(lambda: visitor.read("style") == "soldier", "the character is in the new style")
+    assert (played_run / "uploads" / "soldier.bvh").read_bytes() == sample_clips()["soldier"].read_bytes()
 
 
 def test_the_run_can_be_changed(visitor):

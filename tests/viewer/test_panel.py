@@ -173,16 +173,24 @@ def test_a_style_chosen_while_standing_has_a_hint(panel):
     assert hinted() and hinted() and not hinted(wanted_speed=1.0) and not hinted()
     panel._picker.select("run", "proud")
     assert not hinted()
-    panel.learned("run", "neutral")
+    panel.learned("run", LearnedUpload("neutral"))
     assert hinted() and widgets.UNSEEN in panel._message.content and not hinted(speed=0.5)
 
 
-def test_a_style_learned_with_warnings_is_not_shown_as_a_success(panel):
-    panel.learned("run", "neutral")
+def test_a_style_learned_with_warnings_is_not_shown_as_a_success(panel, client):
+    panel.learned("run", LearnedUpload("neutral"))
+    assert not client.received
     assert 'data-message="good"' in panel._message.content and "Warning" not in panel._message.content
-    panel.learned("run", "neutral", ("it falls", "it is no walk"))
+    panel.learned("run", LearnedUpload("neutral", ("retargeted",), ("it falls", "it is not a walk")))
     assert 'data-message="warning"' in panel._message.content and "is learned" not in panel._message.content
-    assert "Warning: it falls. Warning: it is no walk." in panel._message.content
+    assert "Warning: it falls.\nWarning: it is not a walk.\nNote: retargeted." in panel._message.content
+    assert [title for title, _ in client.received] == ["neutral may look poor"]
+
+
+def test_notes_are_shown_with_a_success(panel):
+    panel.learned("run", LearnedUpload("neutral", ("retargeted from 59 to 22 joints",)))
+    assert 'data-message="good"' in panel._message.content
+    assert panel._message.content.count("\nNote: retargeted from 59 to 22 joints.") == 1
 
 
 def test_an_ended_recording_can_be_downloaded(panel):
@@ -197,13 +205,13 @@ def test_a_learned_style_is_not_selected_after_a_change_of_run(panel):
     library, character = panel._library, panel._character
     panel.serve(0.0)
     library.join("run", "zombie")
-    panel.learned("run", "zombie")
+    panel.learned("run", LearnedUpload("zombie"))
     panel.serve(0.1)
     assert character.shares == {"zombie": 1.0} and "zombie is learned" in panel._message.content
     panel._picker._run.value = "two"
     panel.serve(0.2)
     library.join("run", "weary")
-    panel.learned("run", "weary")
+    panel.learned("run", LearnedUpload("weary"))
     panel.serve(0.3)
     assert (character.run, character.shares) == ("two", {"neutral": 1.0})
     assert "weary" in panel._message.content and "Choose that run" in panel._message.content
@@ -231,11 +239,10 @@ def test_an_unexpected_error_of_an_upload_is_shown(panel, client, monkeypatch):
         raise RuntimeError("out of paper")
 
     monkeypatch.setattr(tab_module, "learn_upload", fail)
-    tab, file = tab_of(client), any_of(SimpleNamespace(name="walk.bvh", content=b""))
     with pytest.raises(RuntimeError):
-        tab._learn(panel._character, panel, file)
+        tab_of(client)._learn(panel._character, panel, "walk.bvh", b"")
     assert "walk.bvh: RuntimeError: out of paper" in panel._message.content
-    assert not panel.upload.disabled
+    assert not panel.upload.disabled and panel.samples.visible
 
 
 def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
@@ -244,14 +251,13 @@ def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
     def learn(*_: Any) -> LearnedUpload:
         begun.set()
         free.wait(SOON)
-        return LearnedUpload("walk", ())
+        return LearnedUpload("walk")
 
     monkeypatch.setattr(tab_module, "learn_upload", learn)
-    files = [any_of(SimpleNamespace(name=name, content=b"")) for name in ("walk.bvh", "second.bvh")]
-    first = threading.Thread(target=tab._learn, args=(panel._character, panel, files[0]))
+    first = threading.Thread(target=tab._learn, args=(panel._character, panel, "walk.bvh", b""))
     first.start()
-    assert begun.wait(SOON)
-    tab._learn(panel._character, panel, files[1])
+    assert begun.wait(SOON) and panel.upload.disabled and not panel.samples.visible
+    tab._learn(panel._character, panel, "second.bvh", b"")
     free.set()
     first.join(SOON)
     assert client.received == [

@@ -71,7 +71,7 @@ def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_
     prepare_learning(library, "run")
     calls: list[tuple[float, str]] = []
     before = set(contents(run_path))
-    name, warnings = learn_upload(
+    name, notes, warnings = learn_upload(
         library, "run", "C:\\clips\\zombie walk.bvh", zombie_bvh.read_bytes(), lambda *t: calls.append(t)
     )
     assert name == "zombie walk" and ("run", name) in library.styles
@@ -83,7 +83,8 @@ def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_
     again = tmp_path / "again"
     shutil.copytree(run_path, again)
     info = learn_style(load_run(again), ClipFile(zombie_bvh, "same"), SMALL)
-    assert list(warnings) == info["warnings"] and not any("no walk ahead" in line for line in warnings)
+    assert notes == () and list(warnings) == info["warnings"]
+    assert not any("not a forward walk" in line for line in warnings)
     here, there = load_style(load_run(run_path), name), load_style(load_run(again), "same")
     jax.tree.map(np.testing.assert_array_equal, here, there)
 
@@ -100,9 +101,8 @@ def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_
 
 def test_an_upload_of_another_skeleton_is_put_onto_the_runs(library, run_path, zombie_bvh):
     text = zombie_bvh.read_text().replace("UpLeg", "Thigh").replace("JOINT Spine1", "JOINT Belly")
-    said: list[str] = []
-    name = learn_upload(library, "run", "renamed.bvh", text.encode(), lambda _, what: said.append(what)).style
-    assert "retargeted from 21 to 21 joints, legs scaled by 1.00" in said
+    name, notes, _ = learn_upload(library, "run", "renamed.bvh", text.encode())
+    assert notes == ("retargeted from 21 to 21 joints, legs scaled by 1.00",)
     about = json.loads((run_path / "styles" / name / "style.json").read_text())
     assert about["info"]["notes"] == ["retargeted from 21 to 21 joints, legs scaled by 1.00"]
     learned = learn_upload(library, "run", "as it was.bvh", zombie_bvh.read_bytes()).style
@@ -114,14 +114,14 @@ def test_an_upload_that_is_no_walk_ahead_is_learned_with_warnings(library, run_p
     clip, _ = synthesise("zombie", np.zeros(150), np.full(150, 0.9))
     reverse = replace(clip, root_positions=clip.root_positions[::-1], rotations=clip.rotations[::-1])
     write_bvh(tmp_path / "back.bvh", reverse)
-    style, warnings = learn_upload(library, "run", "old.bvh", (tmp_path / "back.bvh").read_bytes())
+    style, _, warnings = learn_upload(library, "run", "old.bvh", (tmp_path / "back.bvh").read_bytes())
     about = json.loads((run_path / "styles" / style / "style.json").read_text())["info"]
     assert any("it moves backwards" in line for line in warnings)
     assert list(warnings) == about["warnings"]
 
 
 def test_the_clip_decides_on_mirroring_not_its_name(library, run_path, zombie_bvh):
-    style, _ = learn_upload(library, "run", "DragLeg.bvh", zombie_bvh.read_bytes())
+    style = learn_upload(library, "run", "DragLeg.bvh", zombie_bvh.read_bytes()).style
     about = json.loads((run_path / "styles" / style / "style.json").read_text())["info"]
     assert about["mirrored"] and about["asymmetry"] < 0.1
 

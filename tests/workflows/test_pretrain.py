@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from pfnn_jax.errors import TrainingError
+from pfnn_jax.inference.rows import predict_rows
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import load_generator, load_run, load_style
-from pfnn_jax.run_config import list_styles, train_step
+from pfnn_jax.run_config import list_styles, style_note, train_step
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Rows
 from pfnn_jax.training.film_styles import mean_styles
@@ -30,6 +31,8 @@ from tests.raising import assert_refused
 CONFIG = PretrainConfig(
     adapter=AdapterConfig(rank=2), hidden=8, steps=60, batch_size=16, steps_per_dispatch=5, save_every=10
 )
+
+ERROR = 1e-4  # float32, in layout units and in normalised ones
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -72,6 +75,23 @@ def test_a_run_holds_what_pretraining_learned(whole, dataset):
     records = read_metrics(whole.path)
     assert [record["step"] for record in records] == list(range(5, 61, 5))
     assert records[-1]["loss"] < records[0]["loss"]
+
+
+def test_each_style_keeps_its_error_on_rows_that_training_did_not_see(whole, dataset, tmp_path):
+    """A dataset without validation rows leaves the training rows."""
+    clips = [clip for style in ("neutral", "old") for clip in synthetic_clips(style, 3.0)]
+    split = prepare(clips, tmp_path / "data", PrepareConfig(validation=0.2))
+    for run, data, name in (
+        (whole, dataset, "train"),
+        (pretrain_run(split, tmp_path / "run", CONFIG), split, "validation"),
+    ):
+        for style in run.config.styles:
+            info = style_note(run.path, style)["info"]
+            x, y, phase = data.arrays(style, name)
+            predicted = predict_rows(run, x, phase, style)
+            off = (predicted - y) / run.normaliser.outputs.std
+            assert info["error_split"] == name
+            np.testing.assert_allclose(info["error"], np.mean(off**2), rtol=ERROR)
 
 
 def test_killed_and_resumed_is_bit_for_bit_the_same(dataset, whole, tmp_path):

@@ -26,6 +26,7 @@ from pfnn_jax.motion.joint_order import match_joints
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import clip_local_phases, end_effectors, fit_axes, mirror_local_phases
 from pfnn_jax.motion.labels.phase import mirror_phase
+from pfnn_jax.motion.retargeting.resting import same_floor
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, same_joints
 from pfnn_jax.motion.world_motion import world_motion
@@ -153,6 +154,31 @@ def has_hand_ends(source: Source) -> bool:
     return any(re.search("[1-9]", offset) for offset in sites)
 
 
+def load_for_skeleton(
+    clip_file: ClipFile, layout: FrameLayout, skeleton: Skeleton, roles_file: str | Path | None = None
+) -> LabelledClip:
+    """Loads a clip as `load_for_layout`, and puts it onto a skeleton as `match_skeleton`.
+
+    A body that lacks joints for roles, such as one without arms, as captured by a headset and trackers at the legs, is
+    put onto the skeleton before it is labelled.
+
+    Raises:
+        NoGaitError, InputError: as `load_for_layout`; or if the clip's skeleton has no humanoid map.
+    """
+    summary = ""
+
+    def fit(clip: MotionClip) -> MotionClip:
+        nonlocal summary
+        if clip.skeleton.roles is None and clip.skeleton.humanoid is not None:
+            moved = retarget(clip, skeleton)
+            clip, summary = moved.clip, moved.summary
+        return _fit_joints(clip, layout)
+
+    labelled = _load_labelled(clip_file, layout, roles_file, fit)
+    note = "; ".join(filter(None, (labelled.note, summary)))
+    return match_skeleton(replace(labelled, note=note), skeleton)
+
+
 def load_for_layout(clip_file: ClipFile, layout: FrameLayout, roles_file: str | Path | None = None) -> LabelledClip:
     """Loads a clip at a layout's rate, with its number of joints, and with phase labels if it uses them.
 
@@ -176,8 +202,8 @@ def match_hands(labelled: LabelledClip, layout: FrameLayout) -> LabelledClip:
 def match_skeleton(labelled: LabelledClip, skeleton: Skeleton) -> LabelledClip:
     """Returns the clip on a skeleton: retargeted, and with a note that says so, if it has another.
 
-    A skeleton with the same joints, in any order, and the same rest pose counts as the same, whatever its bones'
-    lengths, because features hold joint positions. Labels stay: they are those of the clip's own feet.
+    A skeleton with the same joints, in any order, the same rest pose and the same floor counts as the same, whatever
+    its bones' lengths, because features hold joint positions. Labels stay: they are those of the clip's own feet.
 
     Args:
         labelled: the clip.
@@ -187,7 +213,7 @@ def match_skeleton(labelled: LabelledClip, skeleton: Skeleton) -> LabelledClip:
         InputError: if either skeleton has no humanoid map.
     """
     clip = match_joints(labelled.clip, skeleton.names)
-    if same_joints(skeleton, clip.skeleton):
+    if same_joints(skeleton, clip.skeleton) and same_floor(clip.skeleton, skeleton):
         return labelled if clip is labelled.clip else replace(labelled, clip=clip, world=world_motion(clip))
     moved = retarget(clip, skeleton)
     note = "; ".join(filter(None, (labelled.note, moved.summary)))

@@ -62,11 +62,15 @@ def read_cut_clip(clip_file: ClipFile, roles_file: str | Path | None = None) -> 
 
     A stop beyond the end of the file means its end, and is noted.
 
+    Args:
+        clip_file: the clip and the frames used.
+        roles_file: JSON file that names the joints' roles, unless the clip has its own.
+
     Raises:
         InputError: as `read_bvh`; or if the cut starts beyond the end, naming the table that states it.
     """
     path = clip_file.path
-    whole = read_whole(path, clip_file.read_options, roles_file)
+    whole = read_whole(path, clip_file.read_options, clip_file.roles_file or roles_file)
     stop = whole.num_frames if clip_file.stop is None else clip_file.stop
     file, place = clip_file.cut_by or (path, "cut")
     if clip_file.start >= whole.num_frames:
@@ -116,9 +120,9 @@ def load_labelled(
     """
     path = clip_file.path
     part = read_cut_clip(clip_file, roles_file)
-    need_roles(part.clip.skeleton, path)
     clip = resample(part.clip, fps)
     world = world_motion(clip if fit is None else fit(clip))
+    need_roles(world.skeleton, path)
     labels = _phase_labels(path.with_suffix(".phase"), part, world) if phase else _no_phase(clip.num_frames)
     gait = _gait(path.with_suffix(".gait"), part, world)
     return LabelledClip(world.clip, labels, gait, clip_file.symmetric, part.note, world)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
@@ -54,7 +54,8 @@ class PrepareConfig:
         layout: frame layout: pfnn2017, mason2018, mason2022, mason2022_pfnn or mason2022_mann.
         fps: frames per second; must be the layout's.
         mirror: add the mirror image of every clip of a symmetric style.
-        grouped_std: whether to average standard deviations over blocks of columns (`fit_normaliser`).
+        grouped_std: whether to average standard deviations over blocks of columns, as the authors' code does
+            (`fit_normaliser`); otherwise every column has its own, as the paper says, and walks diverge sooner.
         validation: share of every clip's rows, in one block, that is kept for validation (Mason 2022: 0.1).
         test: share of every clip's rows, in one block, that is kept for testing.
         seed: determines where those blocks lie.
@@ -63,7 +64,7 @@ class PrepareConfig:
     layout: str = "mason2018"
     fps: float = 60.0
     mirror: bool = True
-    grouped_std: bool = False
+    grouped_std: bool = True
     validation: float = 0.0
     test: float = 0.0
     seed: int = 0
@@ -264,6 +265,7 @@ class _DatasetWriter:
         self.skeleton = target
         self.layout = None if target is None else layout_for(config.layout, target)
         self.clips: list[dict[str, Any]] = []
+        self.resting_heights: list[np.ndarray] = []  # of the feet in each clip that shows them
         self.skipped: list[dict[str, str]] = []
         self.notes: list[dict[str, str]] = []
         self.moments: tuple[Moments, ...] = ()
@@ -293,6 +295,8 @@ class _DatasetWriter:
                 self.style_writer = _StyleWriter(self.folder, clip.style, self.config.splits, layout)
             self.style_writer.add(image, len(self.clips))
             self.clips.append(image.entry)
+            if (heights := image.skeleton.resting_heights) is not None:
+                self.resting_heights.append(heights[::-1] if image.entry["mirrored"] else heights)
             so_far = self.moments or (NO_ROWS,) * len(image.moments)
             self.moments = tuple(merged.merge(added) for merged, added in zip(so_far, image.moments, strict=True))
 
@@ -351,7 +355,7 @@ class _DatasetWriter:
             "format": FORMAT,
             "layout": self.config.layout,
             "config": asdict(self.config),
-            "skeleton": skeleton_to_json(self.skeleton),
+            "skeleton": skeleton_to_json(self._with_resting_heights()),
             "styles": list(self.rows["train"]),
             "rows": self.rows,
             "takes_without_window": self.short,
@@ -361,6 +365,13 @@ class _DatasetWriter:
             "versions": {"pfnn_jax": version("pfnn-jax"), "numpy": version("numpy")},
         }
         (self.folder / "dataset.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+    def _with_resting_heights(self) -> Skeleton:
+        """Returns the skeleton with the medians of its clips' resting heights; a target keeps its own."""
+        assert self.skeleton is not None
+        if self.target is not None or not self.resting_heights:
+            return self.skeleton
+        return replace(self.skeleton, resting_heights=np.median(self.resting_heights, axis=0))
 
 
 def _refuse(errors: Sequence[InputError], out: Path) -> NoReturn:

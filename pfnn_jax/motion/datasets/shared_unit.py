@@ -11,8 +11,9 @@ from pathlib import Path
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_skeleton
 from pfnn_jax.motion.datasets.sources import ClipFile
+from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.find import find_humanoid
 from pfnn_jax.motion.length_unit import UNITS, log_likelihoods
-from pfnn_jax.motion.roles import find_roles, leg_length
 from pfnn_jax.motion.skeleton import plain_names
 
 DOUBT = math.log(1000.0)
@@ -47,7 +48,8 @@ def _likely_units(path: Path) -> tuple[tuple[str, ...], dict[str, float]] | None
     """Returns a file's joints and the log likelihood of each unit; None if it has no legs or is bad."""
     try:
         skeleton = read_skeleton(path)
-        leg = leg_length(skeleton, find_roles(skeleton, source=str(path)))
+        body = find_humanoid(skeleton, source=str(path))
+        leg = 0.0 if None in (body.left_foot, body.right_foot) else leg_length_of(skeleton, body)
     except (InputError, ValueError):
         return None  # reading the clip reports what is wrong
     return (plain_names(skeleton.names), log_likelihoods(leg)) if leg > 0 else None

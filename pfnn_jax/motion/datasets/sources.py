@@ -70,6 +70,7 @@ class ClipFile:
         cut_by: (file, place) that states start and stop, for messages; None if they come from no file.
         reading: what the user says about the file, which takes precedence.
         data_set: name of the folder that was listed (`list_data_sets`), whose files share a unit.
+        roles_file: JSON file that names the joints' roles in this file; None for that of the call that reads it.
     """
 
     path: Path
@@ -82,6 +83,7 @@ class ClipFile:
     cut_by: tuple[Path, str] | None = None
     reading: ReadOptions = ReadOptions()
     data_set: str = ""
+    roles_file: Path | None = None
 
     if TYPE_CHECKING:  # callers may pass a string, readers always find a Path
 
@@ -97,6 +99,7 @@ class ClipFile:
             cut_by: tuple[Path, str] | None = None,
             reading: ReadOptions = ...,
             data_set: str = ...,
+            roles_file: Path | None = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -141,7 +144,7 @@ def list_clips(folder: str | Path, kind: str = "auto", reading: ReadOptions | No
     for clip in clips:
         check_style_name(clip.style, clip.path)
     options = read_options(folder, [clip.path for clip in clips], reading)
-    return [replace(clip, reading=found) for clip, found in zip(clips, options, strict=True)]
+    return [replace(clip, reading=found, roles_file=roles) for clip, (found, roles) in zip(clips, options, strict=True)]
 
 
 def unlisted_files(folder: str | Path, clips: Iterable[ClipFile]) -> list[Path]:

@@ -16,8 +16,10 @@ from pfnn_jax.motion.datasets.labelled import read_cut_clip
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.hands import extend_hands
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.motion.retargeting.body import humanoid_of
+from pfnn_jax.motion.roles import roles_of
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, plain_names, skeleton_from_json, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 
@@ -80,11 +82,12 @@ def find_target(
 
 
 def ends_in_hand_sites(skeleton: Skeleton) -> bool:
-    """Returns whether the ends of a skeleton's hands are joints, as `extend_hands` makes them."""
-    unchanged = extend_hands(
-        _at_rest(replace(skeleton, end_sites=()))
-    ).skeleton  # no joints are added, only roles moved
-    return unchanged.names[need_roles(unchanged).left_hand].endswith("Site")
+    """Returns whether the ends of a skeleton's hands are joints, as `extend_hands` makes them.
+
+    Then the roles of the hands are not those of the map.
+    """
+    moved = extend_hands(_at_rest(replace(skeleton, end_sites=()))).skeleton  # no joints are added, only roles moved
+    return need_roles(moved).left_hand != roles_of(need_humanoid(moved), moved.names).left_hand
 
 
 def check_one_skeleton(clips: Sequence[ClipFile]) -> None:

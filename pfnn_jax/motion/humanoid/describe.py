@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
+from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 T_POSE, A_POSE = 15.0, 60.0
@@ -70,11 +71,26 @@ def _axis_name(vector: np.ndarray) -> str:
     return f"{'+' if vector[axis] > 0 else '-'}{'XYZ'[axis]}" if vector[axis] else ""
 
 
-def leg_reach(skeleton: Skeleton, humanoid: HumanoidMap, side: str = "left") -> float:
-    """Returns the length of a leg from thigh over knee to ankle, in metres; to the shin where it has no ankle."""
+def leg_length_of(skeleton: Skeleton, humanoid: HumanoidMap) -> float:
+    """Returns the length from hip over knee to ankle, the mean of both legs, in the skeleton's unit.
+
+    Joints between them are taken at rest. A leg without an ankle ends at the knee.
+    """
+    total = 0.0
+    for side in SIDES:
+        leg = [joint for joint in humanoid.limb(side, LEG)[:3] if joint is not None]
+        bones = [_between(skeleton, *pair) for pair in zip(leg, leg[1:], strict=False)]
+        total += float(np.linalg.norm(bones, axis=-1).sum())
+    return total / 2
+
+
+def _between(skeleton: Skeleton, joint: int, end: int) -> np.ndarray:
+    """Returns the vector [3] from a joint to another one, below it or elsewhere, in the rest pose."""
+    tree = joint_tree(tuple(skeleton.parents.tolist()))
+    if tree.is_above(joint, end):
+        return skeleton.offsets[tree.down(joint, end)].sum(axis=0)
     pose = rest_pose(skeleton)
-    leg = [joint for joint in humanoid.limb(side, LEG)[:3] if joint is not None]
-    return float(np.linalg.norm(np.diff(pose[leg], axis=0), axis=1).sum())
+    return pose[end] - pose[joint]
 
 
 def left_out(skeleton: Skeleton, humanoid: HumanoidMap) -> list[str]:

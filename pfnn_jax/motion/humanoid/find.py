@@ -12,7 +12,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.humanoid.checks import DOUBTFUL, Body, Finding, check_geometry, is_no_pose, stands
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES, HumanoidMap
-from pfnn_jax.motion.humanoid.measured import measured_limbs
+from pfnn_jax.motion.humanoid.measured import COINCIDENT, body_size, measured_limbs
 from pfnn_jax.motion.humanoid.named import detached_foot, named_limbs, named_trunk
 from pfnn_jax.motion.humanoid.names import read_names
 from pfnn_jax.motion.humanoid.overrides import Chosen, choose_joints, listed
@@ -241,6 +241,7 @@ def _complete(
         rule = f"must have a joint for {', '.join(missing)}; name it in a file of overrides (--roles)"
         raise InputError(source, "skeleton", f"joints {listed(skeleton.names)}", rule)
     names = skeleton.names
+    limbs = _below_connectors(limbs, tree, chosen, poses[0])
     sites = [joint for joint, site in skeleton.end_sites if not site.any()]
     ends = frozenset(sites if len(sites) < len(skeleton.end_sites) else ())  # where all are zero they say nothing
     trunk = Trunk(tree, read_names(names), named_trunk(names), poses[0], limbs, ends)
@@ -257,6 +258,28 @@ def _complete(
     body = Body(found, trunk.labels, tree, poses, by_geometry)
     check_geometry(body, finding, source, insist=insist)
     return HumanoidMap(**found, confidence=finding.confidence, explanation=tuple(finding.lines))
+
+
+def _below_connectors(limbs: Mapping[str, int], tree: JointTree, chosen: Chosen, pose: np.ndarray) -> dict[str, int]:
+    """Returns limbs in which no thigh is a connector, a joint between hips and thigh that both legs have at one place.
+
+    Hip joints are apart. Where no joints above the shins are, the limbs are returned unchanged.
+
+    Args:
+        limbs: bone -> joint.
+        tree: of J joints.
+        chosen: by the user; their thighs are kept.
+        pose: [J, 3].
+    """
+    gap = COINCIDENT * body_size(pose)
+    chains = [[limbs[f"{side}_thigh"], limbs[f"{side}_shin"]] for side in SIDES]
+    if any(f"{side}_thigh" in chosen for side in SIDES) or not all(tree.is_above(*chain) for chain in chains):
+        return dict(limbs)
+    thighs = [[thigh, *tree.down(thigh, shin)[:-1]] for thigh, shin in chains]
+    for left, right in zip(*thighs, strict=False):
+        if np.linalg.norm(pose[left] - pose[right]) > gap:
+            return {**limbs, "left_thigh": left, "right_thigh": right}
+    return dict(limbs)
 
 
 def _require_chains(names: tuple[str, ...], tree: JointTree, found: dict[str, Any], source: str | Path) -> None:

@@ -7,31 +7,42 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 
-SIDE_WORDS = {
-    "left": "left",
-    "l": "left",
-    "lft": "left",
-    "lt": "left",
-    "right": "right",
-    "r": "right",
-    "rgt": "right",
-    "rt": "right",
+from pfnn_jax.motion.humanoid.languages import in_english
+
+_SIDES = {
+    "left": "left l lft lt links linke linker linkes gauche izquierda izquierdo izq sinistra sinistro sx esquerda "
+    "esquerdo",
+    "right": "right r rgt rt rechts rechte rechter rechtes droite droit derecha derecho der destra destro dx direita "
+    "direito",
 }
+SIDE_WORDS = {word: side for side, words in _SIDES.items() for word in words.split()}
+SIDE_LETTERS = (("l", "r", "left"), ("r", "l", "right"), ("g", "d", "left"), ("d", "g", "right"))
+"""Letter of a side that begins or ends a name, that of the other side, and the side; g and d are French."""
+
 OTHER_SIDE = {"left": "right", "right": "left", "": ""}
 
 SHARED = 0.5
 """Share of the joints of which more must begin with the same word for it to be a prefix of the exporter."""
 
 FILLER = frozenset(
-    "jnt jt joint bone bn b def deform org fk armature skeleton rig bip biped valve valvebiped character skin m x bend "
-    "stretch".split()
+    "jnt jt joint bone bn b bind def deform org fk armature skeleton rig bip biped valve valvebiped character skin m x "
+    "bend stretch".split()
 )
 """Words that say nothing about the part of the body."""
 
 HELPER_WORDS = frozenset("ik end tip nub site mch pt roll leaf tweak con ctrl null dummy slot socket".split())
-HELPER_PARTS = ("twist", "pole", "target", "control", "helper", "rigmesh", "effector", "orient", "tracker", "hipjoint")
+HELPER_PARTS = re.compile("twist|pole|target|control|helper|rigmesh|effector|orient|tracker|hipjoint")
 """Words, and parts of words, of joints that help to animate, to skin or to end a bone."""
 
+
+WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
+"""A word or a number within a name."""
+
+PREFIX = re.compile(r"mixamorig|[A-Za-z]+\d*[ _.:-](?=[\w ])|[a-z]{4,}(?=[A-Z])|[A-Z]{2,}_")
+"""A word and its number at the beginning of a name, up to a separator or to a capital letter as in mixamorigHips."""
+
+COUNTED, GLUED = re.compile(r"(.+)_(\d+)"), re.compile(r"(left|right)(.+)")
+"""A name with a counter, and a name that begins with its side."""
 
 VERTEBRA = re.compile(r"l[1-5]|t([1-9]|1[0-2])|c[1-7]")
 """Names of vertebrae, as in captures by Xsens, which have several."""
@@ -60,8 +71,8 @@ def plain_names(names: tuple[str, ...]) -> tuple[str, ...]:
 
     A suffix is removed only where every joint has one and no two have the same, apart from an added root.
     """
-    plain = [re.split(r"[:|]", name)[-1] or name for name in names]
-    numbered = [re.fullmatch(r"(.+)_(\d+)", name) for name in plain]
+    plain = [name[max(name.rfind(":"), name.rfind("|")) + 1 :] or name for name in names]
+    numbered = [COUNTED.fullmatch(name) for name in plain]
     counters = [match[2] if match else "" for match in numbered]
     if all(counter or "root" in name.lower() for counter, name in zip(counters, plain, strict=True)) and (
         len(set(counters)) == len(counters) > 1
@@ -74,19 +85,18 @@ def plain_names(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _shared_prefix(names: list[str]) -> str:
     """Returns the first word of most names with the separator behind it; empty where no word is a prefix."""
-    # a word and its number, up to a separator, or up to a capital letter as in mixamorigHips
-    matches = (re.match(r"[A-Za-z]+\d*[ _.:-]+(?=\w)|[a-z]{4,}(?=[A-Z])|[A-Z]{2,}_", name) for name in names)
+    matches = (PREFIX.match(name) for name in names)
     counts = Counter(match[0] for match in matches if match)
     if not counts:
         return ""
-    prefix, count = counts.most_common(1)[0]
-    word = re.sub(r"[^a-z]", "", prefix.lower())
+    prefix = max(counts, key=counts.__getitem__)
+    word, count = "".join(letter for letter in prefix.lower() if "a" <= letter <= "z"), counts[prefix]
     return prefix if count > max(SHARED * len(names), 2) and word not in SIDE_WORDS else ""
 
 
 def words_of(name: str) -> list[str]:
-    """Splits a name into lower-case words and numbers: `LeftUpLeg2` -> left, up, leg, 2."""
-    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)]
+    """Splits a name of any script into lower-case words and numbers: `LeftUpLeg2` -> left, up, leg, 2."""
+    return [word.lower() for word in WORD.findall(in_english(name))]
 
 
 @functools.lru_cache(maxsize=64)
@@ -107,8 +117,7 @@ def _read(name: str, words: list[str], whole: set[str]) -> JointName:
         whole: all names of the skeleton, as joined words.
     """
     joined = "".join(words)
-    helper = name.startswith("__") or any(word in HELPER_WORDS for word in words)
-    helper = helper or any(part in joined for part in HELPER_PARTS)
+    helper = name.startswith("__") or not HELPER_WORDS.isdisjoint(words) or bool(HELPER_PARTS.search(joined))
     if "necktwist" in joined and not any(word.startswith("neck") and "twist" not in word for word in whole):
         helper = False  # the neck itself of Character Creator
     side, rest = _split_side(words, whole)
@@ -125,13 +134,13 @@ def _split_side(words: list[str], whole: set[str]) -> tuple[str, list[str]]:
         if word in SIDE_WORDS and any(not other.isdigit() for other in rest):
             return SIDE_WORDS[word], rest
     joined = "".join(words)
-    if glued := re.match(r"(left|right)(.+)", joined):
+    if glued := GLUED.match(joined):
         return glued[1], [glued[2]]
-    for mark, other in (("l", "r"), ("r", "l")):
+    for mark, other, side in SIDE_LETTERS:
         if joined[:1] == mark and other + joined[1:] in whole:
-            return SIDE_WORDS[mark], re.findall(r"[a-z]+|\d+", joined[1:])  # lfemur, where there is also rfemur
+            return side, WORD.findall(joined[1:])  # lfemur, where there is also rfemur
         if joined[-1:] == mark and joined[:-1] + other in whole:
-            return SIDE_WORDS[mark], re.findall(r"[a-z]+|\d+", joined[:-1])
+            return side, WORD.findall(joined[:-1])
     return "", words
 
 

@@ -54,6 +54,22 @@ def read_overrides_file(path: Path) -> dict[str, Any]:
     return loaded
 
 
+def rename_joints(overrides: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    """Returns overrides with joints called by other names.
+
+    Args:
+        overrides: as in `choose_joints`.
+        names: old name -> new name; other names are kept.
+    """
+
+    def renamed(value: Any) -> Any:
+        if isinstance(value, list):
+            return [renamed(each) for each in value]
+        return names.get(value, value) if isinstance(value, str) else value
+
+    return {bone: renamed(value) for bone, value in overrides.items()}
+
+
 def choose_joints(overrides: Mapping[str, Any], names: Sequence[str], source: str | Path) -> Chosen:
     """Returns the joints that overrides name.
 

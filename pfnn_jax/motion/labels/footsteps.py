@@ -125,8 +125,9 @@ def find_steps(clip: MotionClip | WorldMotion) -> list[StepRun]:
 
 def _no_steps(clip: MotionClip, contacts: int) -> NoGaitError:
     found = f"{contacts} foot contacts in {clip.num_frames} frames ({clip.num_frames / clip.fps:.1f} s)"
-    rule = "no steps: feet must come down alternately while the character travels"
-    doubt = f"if {clip.fps:.4g} frames per second are wrong, pass `--source-fps`"
+    rule = "no steps: feet must come down alternately while the character travels, as in a walk"
+    rate = clip.fps if clip.reading is None else clip.reading.fps  # the clip may be resampled
+    doubt = f"if the file's {rate:.4g} frames per second are wrong, pass `--source-fps`"
     return NoGaitError(clip.source, "phase", found, f"{rule}; {doubt}")
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.humanoid.describe import leg_reach
 from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
 from pfnn_jax.motion.roles import chain_up
@@ -117,8 +116,3 @@ def bone_of(skeleton: Skeleton, part: Part) -> np.ndarray:
     tips = [site for joint, site in skeleton.end_sites if joint == part.joint]
     tips += list(skeleton.offsets[skeleton.parents == part.joint])
     return np.mean(tips, axis=0) if tips else np.zeros(3)
-
-
-def leg_length_of(skeleton: Skeleton, body: HumanoidMap) -> float:
-    """Returns the length from hip over knee to ankle in metres, the mean of both legs."""
-    return float(np.mean([leg_reach(skeleton, body, side) for side in SIDES]))

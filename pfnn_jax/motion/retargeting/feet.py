@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_axis_angle, quat_multiply, quat_rotate
-from pfnn_jax.motion.retargeting.body import FORWARD, SIDES, UP, leg_length_of, limb
+from pfnn_jax.motion.retargeting.body import FORWARD, SIDES, UP, limb
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 SOLE_SHARE = 0.09
@@ -34,15 +35,26 @@ STEEP, HANGING = np.radians(65.0), np.radians(90.0)
 
 @dataclass(frozen=True)
 class FlatFoot:
-    """A foot of a skeleton in the reference pose, flat on the ground and pointing to +Z.
+    """A foot of a skeleton that points to +Z.
 
     Attributes:
-        toe: [3] metres from ankle to toe joint; None without a toe joint.
-        height: metres of the ankle above the lowest of toe joint, foot's end and toe's end.
+        toe: [3] metres from ankle to toe joint in the reference pose; None without a toe joint.
+        drop: metres of the toe joint below the ankle while the foot stands flat, steeper or flatter than in the
+            reference pose if the resting heights are known.
+        height: metres of the ankle above the ground while the foot stands flat: above y = 0 if the resting heights are
+            known, otherwise above the lowest of toe joint, foot's end and toe's end.
     """
 
     toe: np.ndarray | None
+    drop: float
     height: float
+
+    @property
+    def standing(self) -> np.ndarray:
+        """[3] metres from ankle to toe joint while the foot stands flat; zero without a toe joint."""
+        if self.toe is None:
+            return np.zeros(3)
+        return np.array([self.toe[0], -self.drop, np.sqrt(max(self.toe[1:] @ self.toe[1:] - self.drop**2, 0.0))])
 
 
 def flat_foot(skeleton: Skeleton, body: HumanoidMap, reference: np.ndarray, side: str) -> FlatFoot:
@@ -59,7 +71,12 @@ def flat_foot(skeleton: Skeleton, body: HumanoidMap, reference: np.ndarray, side
         points = [quat_rotate(reference[foot], point) for point in points]
     points = [point for point in points if np.linalg.norm(point) > 0]
     height = -min((float(point[1]) for point in points), default=-SOLE_SHARE * leg_length_of(skeleton, body))
-    return FlatFoot(bone, height)
+    return FlatFoot(bone, 0.0 if bone is None else -float(bone[1]), height)
+
+
+def resting_foot(foot: FlatFoot, heights: np.ndarray) -> FlatFoot:
+    """Returns the foot with ankle and toe at their resting heights [2] in metres (`Skeleton.resting_heights`)."""
+    return replace(foot, drop=float(heights[0] - heights[1]), height=float(heights[0]))
 
 
 def sole_heights(positions: np.ndarray, body: HumanoidMap, feet: list[FlatFoot]) -> np.ndarray:
@@ -69,7 +86,7 @@ def sole_heights(positions: np.ndarray, body: HumanoidMap, feet: list[FlatFoot])
         foot, toe = limb(body, side, "foot", "toe")
         heights.append(positions[:, foot, 1] - flat.height)
         if toe is not None and flat.toe is not None:
-            heights.append(positions[:, toe, 1] - flat.height - flat.toe[1])
+            heights.append(positions[:, toe, 1] - flat.height + flat.drop)
     return np.min(heights, axis=0)
 
 
@@ -90,7 +107,7 @@ def pitch_foot(turns: np.ndarray, scale: float, source: FlatFoot, target: FlatFo
     """
     if source.toe is None or target.toe is None:
         return turns
-    height = scale * (quat_rotate(turns, source.toe)[:, 1] - source.toe[1]) + target.toe[1]
+    height = scale * (quat_rotate(turns, source.toe)[:, 1] + source.drop) - target.drop
     axis = quat_rotate(turns, RIGHT)
     now, wanted = _pitch_to_height(quat_rotate(turns, target.toe), axis, height)
     wanted = np.maximum(wanted, np.minimum(now, -STEEPEST))
@@ -130,12 +147,12 @@ def ankle_targets(
     if source.toe is None or target.toe is None:
         return places
     own, other = scale * quat_rotate(turns, source.toe), quat_rotate(pitched, target.toe)
-    raised = own[:, 1] - scale * source.toe[1]  # of the toe over its place in a flat foot, against the ankle
+    raised = own[:, 1] + scale * source.drop  # of the toe over its place in a flat foot, against the ankle
     on_toe = np.clip((ON_HEEL - raised / leg) / (ON_HEEL - ON_TOE), 0.0, 1.0)
     clearance = places[:, 1] - target.height + raised - floor
     near = np.clip((CLEAR - clearance / leg) / (CLEAR - NEAR), 0.0, 1.0)
     # a flat foot's toe is ahead of the source's by the excess; the ankle makes up for what the turned foot lacks
-    excess, heading = target.toe - scale * source.toe, _heading(turns)
+    excess, heading = target.standing - scale * source.standing, _heading(turns)
     lacking = excess[2] * heading + excess[0] * np.cross(UP, heading) - other + own
     return places + (near * on_toe)[:, None] * lacking * np.array([1.0, 0.0, 1.0])
 
@@ -162,7 +179,7 @@ def keep_toes_above(
     """
     if foot.toe is None:
         return turns, ankles
-    lowest = floor + foot.height + foot.toe[1] - ankles[:, 1]
+    lowest = floor + foot.height - foot.drop - ankles[:, 1]
     turns = quat_multiply(_lift(quat_rotate(turns, foot.toe), quat_rotate(turns, RIGHT), lowest), turns)
     below = np.maximum(lowest - quat_rotate(turns, foot.toe)[:, 1], 0.0)
     return turns, ankles + below[:, None] * UP
@@ -174,6 +191,7 @@ def lift_toes(
     reference: np.ndarray,
     world: np.ndarray,
     ankles: np.ndarray,
+    feet: list[FlatFoot],
     floor: np.ndarray,
 ) -> None:
     """Bends toes up in place where their ends would be below the floor, which the source's toes do not show.
@@ -186,6 +204,7 @@ def lift_toes(
         reference: [J, 4] its reference pose.
         world: [T, J, 4] world rotations, changed in place.
         ankles: [T, 2, 3] metres of the left and the right ankle.
+        feet: the left and the right one.
         floor: [T] metres.
     """
     rest = rest_pose(skeleton)
@@ -194,12 +213,10 @@ def lift_toes(
         ends = [site for joint, site in skeleton.end_sites if joint == toe and np.linalg.norm(site) > 0]
         if toe is None or not ends:
             continue
-        flat = flat_foot(skeleton, body, reference, side)
-        assert flat.toe is not None
         base = ankles[:, number] + quat_rotate(world[:, foot], rest[toe] - rest[foot])
         end = max(ends, key=lambda site: float(np.linalg.norm(site)))
         rise = min(float(quat_rotate(reference[toe], end)[1]), 0.0)  # some rigs have ends that point upwards
-        lowest = floor + flat.height + flat.toe[1] + rise - base[:, 1]
+        lowest = floor + feet[number].height - feet[number].drop + rise - base[:, 1]
         axis = quat_rotate(world[:, foot], quat_rotate(quat_conjugate(reference[foot]), RIGHT))
         world[:, toe] = quat_multiply(_lift(quat_rotate(world[:, toe], end), axis, lowest), world[:, toe])
 

@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -34,7 +35,6 @@ from pfnn_jax.motion.retargeting.body import (
     SIDES,
     Part,
     bone_of,
-    leg_length_of,
     limb,
     neck_chain,
     parts_of,

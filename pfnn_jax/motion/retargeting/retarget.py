@@ -14,33 +14,46 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import moving_minimum
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import (
+    forward_kinematics,
+    quat_conjugate,
+    quat_from_axis_angle,
+    quat_multiply,
+    quat_rotate,
+)
 from pfnn_jax.motion.retargeting.body import (
+    FORWARD,
     LEFT,
     SIDES,
     UP,
     humanoid_of,
-    leg_length_of,
     limb,
     neck_chain,
     torso_chain,
 )
 from pfnn_jax.motion.retargeting.chains import resample_chain
 from pfnn_jax.motion.retargeting.feet import (
+    FlatFoot,
     ankle_targets,
     flat_foot,
     keep_toes_above,
     lift_toes,
     pitch_foot,
+    resting_foot,
     sole_heights,
 )
 from pfnn_jax.motion.retargeting.legs import leg_extension, place_legs
 from pfnn_jax.motion.retargeting.reference import reference_pose, some_poses
+from pfnn_jax.motion.retargeting.resting import SHORTEST, measure_resting_heights, same_floor
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 STANCE_SECONDS = 1.0
 """Within any such time one foot of a person who walks or runs stands."""
+
+HANGING = np.deg2rad(75.0)
+"""Radians below the T-pose at which the arms of the target hang where the source has none."""
 
 ALIKE = 1e-6  # of the longest bone: offsets that differ by less are equal
 
@@ -71,7 +84,8 @@ def retarget(
 
     Bones keep their directions and hips, chest, head, hands and feet their orientations, measured from the reference
     poses of both skeletons. Spine and neck of another number of joints share the bending. Joints without a
-    counterpart, such as fingers and helper joints, are at rest. The result depends neither on names nor on local axes.
+    counterpart, such as fingers and helper joints, are at rest. Arms that the source does not have hang down. The
+    result depends neither on names nor on local axes.
 
     A skeleton with the same bones up to scale (whatever the names) keeps all rotations.
 
@@ -94,7 +108,7 @@ def retarget(
             clip.source or "clip", "skeleton", "a leg of no length", "hips, knees and ankles must be apart"
         )
     scale = lengths[1] / lengths[0]
-    if same_bones(clip.skeleton, target, scale):
+    if same_bones(clip.skeleton, target, scale) and same_floor(clip.skeleton, target, scale):
         moved = replace(clip, skeleton=target, root_positions=scale * clip.root_positions)
     else:
         moved = _retarget(clip, target, source_map, target_map, scale)
@@ -121,10 +135,7 @@ def _retarget(
     moved = np.empty((clip.num_frames, target.num_joints, 4))
     for joint, turn in turns.items():
         moved[:, joint] = quat_multiply(turn, references[1][joint])
-    feet = [
-        (flat_foot(source, source_map, references[0], side), flat_foot(target, target_map, references[1], side))
-        for side in SIDES
-    ]
+    feet = list(zip(*_flat_feet(clip, target, source_map, target_map, references, positions), strict=True))
     leg = leg_length_of(target, target_map)
     floor = scale * moving_minimum(sole_heights(positions, source_map, [own for own, _ in feet]), _window(clip.fps))
     ankles = []
@@ -141,10 +152,40 @@ def _retarget(
     left = quat_rotate(turns[target_map.hips], LEFT)
     targets = np.stack(ankles, axis=1)
     hips = place_legs(target_map, target, hips, moved, left, targets, leg_extension(positions, source_map))
-    lift_toes(target_map, target, references[1], moved, targets, floor)
+    lift_toes(target_map, target, references[1], moved, targets, [other for _, other in feet], floor)
     local = _fill(target, target_map, moved, set(turns))
     at_origin, _ = forward_kinematics(target, np.zeros((clip.num_frames, 3)), local)
     return replace(clip, skeleton=target, root_positions=hips - at_origin[:, target_map.hips], rotations=local)
+
+
+def _flat_feet(
+    clip: MotionClip,
+    target: Skeleton,
+    source_map: HumanoidMap,
+    target_map: HumanoidMap,
+    references: tuple[np.ndarray, np.ndarray],
+    positions: np.ndarray,
+) -> tuple[list[FlatFoot], list[FlatFoot]]:
+    """Returns the feet of the source and of the target, left and right, at their resting heights where both are known.
+
+    Args:
+        clip: the motion on the source.
+        target: the other skeleton.
+        source_map, target_map: the humanoid maps.
+        references: reference poses [J, 4] and [K, 4].
+        positions: [T, J, 3] metres of the clip.
+    """
+    source, known = clip.skeleton, target.resting_heights
+    own = [flat_foot(source, source_map, references[0], side) for side in SIDES]
+    others = [flat_foot(target, target_map, references[1], side) for side in SIDES]
+    if known is None:
+        return own, others
+    heights = source.resting_heights
+    if heights is None and clip.num_frames >= SHORTEST * clip.fps:
+        heights = measure_resting_heights(positions, source, source_map, references[0])
+    if heights is None:
+        return own, others
+    return list(map(resting_foot, own, heights)), list(map(resting_foot, others, known))
 
 
 def _window(fps: float) -> int:
@@ -185,6 +226,8 @@ def _part_turns(
     _share(turns, above, resample_chain(every[:, [chest, *neck]], len(above), lower=True))
     for side in SIDES:
         _follow(turns, every, source.limb(side, ARM), target.limb(side, ARM), chest)
+        if source.limb(side, ARM)[1] is None:
+            _hang_arm(turns, side, target.limb(side, ARM))
         _follow(turns, every, source.limb(side, LEG), target.limb(side, LEG), source.hips)
     return turns
 
@@ -206,6 +249,12 @@ def _follow(
         carrier = carrier if part is None else part
         if joint is not None:
             turns[joint] = every[:, carrier]
+
+
+def _hang_arm(turns: dict[int, np.ndarray], side: str, arm: tuple[int | None, ...]) -> None:
+    """Lowers an arm of the target, without its clavicle, from the T-pose of the reference pose."""
+    lowered = quat_from_axis_angle(FORWARD, -SIDES[side] * HANGING)
+    turns.update({joint: quat_multiply(turns[joint], lowered) for joint in arm[1:] if joint is not None})
 
 
 def _fill(skeleton: Skeleton, body: HumanoidMap, world: np.ndarray, known: set[int]) -> np.ndarray:

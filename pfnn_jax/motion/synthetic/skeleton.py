@@ -11,6 +11,8 @@ THIGH, SHIN = 0.42, 0.41
 """Lengths of the upper and lower leg in metres."""
 ANKLE_HEIGHT = 0.085
 """Height of the ankle joint above the sole in metres."""
+TOE_HEIGHT = ANKLE_HEIGHT - 0.065
+"""Height of the toe joint above the sole in metres."""
 
 # One row per joint of the midline and of the left side: name, parent, offset in metres. The rest pose is a T pose.
 _MIDLINE = (
@@ -76,5 +78,6 @@ def synthetic_skeleton() -> Skeleton:
         offsets=np.stack([row[2] for row in rows]),
         end_sites=_end_sites(names),
         mirror=np.arange(len(names)),
+        resting_heights=np.array([[ANKLE_HEIGHT, TOE_HEIGHT]] * 2),
     )
     return assign_roles(skeleton, source="procedural walker")

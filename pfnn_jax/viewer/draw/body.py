@@ -62,13 +62,13 @@ def upright(clip: MotionClip, up: Up = "auto") -> MotionClip:
 
     Args:
         clip: the motion. Clips that were read from a file have Y up already.
-        up: the axis that points up in the clip; `auto` finds it from how the body stands, if the skeleton has roles.
+        up: the axis that points up in the clip; `auto` finds it from how the body stands, if the skeleton has a map.
     """
     if up == "auto":
         up = "y"
-        if clip.skeleton.roles is not None and clip.reading is None:
+        if clip.skeleton.humanoid is not None and clip.reading is None:
             positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
-            up = find_up(positions, clip.skeleton.roles)[0]
+            up = find_up(positions, clip.skeleton.humanoid)[0]
     return stand_up(clip, up)
 
 

@@ -6,8 +6,7 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
@@ -19,8 +18,10 @@ from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look_from_behind
 from pfnn_jax.viewer.page.style_picker import StylePicker
+from pfnn_jax.viewer.page.uploads import LearnedUpload
 from pfnn_jax.viewer.page.view import View
 from pfnn_jax.viewer.page.widgets import CONTACT_SECONDS, FieldChanges, Timeline
+from pfnn_jax.workflows.samples import sample_clips
 
 if TYPE_CHECKING:
     import viser
@@ -62,6 +63,7 @@ class Panel:
     Attributes:
         clicks: pending actions, functions without arguments.
         upload: the upload button.
+        samples: the buttons of the sample clips.
         rate: pictures per second that the browser manages, 0 while unknown.
     """
 
@@ -128,9 +130,9 @@ class Panel:
         """Shows a message below the upload button; `kind` is `good`, `warning`, `bad` or `plain`."""
         self._message.content = widgets.message(kind, text)
 
-    def notify(self, title: str, text: str) -> None:
+    def notify(self, title: str, text: str, color: Literal["red", "yellow"] = "red") -> None:
         """Shows a notice above everything until it is closed."""
-        self._client.add_notification(title, text, color="red")
+        self._client.add_notification(title, text, color=color)
 
     def progress(self, share: float, text: str) -> None:
         """Shows the fraction of learning that is done, 0 to 1; callable from any thread."""
@@ -138,28 +140,31 @@ class Panel:
         self.show_message("plain", text)
 
     def learning(self, active: bool) -> None:
-        """Shows or hides the progress bar; meanwhile no other file can be uploaded."""
+        """Shows or hides the progress bar; meanwhile no other clip can be learned."""
         self._bar.visible = active
         self.upload.disabled = active
+        self.samples.visible = not active  # viser cannot disable these buttons
 
-    def learned(self, run: str, style: str, warnings: Sequence[str] = ()) -> None:
+    def learned(self, run: str, learned: LearnedUpload) -> None:
         """Changes the character to a style that was learned for it, unless another run has been chosen meanwhile.
 
         Args:
             run: the run that has learned it.
-            style: its name.
-            warnings: what may be wrong with it; shown in place of the message of success.
+            learned: the style. Its notes are shown below the message of success, its warnings in place of it, with a
+                notice, as the message may be out of sight.
         """
         stays = self._character.run == self._picker.run == run
         self._picker.refresh()
         if stays:
-            self._picker.select(run, style)
+            self._picker.select(run, learned.style)
         then = f"; it is selected: {widgets.UNSEEN}." if stays else ". Choose that run to see it."
-        if warnings:
-            text = " ".join(f"Warning: {warning}." for warning in warnings)
-            self.show_message("warning", f"{style} is now a style of {run}{then} {text}")
-        else:
-            self.show_message("good", f"{style} is learned and is now a style of {run}{then}")
+        kind, said = ("warning", "") if learned.warnings else ("good", "is learned and ")
+        lines = [f"{learned.style} {said}is now a style of {run}{then}"]
+        lines += [f"Warning: {line}." for line in learned.warnings]
+        lines += [f"Note: {line}." for line in learned.notes]
+        self.show_message(kind, "\n".join(lines))
+        if learned.warnings:
+            self.notify(f"{learned.style} may look poor", "The message under Clips says why.", "yellow")
 
     def _unseen(self, view: View) -> bool:
         """Returns whether the style was changed while the character stands, so that it still looks as before."""
@@ -197,8 +202,10 @@ class Panel:
             self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Record the motion as a BVH file.")
             self._record.on_click(self._queued(self._record_or_stop))
             self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
+            hint = "Learn the style of a clip that comes with the package."
+            self.samples = self._gui.add_button_group("Try a sample", tuple(sample_clips()), hint=hint)
             self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
-            note = "Upload a walk of a few seconds to learn its style."
+            note = "Upload a walk of a few seconds to learn its style, or try a sample."
             self._message = self._gui.add_html(widgets.message("plain", note))
 
     def _camera(self) -> None:

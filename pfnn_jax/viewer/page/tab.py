@@ -14,6 +14,7 @@ from pfnn_jax.viewer.page.panel import Panel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene
 from pfnn_jax.viewer.page.uploads import LearningCancelled, drop_large, learn_upload
+from pfnn_jax.workflows.samples import sample_clips
 
 if TYPE_CHECKING:
     import viser
@@ -78,11 +79,21 @@ class Tab:
         character, scene = Character(self._library), PageScene(self._client.scene)
         panel = Panel(self._client, self._library, character, scene)
 
-        async def uploaded(event: Any) -> None:  # in a thread of its own: the end of the program waits for viser's
-            work = partial(self._learn, character, panel, event.target.value)
+        def learn(filename: str, content: bytes) -> None:
+            # In a thread of its own: the end of the program waits for viser's.
+            work = partial(self._learn, character, panel, filename, content)
             threading.Thread(target=work, name="upload", daemon=True).start()
 
+        async def uploaded(event: Any) -> None:
+            learn(event.target.value.name, event.target.value.content)
+
+        async def tried(event: Any) -> None:
+            path = sample_clips().get(event.target.value)
+            if path is not None:  # a browser can send names that its page does not offer
+                learn(path.name, path.read_bytes())
+
         panel.upload.on_upload(uploaded)
+        panel.samples.on_click(tried)
         view = character.advance(time.monotonic())
         run = ""
         drawn_at = shown_at = -1.0
@@ -122,24 +133,31 @@ class Tab:
         own = 0.0 if work <= BUSY * FRAME else min(3.0 * work, SLOWEST)
         return max(browser, own, 0.9 * FRAME)
 
-    def _learn(self, character: Character, panel: Panel, file: viser.UploadedFile) -> None:
-        """Learns the style of an uploaded clip and changes the character to it, outside the tab's thread."""
+    def _learn(self, character: Character, panel: Panel, filename: str, content: bytes) -> None:
+        """Learns the style of a clip and changes the character to it, outside the tab's thread.
+
+        Args:
+            character: of the tab.
+            panel: of the tab.
+            filename: of an upload or a sample clip.
+            content: the bytes of that file.
+        """
         if not self._learning.acquire(blocking=False):
             panel.notify(
-                f"{file.name[:80]} is not learned", "Another file is being learned; upload this one again afterwards."
+                f"{filename[:80]} is not learned", "Another file is being learned; upload this one again afterwards."
             )
             return
         run = character.run
         try:
             panel.learning(True)
-            learned = learn_upload(self._library, run, file.name, file.content, panel.progress)
-            panel.clicks.put(lambda: panel.learned(run, learned.style, learned.warnings), timeout=10.0)
+            learned = learn_upload(self._library, run, filename, content, panel.progress)
+            panel.clicks.put(lambda: panel.learned(run, learned), timeout=10.0)
         except (InputError, TrainingError) as error:
             panel.show_message("bad", str(error))
         except LearningCancelled:
             pass  # the tab is closed already
         except Exception as error:  # unexpected, but the page must show that no style is coming
-            panel.show_message("bad", f"{file.name[:80]}: {type(error).__name__}: {error}"[:LONGEST_ERROR])
+            panel.show_message("bad", f"{filename[:80]}: {type(error).__name__}: {error}"[:LONGEST_ERROR])
             raise
         finally:
             panel.learning(False)

@@ -61,11 +61,13 @@ class LearnedUpload(NamedTuple):
 
     Attributes:
         style: its name.
+        notes: what was assumed and done to read the clip, one line each.
         warnings: what may be wrong with the clip or the style, one line each.
     """
 
     style: str
-    warnings: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 class LearningCancelled(Exception):
@@ -122,7 +124,7 @@ def learn_upload(
         progress: called from another thread with the fraction done, 0 to 1, and the present activity.
 
     Returns:
-        The style's name, and what to warn of.
+        The style's name, and what to say of it.
 
     Raises:
         InputError: for an unknown run; for a file that is too large, not text, not BVH, with too many joints or frames,
@@ -156,7 +158,7 @@ def learn_upload(
     finally:
         _learning.release()
     progress(1.0, "done")
-    return LearnedUpload(style, tuple(info["warnings"]))
+    return LearnedUpload(style, tuple(info["notes"]), tuple(info["warnings"]))
 
 
 def style_name(filename: str) -> str:

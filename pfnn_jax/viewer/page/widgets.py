@@ -166,10 +166,10 @@ def readout(view: View, drawn: float, browser: float, hint: str = "") -> str:
 
 
 def message(kind: str, text: str) -> str:
-    """Returns a line in a coloured box; `kind` is `good`, `warning`, `bad` or `plain`."""
+    """Returns one or several lines in a coloured box; `kind` is `good`, `warning`, `bad` or `plain`."""
     colour, back = MESSAGES[kind]
-    style = f"{_FONT};font-size:12.5px;line-height:1.4;color:{colour};background:{back};overflow-wrap:anywhere"
-    box = "border-radius:7px;padding:7px 10px;margin:2px 12px 9px"
+    style = f"{_FONT};font-size:12.5px;line-height:1.4;color:{colour};background:{back}"
+    box = "overflow-wrap:anywhere;white-space:pre-line;border-radius:7px;padding:7px 10px;margin:2px 12px 9px"
     return f'<div data-message="{kind}" style="{style};{box}">{html.escape(text)}</div>'
 
 
