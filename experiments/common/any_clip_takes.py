@@ -39,8 +39,6 @@ STEP_SECONDS = 1.0
 SPEED_RATIO = 1.4
 """Largest ratio between the speeds of the learned and the judged take: a run is no test of a walk."""
 
-ADVICE = "; learn from a forward walk on flat ground, or expect a poor style"
-
 OTHER_TAKE, SAME_TAKE, SAME_FRAMES = "other take", "same take, 2 s away", "learned frames"
 
 
