@@ -251,6 +251,30 @@ def forward_kinematics(
     return positions, world
 
 
+def positions_of(
+    joints: list[int], skeleton: Skeleton, root_positions: np.ndarray, rotations: np.ndarray
+) -> np.ndarray:
+    """Computes world positions [T, n, 3] of n joints without posing others than those above them.
+
+    Args:
+        joints: indices.
+        skeleton: J joints.
+        root_positions: [T, 3] metres, position of joint 0.
+        rotations: [T, J, 4] local rotations.
+    """
+    above = set(joints) | {0}
+    for joint in range(skeleton.num_joints - 1, 0, -1):  # parents come before their children
+        if joint in above:
+            above.add(int(skeleton.parents[joint]))
+    kept = sorted(above)
+    place = {joint: index for index, joint in enumerate(kept)}
+    parents = np.array([place.get(int(skeleton.parents[joint]), -1) for joint in kept])
+    names = tuple(skeleton.names[joint] for joint in kept)
+    part = Skeleton(names, parents, skeleton.offsets[kept], (), np.arange(len(kept)))
+    positions, _ = forward_kinematics(part, root_positions, rotations[:, kept])
+    return positions[:, [place[joint] for joint in joints]]
+
+
 def joint_positions(skeleton: Skeleton, rotations: np.ndarray) -> np.ndarray:
     """Returns the positions [T, J, 3] of all joints relative to joint 0, for few frames faster than with rotations.
 

@@ -10,9 +10,8 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter, moving_average, moving_minimum
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.find import need_humanoid
-from pfnn_jax.motion.kinematics import forward_kinematics
-from pfnn_jax.motion.roles import chain_up
-from pfnn_jax.motion.skeleton import Skeleton, need_roles
+from pfnn_jax.motion.kinematics import positions_of
+from pfnn_jax.motion.skeleton import need_roles
 
 SPOT = 0.7
 """Leg lengths within which the hips stay in a walk on the spot."""
@@ -127,12 +126,6 @@ def _softmin(values: np.ndarray, scale: float) -> np.ndarray:
 
 def _feet(clip: MotionClip) -> np.ndarray:
     """Returns the positions [T, 2, 2, 3] of heels and toes, left before right, without posing other limbs."""
-    skeleton, roles = clip.skeleton, need_roles(clip.skeleton)
-    wanted = [*roles.left_foot, *roles.right_foot]
-    kept = sorted({joint for foot in wanted for joint in chain_up(skeleton.parents, foot)})
-    place = {joint: index for index, joint in enumerate(kept)}
-    parents = np.array([-1 if joint == 0 else place[int(skeleton.parents[joint])] for joint in kept])
-    names = tuple(skeleton.names[joint] for joint in kept)
-    legs = Skeleton(names, parents, skeleton.offsets[kept], (), np.arange(len(kept)))
-    positions, _ = forward_kinematics(legs, clip.root_positions, clip.rotations[:, kept])
-    return positions[:, [place[joint] for joint in wanted]].reshape(clip.num_frames, 2, 2, 3)
+    roles = need_roles(clip.skeleton)
+    feet = [*roles.left_foot, *roles.right_foot]
+    return positions_of(feet, clip.skeleton, clip.root_positions, clip.rotations).reshape(clip.num_frames, 2, 2, 3)

@@ -20,8 +20,9 @@ from pfnn_jax.motion.kinematics import (
     quat_normalise,
     quat_rotate,
 )
+from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.reference import some_poses
-from pfnn_jax.motion.retargeting.resting import with_resting_heights
+from pfnn_jax.motion.retargeting.resting import find_resting_heights, with_resting_heights
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise
 
@@ -44,6 +45,19 @@ def example(mocap: Path, name: str) -> MotionClip:
     file, start, stop = FILES[name]
     clip = read_bvh(mocap / file)
     return with_resting_heights(cut(clip, start, clip.num_frames if stop is None else stop))
+
+
+def known_heights(skeleton: Skeleton) -> np.ndarray:
+    """Returns the resting heights [2, 2] that a skeleton states."""
+    assert skeleton.resting_heights is not None
+    return skeleton.resting_heights
+
+
+def measured_heights(clip: MotionClip) -> np.ndarray:
+    """Returns the resting heights [2, 2] of a clip's feet."""
+    found = find_resting_heights(clip, humanoid_of(clip.skeleton))
+    assert found is not None
+    return found
 
 
 def world(clip: MotionClip) -> tuple[np.ndarray, np.ndarray]:

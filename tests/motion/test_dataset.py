@@ -269,10 +269,12 @@ def test_json_keeps_skeletons_exactly(takes):
     skeleton = takes[0].clip.skeleton
     back = skeleton_from_json(json.loads(json.dumps(skeleton_to_json(skeleton))))
     assert back.names == skeleton.names and back.roles == skeleton.roles
-    for name in ("parents", "offsets", "mirror"):
+    for name in ("parents", "offsets", "mirror", "resting_heights"):
         np.testing.assert_array_equal(getattr(back, name), getattr(skeleton, name))
     assert [joint for joint, _ in back.end_sites] == [joint for joint, _ in skeleton.end_sites]
     data = skeleton_to_json(skeleton)
+    old = {k: v for k, v in data.items() if k != "resting_heights"}  # as versions before it wrote them
+    assert skeleton_from_json(old).resting_heights is None
     incomplete = {k: v for k, v in data.items() if k != "mirror"}
     call = partial(skeleton_from_json, incomplete, "run.json")
     assert_refused(call, file="run.json", place="skeleton", value="no mirror")

@@ -21,14 +21,18 @@ from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.chains import resample_chain
 from pfnn_jax.motion.retargeting.feet import flat_foot, resting_foot, sole_heights
 from pfnn_jax.motion.retargeting.reference import find_reference, reference_pose, stands
+from pfnn_jax.motion.retargeting.resting import find_resting_heights
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_from_json, skeleton_to_json
+from pfnn_jax.motion.synthetic.walks import STYLES, synthesise
 from tests.motion.headsets import without_arms
 from tests.motion.retargeting import (
     SOURCES,
     angles,
     called,
     example,
+    known_heights,
+    measured_heights,
     moved,
     padded,
     renamed,
@@ -139,7 +143,7 @@ def test_feet_stay_above_the_floor(mocap, source, target):
     moved_clip = retarget(clip, skeleton)
     floor = moved_clip.scale * soles(clip).min()
     assert soles(moved_clip.clip).min() > floor - FLOOR
-    assert heights(moved_clip.clip).min() > floor + min(skeleton.resting_heights.min(), 0.0) - FLOOR
+    assert heights(moved_clip.clip).min() > floor + min(known_heights(skeleton).min(), 0.0) - FLOOR
 
 
 @pytest.mark.parametrize("take", ("neutral_22_000", "proud_13_000"))
@@ -155,7 +159,7 @@ def soles(clip: MotionClip) -> np.ndarray:
     body = humanoid_of(clip.skeleton)
     reference = reference_pose(clip.skeleton, body)
     feet = [flat_foot(clip.skeleton, body, reference, side) for side in ("left", "right")]
-    return sole_heights(world(clip)[0], body, [*map(resting_foot, feet, clip.skeleton.resting_heights)])
+    return sole_heights(world(clip)[0], body, [*map(resting_foot, feet, known_heights(clip.skeleton))])
 
 
 def heights(clip: MotionClip) -> np.ndarray:
@@ -169,11 +173,50 @@ def test_standing_feet_rest_at_the_targets_own_heights_and_come_back_to_the_sour
     clip, skeleton = example(mocap, source), example(mocap, target).skeleton
     there = retarget(clip, skeleton).clip
     back = retarget(there, clip.skeleton).clip
-    own, other = clip.skeleton.resting_heights, skeleton.resting_heights
+    own, other = known_heights(clip.skeleton), known_heights(skeleton)
     standing = find_standing(clip)
     for motion, rest in ((there, other), (back, own)):
         excess = np.where(standing, heights(motion) - rest, 0.0).sum(axis=0) / standing.sum(axis=0)
         assert np.abs(excess).max() < RESTING, motion.skeleton.names[:2]
+
+
+@given(seed=st.integers(0, 99), yaw=st.floats(-3.1, 3.1), y=st.floats(-1, 1))
+def test_where_the_sources_floor_lies_does_not_matter_if_the_targets_is_known(seed, yaw, y):
+    clip = body_clip(seed, frames=60, spread=0.2)
+    plain, other = retarget(clip, SYNTHETIC), retarget(moved(clip, yaw, np.array([0.0, y, 0.0])), SYNTHETIC)
+    np.testing.assert_allclose(world(other.clip)[0], world(moved(plain.clip, yaw, np.zeros(3)))[0], atol=SAME_PATH)
+
+
+def test_feet_of_a_symmetric_walk_rest_alike_where_only_a_motion_shows_the_reference(mocap):
+    walk, _ = synthesise("neutral", np.zeros(360), np.full(360, 1.3))
+    target = example(mocap, "bandai").skeleton
+    known = measured_heights(retarget(walk, target).clip)
+    np.testing.assert_allclose(known, known_heights(target), atol=RESTING)
+    bare = replace(target, resting_heights=None)
+    left, right = measured_heights(retarget(walk, bare).clip)
+    np.testing.assert_allclose(left, right, atol=RESTING)
+
+
+def test_procedural_walkers_rest_where_their_skeleton_says():
+    for style in STYLES:
+        walk, _ = synthesise(style, np.zeros(360), np.ones(360))
+        found = measured_heights(walk)
+        np.testing.assert_allclose(found, known_heights(SYNTHETIC), atol=RESTING, err_msg=style)
+
+
+def test_a_body_on_tiptoe_would_rest_as_in_its_rest_pose():
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (60, SYNTHETIC.num_joints, 1))
+    roles = need_roles(SYNTHETIC)
+    turns[:, [roles.left_foot[0], roles.right_foot[0]]] = quat_from_axis_angle([1.0, 0.0, 0.0], np.radians(30.0))
+    clip = MotionClip(SYNTHETIC, 60.0, np.zeros((60, 3)), turns)
+    clip = moved(clip, 0.0, np.array([0.0, known_heights(SYNTHETIC)[0, 1] - heights(clip)[0, 0, 1], 0.0]))
+    found = measured_heights(clip)
+    np.testing.assert_allclose(found, known_heights(SYNTHETIC), atol=RESTING)
+
+
+def test_a_clip_too_short_for_a_step_shows_no_floor():
+    clip, _ = synthesise("neutral", np.zeros(40), np.ones(40))
+    assert find_resting_heights(clip, humanoid_of(SYNTHETIC)) is None
 
 
 def find_standing(clip: MotionClip) -> np.ndarray:

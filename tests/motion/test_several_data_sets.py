@@ -28,10 +28,12 @@ from pfnn_jax.motion.length_unit import CENTIMETRE, INCH
 from pfnn_jax.motion.skeleton import Skeleton, need_roles, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
+from tests.motion.retargeting import known_heights, measured_heights
 from tests.motion.rigs import quadruped
 from tests.raising import assert_refused
 
 BONES = 1e-6  # metres: rows are float32
+RESTING = 0.005  # metres
 SCALES = 0.005  # notes round the ratio of legs to two decimals
 BANDAI = ("dataset-1_walk_angry_001", "dataset-1_walk_old_001")
 XIA = ("angry_13_000", "neutral_01_000")
@@ -192,6 +194,29 @@ def test_folders_of_one_skeleton_need_no_other(mocap, tmp_path):
     dataset = prepare(list_data_sets([tmp_path / "bandai-namco-1", tmp_path / "bandai-namco-2"]), tmp_path / "set")
     assert dataset.styles == ("bandai-namco-1_normal", "bandai-namco-2_normal")
     assert not [note for note in dataset.notes if "retargeted" in note["note"]]
+
+
+def test_a_data_set_keeps_the_median_of_its_clips_resting_heights(root, tmp_path, onto_walkers):
+    dataset = prepare(root / "xia", tmp_path / "set")
+    heights = []
+    for entry in dataset.clips:
+        own = read_bvh(entry["file"]).skeleton.resting_heights
+        assert own is not None
+        heights.append(own[::-1] if entry["mirrored"] else own)
+    np.testing.assert_array_equal(dataset.skeleton.resting_heights, np.median(heights, axis=0))
+    np.testing.assert_array_equal(onto_walkers.skeleton.resting_heights, synthetic_skeleton().resting_heights)
+
+
+def test_a_clip_of_the_same_joints_on_another_floor_is_put_onto_the_skeletons(mocap):
+    layout = mason2018(31)
+    pfnn = load_for_layout(list_clips(mocap / "pfnn" / "NewCaptures10_000.bvh")[0], layout)
+    xia = read_bvh(mocap / "xia" / f"{XIA[0]}.bvh").skeleton
+    labelled = match_skeleton(pfnn, xia)
+    assert "retargeted from 31 to 31 joints" in labelled.note
+    found = measured_heights(labelled.clip)
+    np.testing.assert_allclose(found, known_heights(xia), atol=RESTING)
+    own = load_for_layout(list_clips(mocap / "xia" / f"{XIA[1]}.bvh")[0], layout)
+    assert match_skeleton(own, xia) is own
 
 
 def test_a_folder_gives_the_same_bytes_listed_alone_or_as_a_data_set(root, tmp_path):

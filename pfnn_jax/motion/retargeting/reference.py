@@ -7,7 +7,8 @@ their joints were chosen. It is given by the world rotation of every joint.
   turned to the axes by the shortest arc; spine, neck, clavicles and feet keep their own shape.
 - Elsewhere (bones along the local X axis, say) zero rotations mean nothing. Hips and chest are then oriented by the
   hips, shoulders and spine that hang on them, every other bone is turned to its direction in a T pose, and the twist
-  about it, which positions do not show, is the mean twist in a motion (`find_reference`).
+  about it, which positions do not show, is the mean twist in a motion and its mirror image
+  (`find_reference`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pfnn_jax.motion.clip import MotionClip, mirror_clip
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import (
@@ -87,13 +89,15 @@ def find_reference(skeleton: Skeleton, poses: np.ndarray, body: HumanoidMap) -> 
     """Returns the reference pose [J, 4] of a skeleton whose zero pose says nothing, from poses of a motion.
 
     The twist of each bone against the part that carries it is zero on average, and a foot is flat where it is lowest
-    below the hips.
+    below the hips. Averages are taken over the poses and their mirror images, so that left and right are alike however
+    the body turns or limps.
 
     Args:
         skeleton: J joints.
         poses: [N, J, 4] local rotations, as in a clip.
         body: the skeleton's humanoid map.
     """
+    poses = _with_mirror_images(skeleton, poses, body)
     positions, world = forward_kinematics(skeleton, np.zeros((len(poses), 3)), poses)
     positions = positions - positions[:, body.hips, None]
     pitches = {side: _foot_pitch(positions, body, side) for side in SIDES}
@@ -107,6 +111,14 @@ def find_reference(skeleton: Skeleton, poses: np.ndarray, body: HumanoidMap) -> 
         return turn
 
     return _from_bones(skeleton, body, pitches, twist)
+
+
+def _with_mirror_images(skeleton: Skeleton, poses: np.ndarray, body: HumanoidMap) -> np.ndarray:
+    """Returns poses [N, J, 4] with their mirror images; alone if the skeleton's left and right joints are no pairs."""
+    if skeleton.mirror[body.left_thigh] != body.right_thigh:
+        return poses
+    clip = MotionClip(skeleton, 1.0, np.zeros((len(poses), 3)), poses)
+    return np.concatenate((poses, mirror_clip(clip).rotations))
 
 
 def stands(skeleton: Skeleton, body: HumanoidMap) -> bool:
@@ -124,6 +136,23 @@ def stands(skeleton: Skeleton, body: HumanoidMap) -> bool:
             return False  # left and right are exchanged, or it is no stance
     spine = _shoulders(rest, body) - rest[body.hips]
     return bool(spine[1] >= UPRIGHT * np.linalg.norm(spine))
+
+
+def standing_pitches(skeleton: Skeleton, body: HumanoidMap) -> list[float] | None:
+    """Returns the pitch in radians below the horizontal of the line from ankle to toe of each foot in the zero pose.
+
+    Left before right; None where the zero pose is not a person who stands. A foot without toe has none, here 0.
+    """
+    frame = _zero_frame(skeleton, body)
+    if frame is None or not stands(skeleton, body):
+        return None
+    rest, pitches = rest_pose(skeleton) @ frame, []
+    for side in SIDES:
+        foot, toe = limb(body, side, "foot", "toe")
+        bone = np.zeros(3) if toe is None else rest[toe] - rest[foot]
+        sine = -bone[1] / max(float(np.linalg.norm(bone)), 1e-9)
+        pitches.append(FOOT_PITCH if sine > FLAT else float(np.arcsin(sine)))  # as in `_flat_foot`
+    return pitches
 
 
 def _zero_frame(skeleton: Skeleton, body: HumanoidMap) -> np.ndarray | None:

@@ -6,7 +6,6 @@ feet that stand onto the target's own resting heights where they are known (`Ske
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -15,14 +14,13 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
-from pfnn_jax.motion.kinematics import forward_kinematics
+from pfnn_jax.motion.kinematics import positions_of
 from pfnn_jax.motion.retargeting.body import SIDES, humanoid_of, limb
-from pfnn_jax.motion.retargeting.feet import FlatFoot, flat_foot
-from pfnn_jax.motion.retargeting.reference import reference_pose, stands
-from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.retargeting.reference import standing_pitches
+from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
-SHORTEST = 1.0
-"""Seconds of motion that show where the ground is: both feet of a person who walks stand within that time."""
+SHORTEST = 0.75
+"""Seconds of motion that show where the ground is: within that time each foot of a person who runs stands once."""
 
 STANDING_SHARE = 0.25
 """Share of all frames in which a foot stands flat at the most: those in which ankle and toe are lowest."""
@@ -42,31 +40,43 @@ UNEVEN = 0.03
 """Leg lengths by which left and right may rest at different heights; a foot that rests higher does not stand flat."""
 
 
-def find_resting_heights(clip: MotionClip) -> np.ndarray | None:
+def find_resting_heights(clip: MotionClip, body: HumanoidMap) -> np.ndarray | None:
     """Returns the resting heights [2, 2] of a clip's feet in metres, as `Skeleton.resting_heights` has them.
 
+    They are medians over the frames in which ankle and toe are lowest. Where the rest pose shows a flat foot, a foot
+    that stands much steeper or flatter than that, as on tiptoe, is taken to rest as there; see `MISPLACED`.
+
     Args:
-        clip: T frames on a skeleton with a humanoid map.
+        clip: T frames.
+        body: humanoid map of its skeleton.
 
     Returns:
         None for a clip of less than `SHORTEST` seconds, which may show no foot that stands.
-
-    Raises:
-        InputError: if the skeleton has no humanoid map or no ankles.
     """
     if clip.num_frames < SHORTEST * clip.fps:
         return None
-    body = humanoid_of(clip.skeleton, clip.source or "clip")
+    skeleton = clip.skeleton
+    feet = [limb(body, side, "foot", "toe") for side in SIDES]
+    joints = [foot if joint is None else joint for foot, toe in feet for joint in (foot, toe)]
     every = slice(None, None, -(-clip.num_frames // MOST_FRAMES))
-    positions, _ = forward_kinematics(clip.skeleton, clip.root_positions[every], clip.rotations[every])
-    return measure_resting_heights(positions, clip.skeleton, body, reference_pose(clip.skeleton, body))
+    positions = positions_of(joints, skeleton, clip.root_positions[every], clip.rotations[every])
+    pitches, rest = standing_pitches(skeleton, body), rest_pose(skeleton)
+    found = np.empty((2, 2))
+    for number, (ankle, toe) in enumerate(zip(joints[::2], joints[1::2], strict=True)):
+        found[number] = _lowest(positions[:, 2 * number : 2 * number + 2, 1])
+        if pitches is not None and toe != ankle:
+            length = float(np.linalg.norm(rest[toe] - rest[ankle]))
+            found[number] = _without_style(found[number], length, pitches[number])
+    limit = found[:, 1:].min() + UNEVEN * leg_length_of(skeleton, body)
+    return found - np.maximum(found[:, 1:] - limit, 0.0)
 
 
 def with_resting_heights(clip: MotionClip) -> MotionClip:
     """Returns the clip with the resting heights of its feet in its skeleton, if it shows them."""
-    heights = None
-    with suppress(InputError):
-        heights = find_resting_heights(clip)
+    try:
+        heights = find_resting_heights(clip, humanoid_of(clip.skeleton))
+    except InputError:  # it has no feet, or no map
+        return clip
     return clip if heights is None else replace(clip, skeleton=replace(clip.skeleton, resting_heights=heights))
 
 
@@ -78,41 +88,23 @@ def same_floor(skeleton: Skeleton, other: Skeleton, scale: float = 1.0) -> bool:
     return bool(apart <= SAME_FLOOR * leg_length_of(other, humanoid_of(other)))
 
 
-def measure_resting_heights(
-    positions: np.ndarray, skeleton: Skeleton, body: HumanoidMap, reference: np.ndarray
-) -> np.ndarray:
-    """Returns the resting heights [2, 2] in metres of the feet in a motion; see `Skeleton.resting_heights`.
+def _lowest(heights: np.ndarray) -> np.ndarray:
+    """Returns the median heights [2] of ankle and toe [T, 2] over the frames in which both are lowest."""
+    lowest = np.argsort(heights.sum(axis=1), kind="stable")[: max(1, int(STANDING_SHARE * len(heights)))]
+    return np.median(heights[lowest], axis=0)
 
-    They are medians over the frames in which ankle and toe are lowest. Where the rest pose shows a flat foot, a foot
-    that stands much steeper or flatter than that, as on tiptoe, is taken to rest as there; see `MISPLACED`.
+
+def _without_style(heights: np.ndarray, length: float, rest: float) -> np.ndarray:
+    """Returns the heights [2] of ankle and toe without a pitch that belongs to the style.
 
     Args:
-        positions: [T, J, 3] metres.
-        skeleton: of the J joints.
-        body: its humanoid map.
-        reference: [J, 4], its reference pose.
+        heights: [2] metres.
+        length: metres from ankle to toe.
+        rest: pitch in radians of the line from ankle to toe in the rest pose.
     """
-    known = stands(skeleton, body)
-    heights = []
-    for side in SIDES:
-        foot, toe = limb(body, side, "foot", "toe")
-        pair = positions[:, [foot, foot if toe is None else toe], 1]
-        lowest = np.argsort(pair.sum(axis=1), kind="stable")[: max(1, int(STANDING_SHARE * len(pair)))]
-        measured = np.median(pair[lowest], axis=0)
-        flat = flat_foot(skeleton, body, reference, side)
-        heights.append(_without_style(measured, flat) if known and flat.toe is not None else measured)
-    rest = np.array(heights)
-    limit = rest[:, 1].min() + UNEVEN * leg_length_of(skeleton, body)
-    return rest - np.maximum(rest[:, 1:] - limit, 0.0)
-
-
-def _without_style(measured: np.ndarray, flat: FlatFoot) -> np.ndarray:
-    """Returns the heights [2] of ankle and toe without a pitch that belongs to the style."""
-    assert flat.toe is not None
-    length = float(np.linalg.norm(flat.toe))
-    rest, found = np.arcsin(np.clip([-flat.toe[1] / length, (measured[0] - measured[1]) / length], -1.0, 1.0))
-    differs = found - rest
-    pitch = rest + np.sign(differs) * np.clip(2 * MISPLACED - abs(differs), 0.0, abs(differs))
+    pitch = float(np.arcsin(np.clip((heights[0] - heights[1]) / max(length, 1e-9), -1.0, 1.0)))
+    apart = abs(pitch - rest)
+    pitch = rest + np.sign(pitch - rest) * min(apart, max(2 * MISPLACED - apart, 0.0))
     drop = length * np.sin(pitch)
-    toe = min(measured[1], measured[0] - drop)  # on tiptoe the toe stands, on the heel the ankle
+    toe = min(heights[1], heights[0] - drop)  # on tiptoe the toe stands, on the heel the ankle
     return np.array([toe + drop, toe])

@@ -46,7 +46,7 @@ from pfnn_jax.motion.retargeting.feet import (
 )
 from pfnn_jax.motion.retargeting.legs import leg_extension, place_legs
 from pfnn_jax.motion.retargeting.reference import reference_pose, some_poses
-from pfnn_jax.motion.retargeting.resting import SHORTEST, measure_resting_heights, same_floor
+from pfnn_jax.motion.retargeting.resting import find_resting_heights, same_floor
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 
 STANCE_SECONDS = 1.0
@@ -135,7 +135,7 @@ def _retarget(
     moved = np.empty((clip.num_frames, target.num_joints, 4))
     for joint, turn in turns.items():
         moved[:, joint] = quat_multiply(turn, references[1][joint])
-    feet = list(zip(*_flat_feet(clip, target, source_map, target_map, references, positions), strict=True))
+    feet = list(zip(*_flat_feet(clip, target, source_map, target_map, references), strict=True))
     leg = leg_length_of(target, target_map)
     floor = scale * moving_minimum(sole_heights(positions, source_map, [own for own, _ in feet]), _window(clip.fps))
     ankles = []
@@ -164,7 +164,6 @@ def _flat_feet(
     source_map: HumanoidMap,
     target_map: HumanoidMap,
     references: tuple[np.ndarray, np.ndarray],
-    positions: np.ndarray,
 ) -> tuple[list[FlatFoot], list[FlatFoot]]:
     """Returns the feet of the source and of the target, left and right, at their resting heights where both are known.
 
@@ -173,7 +172,6 @@ def _flat_feet(
         target: the other skeleton.
         source_map, target_map: the humanoid maps.
         references: reference poses [J, 4] and [K, 4].
-        positions: [T, J, 3] metres of the clip.
     """
     source, known = clip.skeleton, target.resting_heights
     own = [flat_foot(source, source_map, references[0], side) for side in SIDES]
@@ -181,8 +179,8 @@ def _flat_feet(
     if known is None:
         return own, others
     heights = source.resting_heights
-    if heights is None and clip.num_frames >= SHORTEST * clip.fps:
-        heights = measure_resting_heights(positions, source, source_map, references[0])
+    if heights is None:
+        heights = find_resting_heights(clip, source_map)
     if heights is None:
         return own, others
     return list(map(resting_foot, own, heights)), list(map(resting_foot, others, known))
