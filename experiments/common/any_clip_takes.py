@@ -146,7 +146,7 @@ def synthetic_files(style: str, work: Path) -> list[ClipFile]:
             speed = np.full(len(turn_rate), np.median(mixed_schedule(style, 60.0, 0)[1]))
         if not path.exists():
             work.mkdir(parents=True, exist_ok=True)
-            write_bvh(path, synthesise(style, turn_rate, speed, seed=seed, content=content)[0])
+            write_bvh(path, synthesise(style, turn_rate, speed, seed=seed, content=content)[0], overwrite=True)
         files.append(ClipFile(path, style, content))
     return files
 
