@@ -235,6 +235,19 @@ def test_the_best_stable_candidate_is_chosen_and_the_best_of_all_where_none_is()
     assert choose(candidates, 0.0, lambda trained: False) is candidates[0]
 
 
+def test_the_chosen_setting_removes_at_least_half_of_the_error_that_the_best_removes():
+    errors = (0.20, 0.24, 0.26, 0.29)  # best first, ever more conservative
+    base = grid()[0]
+    candidates = [
+        base._replace(choice=base.choice._replace(held_out_error=error, epochs=40 - 10 * rank))
+        for rank, error in enumerate(errors)
+    ]
+    assert choose(candidates, 0.5) is candidates[3]
+    assert choose(candidates, 0.5, error_without_style=1.0) is candidates[3]
+    assert choose(candidates, 0.5, error_without_style=0.30) is candidates[1]
+    assert choose(candidates, 0.5, error_without_style=0.10) is candidates[0]
+
+
 def test_fewer_frames_than_a_minibatch_are_refused():
     with pytest.raises(ValueError, match="`data` must have at least 8 frames, got 7"):
         train_grid(toy_network(), toy_style(num_frames=7), held_out(), SMALL)
