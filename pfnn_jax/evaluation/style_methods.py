@@ -20,7 +20,7 @@ from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig
 from pfnn_jax.training.data import hold_out, to_batch
-from pfnn_jax.training.few_shot_learning import Candidate, choose, refit, train_grid
+from pfnn_jax.training.few_shot_learning import Candidate, choose, error_without_style, refit, train_grid
 
 DEFAULT = FewShotConfig()
 
@@ -94,7 +94,9 @@ def compare_methods(
         seconds = time.perf_counter() - started
         chosen = _rows_of(name, candidates, is_stable)
         if name == "CP":
-            choice = choose(candidates, grid.tolerance, is_stable).choice
+            held = to_batch(hold_out(parts, grid.held_out)[1], normaliser)
+            without = error_without_style(shared, held)
+            choice = choose(candidates, grid.tolerance, is_stable, without=without).choice
             trained = refit(shared, to_batch(parts, normaliser), choice, grid)
             chosen[DEFAULT_ROW] = Candidate(choice, trained)
         for row, candidate in chosen.items():

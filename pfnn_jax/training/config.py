@@ -158,9 +158,9 @@ class FewShotConfig:
         l1: λ of Eq. 3 on what is trained; FiLM parameters are not penalised: their identity is scale 1, not 0.
         bone_length: weight of the bone-length loss, where the rows' bones are known.
         held_out: share of the clip's frames, at its end, that choose among the settings.
-        tolerance: how much larger than the best a setting's held-out error may be; of those within it the most
-            conservative is taken (least learning rate times epochs). The frames of a straight walk favour settings
-            that fit straight walks; 0 takes the best of them.
+        tolerance: how much larger than the best a setting's held-out error may be; of those within it that remove at
+            least half as much error as the best, the most conservative is taken (least learning rate times epochs).
+            The frames of a straight walk favour settings that fit straight walks; 0 takes the best of them.
         seed: of initialisation, shuffling and dropout.
     """
 

@@ -121,14 +121,19 @@ def fit_style(
         progress_callback(0.5 + 0.1 * min(next(judged) / len(candidates), 1.0), "walking in circles")
         return is_stable is None or is_stable(trained)
 
-    without = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], network if start is None else start)
-    error = float(row_errors(without, network, held).mean())
-    chosen = choose(candidates, config.tolerance, judge, error_without_style=error)
+    error = error_without_style(network, held, start)
+    chosen = choose(candidates, config.tolerance, judge, without=error)
     learning = _part_of(progress_callback, 0.6, 0.95, chosen.choice.epochs, "learning")
     everything = rows.in_memory().parts[0]
     style = refit(network, everything, chosen.choice, config, progress_callback=learning, **options)
     ranking = tuple(candidate.choice for candidate in candidates)
     return FewShotResult(style, chosen.choice, ranking, None if is_stable is None else is_stable(style), error)
+
+
+def error_without_style(network: Network, held_out: Batch, start: Style | None = None) -> float:
+    """Returns the error of a network on held-out frames [M, ...] without a style, or with the one to begin with."""
+    without = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], network if start is None else start)
+    return float(row_errors(without, network, held_out).mean())
 
 
 def _part_of(
@@ -184,7 +189,7 @@ def choose(
     tolerance: float,
     is_stable: Callable[[Any], bool] | None = None,
     *,
-    error_without_style: float = math.inf,
+    without: float = math.inf,
 ) -> Candidate:
     """Returns the most conservative stable candidate among those almost as good as the best.
 
@@ -195,12 +200,12 @@ def choose(
         candidates: best first, as `train_grid` returns them.
         tolerance: share by which a held-out error may exceed the best one's.
         is_stable: judges the trained parameters by rollouts on paths that turn; None accepts all.
-        error_without_style: held-out error of the network alone, if known. Candidates that remove less than half as
-            much of it as the best are left out: where the network nearly fits the clip by itself, the tolerance alone
-            would let the most conservative learn nothing.
+        without: held-out error of the network alone (`error_without_style`), if known. Candidates that remove less
+            than half as much of it as the best are left out: where the network nearly fits the clip by itself, the
+            tolerance alone would let the most conservative learn nothing.
     """
     best = candidates[0].choice.held_out_error
-    limit = max(best, min(best * (1 + tolerance), (best + error_without_style) / 2))
+    limit = max(best, min(best * (1 + tolerance), (best + without) / 2))
     near = [candidate for candidate in candidates if candidate.choice.held_out_error <= limit]
     near.sort(key=lambda candidate: candidate.choice.learning_rate * candidate.choice.epochs)
     for candidate in (*(near if tolerance else ()), *candidates):

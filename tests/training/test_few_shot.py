@@ -243,9 +243,9 @@ def test_the_chosen_setting_removes_at_least_half_of_the_error_that_the_best_rem
         for rank, error in enumerate(errors)
     ]
     assert choose(candidates, 0.5) is candidates[3]
-    assert choose(candidates, 0.5, error_without_style=1.0) is candidates[3]
-    assert choose(candidates, 0.5, error_without_style=0.30) is candidates[1]
-    assert choose(candidates, 0.5, error_without_style=0.10) is candidates[0]
+    assert choose(candidates, 0.5, without=1.0) is candidates[3]
+    assert choose(candidates, 0.5, without=0.30) is candidates[1]
+    assert choose(candidates, 0.5, without=0.10) is candidates[0]
 
 
 def test_fewer_frames_than_a_minibatch_are_refused():
