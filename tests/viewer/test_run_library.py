@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -66,6 +67,16 @@ def test_the_base_network_is_called_base(monkeypatch, tmp_path):
     assert RunLibrary([copy]).runs == ("base",)
     own = shutil.copytree(copy, tmp_path / "own" / "base")
     assert RunLibrary([copy, own]).runs == ("base", "own/base")
+
+
+def test_a_character_begins_in_the_style_learned_last(played_run, tmp_path):
+    path = Path(shutil.copytree(played_run, tmp_path / "run"))
+    run = load_run(path)
+    assert Character(RunLibrary([path])).shares == {min(run.config.styles): 1.0}
+    for seconds, style in enumerate(("zz", "mine", "aa")):
+        save_style(path, style, load_style(run, run.config.styles[0]), {"speed": 1.0})
+        os.utime(path / "styles" / style / "style.json", (seconds, 10.0 - seconds))
+    assert Character(RunLibrary([path])).shares == {"zz": 1.0}
 
 
 def test_missing_and_repeated_runs_are_refused(two_runs, tmp_path):

@@ -88,7 +88,7 @@ class Character:
 
     Args:
         library: the runs.
-        run, style: initial ones; by default the first style of the first run.
+        run, style: initial ones; by default the first run, in the style learned last or else its first.
 
     Raises:
         InputError: for an unknown run or style.
@@ -99,7 +99,7 @@ class Character:
         self._lock = threading.RLock()
         self._run = run or library.runs[0]
         loaded = library.get(self._run)
-        self._shares = {style or loaded.styles[0]: 1.0}
+        self._shares = {style or loaded.first_style: 1.0}
         self._presses: deque[tuple[float, str, bool]] = deque(maxlen=256)
         self._keys = HeldKeys()
         self._stick = DriveInput()

@@ -49,6 +49,19 @@ class LoadedRun:
         """Names of the styles, in the order of the bank; those learned last come last."""
         return self.controller.styles
 
+    @property
+    def first_style(self) -> str:
+        """The style in which a character begins: the one learned last, or else the first of the run's own."""
+        learned = [style for style in self.styles if style not in self.run.config.styles]
+        return max(learned, key=self._saved_at, default=self.styles[0])
+
+    def _saved_at(self, style: str) -> float:
+        """Returns when a style was saved, or 0 if its folder has been removed since."""
+        try:
+            return (self.run.path / "styles" / style / "style.json").stat().st_mtime
+        except OSError:
+            return 0.0
+
     @classmethod
     def load(cls, name: str, path: Path) -> LoadedRun:
         """Loads a run with the controller of all of its styles.
