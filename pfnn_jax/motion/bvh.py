@@ -23,6 +23,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import refuse_existing, write_whole
 from pfnn_jax.motion.assumptions import decide_unit, decide_up, doubt_rate, repair
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.filters import median
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.lexicon import limb_points
 from pfnn_jax.motion.humanoid.names import read_names
@@ -663,9 +664,7 @@ def _rest_offsets(positions: np.ndarray) -> np.ndarray:
     offsets = positions[0].copy()
     varying = np.any(positions != offsets, axis=0)
     varying[0] = False
-    low, high = (len(positions) - 1) // 2, len(positions) // 2
-    ordered = np.partition(positions[:, varying], (low, high), axis=0)  # np.median would import numpy.ma first
-    offsets[varying] = (ordered[low] + ordered[high]) / 2
+    offsets[varying] = median(positions[:, varying])
     offsets[0] = 0.0
     return offsets
 

@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip, mirror_clip
+from pfnn_jax.motion.filters import median
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import (
@@ -291,7 +292,7 @@ def _foot_pitch(positions: np.ndarray, body: HumanoidMap, side: str) -> float:
     lowest = np.argsort(positions[:, toe, 1] + positions[:, foot, 1], kind="stable")
     lowest = lowest[: max(1, int(STANDING_SHARE * len(lowest)))]
     size = float(np.linalg.norm(bones, axis=-1).max())
-    return FOOT_PITCH if size < MIN_LENGTH else float(np.arcsin(np.clip(np.median(-bones[lowest, 1]) / size, -1, 1)))
+    return FOOT_PITCH if size < MIN_LENGTH else float(np.arcsin(np.clip(median(-bones[lowest, 1]) / size, -1, 1)))
 
 
 def _carry(skeleton: Skeleton, turns: dict[int, np.ndarray]) -> np.ndarray:

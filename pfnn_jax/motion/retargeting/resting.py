@@ -12,6 +12,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.filters import median
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import positions_of
@@ -91,7 +92,7 @@ def same_floor(skeleton: Skeleton, other: Skeleton, scale: float = 1.0) -> bool:
 def _lowest(heights: np.ndarray) -> np.ndarray:
     """Returns the median heights [2] of ankle and toe [T, 2] over the frames in which both are lowest."""
     lowest = np.argsort(heights.sum(axis=1), kind="stable")[: max(1, int(STANDING_SHARE * len(heights)))]
-    return np.median(heights[lowest], axis=0)
+    return median(heights[lowest])
 
 
 def _without_style(heights: np.ndarray, length: float, rest: float) -> np.ndarray:
