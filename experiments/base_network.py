@@ -125,7 +125,7 @@ SWING = (0.5, 1.5)
 
 
 def random_style(number: int, seed: int) -> SyntheticStyle:
-    """Returns a procedural style whose parameters are drawn halfway between a named style's and random ones."""
+    """Returns a procedural style whose parameters lie at random shares between a named style's and random ones."""
     rng = np.random.default_rng([seed, number])
     named = STYLES[PRETRAINING_STYLES[number % len(PRETRAINING_STYLES)]]
     values = {}
@@ -245,8 +245,10 @@ def ship(run: Run, config: Config) -> Path:
     )
     data = json.loads((out / "config.json").read_text())
     data["styles"] = styles
-    data["pretrain"] |= {"dataset": "procedural walkers and 100STYLE, see CARD.md"}
-    data["pretrain"]["frames"] = {style: run.config.pretrain["frames"][style] for style in styles}
+    data["pretrain"] |= {
+        "dataset": "procedural walkers and 100STYLE, see CARD.md",
+        "frames": {style: run.config.pretrain["frames"][style] for style in styles},
+    }
     write_json(out / "config.json", data)
     for style in styles:
         note = json.loads((out / "styles" / style / "style.json").read_text())

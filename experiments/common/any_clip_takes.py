@@ -37,7 +37,7 @@ STEP_SECONDS = 1.0
 """Between the starts of two windows that are tried."""
 
 SPEED_RATIO = 1.4
-"""Largest ratio between the speeds of the learned and the judged take: a run is no test of a walk."""
+"""Largest ratio between the speeds of the learned and the judged take: a run does not test a walk."""
 
 OTHER_TAKE, SAME_TAKE, SAME_FRAMES = "other take", "same take, 2 s away", "learned frames"
 

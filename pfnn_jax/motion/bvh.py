@@ -523,7 +523,7 @@ def _text_notes(text: BvhText, kept: slice) -> list[str]:
     carriers = set(_above(text.joints, kept.start))
     props = [joint.name for at, joint in enumerate(text.joints[: kept.start]) if at not in carriers]
     if props := [*props, *(joint.name for joint in text.joints[kept.stop :])]:
-        notes.append(f"{len(props)} joints next to the hips are no part of the body, such as {props[0]}: left out")
+        notes.append(f"{len(props)} joints next to the hips do not belong to the body, such as {props[0]}: left out")
     return notes
 
 

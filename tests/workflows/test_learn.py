@@ -54,7 +54,7 @@ def test_a_film_is_learned_from_a_clip(run, mocap, monkeypatch):
 def test_a_side_step_is_learned_with_warnings(run, mocap, monkeypatch):
     monkeypatch.setattr(turning, "SECONDS", 1.2)
     config = FewShotConfig("film", learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(1,), tolerance=0.0)
-    clip = ClipFile(mocap / "bandai-namco-1" / "dataset-1_walk-left_tired_001.bvh", "aside")
+    clip = ClipFile(mocap / "bandai-namco-1" / "dataset-1_walk-left_tired_001.bvh", "sideways")
     info = learn_style(run, clip, config)
     assert any("to the left of where the body faces" in line for line in info["warnings"])
     assert not info["mirrored"] and any(

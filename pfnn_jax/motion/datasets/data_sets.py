@@ -18,7 +18,7 @@ def list_data_sets(
     """Lists the clips of several folders, as `list_clips` does for one.
 
     Where folders have styles of the same name, upper and lower case alike, the name of the folder becomes a prefix:
-    `bandai-namco-1_old`. Other styles keep their names. Folders of the same name are told apart by those above them.
+    `bandai-namco-1_old`. Other styles keep their names. Folders of the same name are distinguished by those above them.
 
     Args:
         folders: folders, each of one convention, or BVH files, which belong to the folder that they lie in.

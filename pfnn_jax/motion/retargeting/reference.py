@@ -66,7 +66,7 @@ def reference_pose(skeleton: Skeleton, body: HumanoidMap) -> np.ndarray:
 
     It is the one stored in the skeleton, that of the zero pose, or that of the poses stored in the skeleton. Without
     any of these the twist about bones is arbitrary, which positions do not show, and the pitch of the feet is a guess.
-    Joints that are no part of the body turn with their parents.
+    Joints that do not belong to the body turn with their parents.
 
     Args:
         skeleton: J joints.
@@ -115,7 +115,7 @@ def find_reference(skeleton: Skeleton, poses: np.ndarray, body: HumanoidMap) -> 
 
 
 def _with_mirror_images(skeleton: Skeleton, poses: np.ndarray, body: HumanoidMap) -> np.ndarray:
-    """Returns poses [N, J, 4] with their mirror images; alone if the skeleton's left and right joints are no pairs."""
+    """Returns poses [N, J, 4] with their mirror images; alone if left and right joints are not paired."""
     if skeleton.mirror[body.left_thigh] != body.right_thigh:
         return poses
     clip = MotionClip(skeleton, 1.0, np.zeros((len(poses), 3)), poses)
