@@ -106,9 +106,7 @@ def _plain_clips(config: Config) -> Iterator[MotionClip]:
         yield from (walk.clip for walk in synthetic_clips(name, config.seconds, seed=config.seed + number))
     for number in range(config.random_styles):
         variation = random_variation(np.random.default_rng([config.seed, 1, number]))
-        walks = synthetic_clips(
-            random_style(number, config.seed), config.seconds, seed=100 + config.seed + number
-        )
+        walks = synthetic_clips(random_style(number, config.seed), config.seconds, seed=100 + config.seed + number)
         yield from (vary(walk.clip, variation) for walk in walks)
     captured = [] if config.hundred_style is None else captured_clips(config.hundred_style)
     yield from captured
