@@ -23,7 +23,6 @@ from pfnn_jax.transfer.autoencoder import init_autoencoder
 from pfnn_jax.transfer.config import AutoencoderConfig
 from pfnn_jax.transfer.layout import HOLDEN2016, HOLDEN2017, ClipLayout
 from pfnn_jax.transfer.run import (
-    BASE_AUTOENCODER,
     TransferRun,
     create_transfer_run,
     list_transformations,
