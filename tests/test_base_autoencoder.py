@@ -1,4 +1,4 @@
-"""The shipped autoencoder and the experiment that trains it: added movement keeps bodies whole, and the run is complete."""
+"""The shipped autoencoder and the experiment that trains it: bodies stay whole, and the run is complete."""
 
 from __future__ import annotations
 
