@@ -21,7 +21,8 @@ MAY_IMPORT = {
     "run_config": {"io", "motion", "models"},
     "run": {"io", "motion", "models", "run_config"},
 }
-for _next in ("training", "inference", "control", "interop", "workflows", "viewer", "evaluation", "benchmarks", "demo"):
+_LATER = ("training", "inference", "control", "transfer", "interop", "workflows", "viewer", "evaluation", "benchmarks")
+for _next in (*_LATER, "demo"):
     MAY_IMPORT[_next] = set(MAY_IMPORT)  # each may import those before it
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 

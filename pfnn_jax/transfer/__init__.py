@@ -1,0 +1,1 @@
+"""Style transfer of whole clips (Holden 2016, 2017)."""
