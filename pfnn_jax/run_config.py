@@ -17,6 +17,15 @@ from pfnn_jax.motion.features.layout import LAYOUTS
 
 STATE_NOTE = "train_state.json"
 
+CONTROLLER, TRANSFER = "controller", "transfer"
+"""Kinds of run: of a character's network, and of style transfer. Older configurations of the first name no kind."""
+
+READERS = {
+    CONTROLLER: "is the run of a controller, which `few-shot`, `generate` and `play` read",
+    TRANSFER: "is a run of style transfer, which `transfer --run` reads",
+}
+"""What to do with a run of another kind than the one expected."""
+
 RUN_RULE = "must be a run directory, as `pfnn-jax pretrain` or `pfnn-jax import-released` writes it"
 
 
@@ -78,7 +87,8 @@ def load_config(path: str | Path) -> RunConfig:
         InputError: if it is absent or malformed, or a value breaks a rule.
     """
     file = (locate(Path(path)) or Path(path)) / "config.json"
-    data = read_json(file, RUN_RULE)
+    data = read_kind(file, CONTROLLER, RUN_RULE)
+    data.pop("kind", None)
     try:
         network, adapter = NetworkConfig(**data.pop("network")), AdapterConfig(**data.pop("adapter"))
         sizes = data.pop("generator", None)
@@ -89,6 +99,25 @@ def load_config(path: str | Path) -> RunConfig:
         raise InputError(file, "entry", f"{error.args[0]} is absent", RUN_RULE) from error
     except (TypeError, ValueError) as error:
         raise InputError(file, "entries", str(error).removesuffix("."), RUN_RULE) from error
+
+
+def read_kind(file: Path, kind: str, rule: str) -> dict[str, Any]:
+    """Reads the configuration of a run of one kind.
+
+    Args:
+        file: config.json.
+        kind: CONTROLLER or TRANSFER.
+        rule: what the file should be, for messages.
+
+    Raises:
+        InputError: if it is absent or malformed, or belongs to a run of another kind, naming the commands that read it.
+    """
+    data = read_json(file, rule)
+    found = data.get("kind", CONTROLLER)
+    if found != kind:
+        reader = READERS.get(str(found), f"is not of a kind that this version knows; {rule}")
+        raise InputError(file, "kind", found, f"must be {kind}: this {reader}")
+    return data
 
 
 def check_finished(path: str | Path) -> None:
@@ -112,18 +141,20 @@ def save_config(path: str | Path, config: RunConfig) -> None:
     write_json(Path(path) / "config.json", asdict(config))
 
 
-def check_new_run(path: str | Path, overwrite: bool = False) -> Path:
+def check_new_run(path: str | Path, overwrite: bool = False, kind: str = CONTROLLER) -> Path:
     """Returns the directory of a run to be written; to be called before long work.
 
     Raises:
-        InputError: if the path exists and `overwrite` is not set; if it is not a run directory, which is never
-            replaced.
+        InputError: if the path exists and `overwrite` is not set; if it is not a run directory of this kind, which is
+            never replaced.
     """
     path = Path(path)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return path
     is_run = (path / "config.json").is_file()
-    if is_run and not overwrite and not has_shared(path):
+    if is_run and (found := kind_at(path, kind)) != kind:
+        raise InputError(path, "output", f"exists and is a {found} run", "choose another path")
+    if kind == CONTROLLER and is_run and not overwrite and not has_shared(path):
         step, steps = train_progress(path) or (0, None)
         value = f"unfinished at step {step}" + (f" of {steps}" if steps else "")
         raise InputError(path, "run", value, "pass resume=True to continue, or overwrite=True to start again")
@@ -131,6 +162,14 @@ def check_new_run(path: str | Path, overwrite: bool = False) -> Path:
     if not is_run:
         raise InputError(path, "output", "exists but is not a run directory", "choose another path")
     return path
+
+
+def kind_at(path: Path, otherwise: str = CONTROLLER) -> str:
+    """Returns the kind of the run in a folder, or `otherwise` where its configuration cannot be read."""
+    try:
+        return str(read_json((locate(path) or path) / "config.json", RUN_RULE).get("kind", CONTROLLER))
+    except InputError:
+        return otherwise
 
 
 def check_new_style(path: str | Path, name: str, overwrite: bool = False) -> Path:

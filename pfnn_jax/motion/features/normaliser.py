@@ -99,16 +99,22 @@ def fit_normaliser(
 
 def save_normaliser(folder: Path, normaliser: Normaliser) -> None:
     """Writes four `.npy` files, or six where the gating input has statistics, into a folder that is made if needed."""
-    folder.mkdir(parents=True, exist_ok=True)
     for prefix, statistics in zip(
         FILE_PREFIXES, (normaliser.inputs, normaliser.outputs, normaliser.phases), strict=True
     ):
+        if statistics is not None:
+            save_statistics(folder, statistics, prefix)
+            continue
         for name in ("mean", "std"):
-            path = folder / f"{prefix}_{name}.npy"
-            if statistics is None:
-                path.unlink(missing_ok=True)  # a file of a normaliser that was saved here before
-            else:
-                np.save(path, getattr(statistics, name), allow_pickle=False)
+            # a file of a normaliser that was saved here before
+            (folder / f"{prefix}_{name}.npy").unlink(missing_ok=True)
+
+
+def save_statistics(folder: Path, statistics: Statistics, prefix: str) -> None:
+    """Writes `PREFIX_mean.npy` and `PREFIX_std.npy` into a folder that is made if needed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("mean", "std"):
+        np.save(folder / f"{prefix}_{name}.npy", getattr(statistics, name), allow_pickle=False)
 
 
 def load_normaliser(folder: Path) -> Normaliser:
@@ -118,7 +124,25 @@ def load_normaliser(folder: Path) -> Normaliser:
         InputError: if a file is missing, is not an array of one axis, or holds a value that is not finite.
     """
     phases = any((folder / f"p_{name}.npy").exists() for name in ("mean", "std"))
-    return Normaliser(*(_load_side(folder, side) for side in (FILE_PREFIXES if phases else FILE_PREFIXES[:2])))
+    return Normaliser(*(load_statistics(folder, side) for side in (FILE_PREFIXES if phases else FILE_PREFIXES[:2])))
+
+
+def load_statistics(folder: Path, prefix: str) -> Statistics:
+    """Loads what `save_statistics` wrote, exact to the last bit.
+
+    Raises:
+        InputError: if a file is missing, is not an array of one axis, or holds a value that is not finite, or a standard
+            deviation that is not positive.
+    """
+    mean, std = (_load(folder / f"{prefix}_{name}.npy") for name in ("mean", "std"))
+    if mean.shape != std.shape or not (std > 0).all():
+        raise InputError(
+            folder / f"{prefix}_std.npy",
+            "array",
+            f"shape {std.shape}, least {std.min(initial=np.inf)}",
+            f"must hold {len(mean)} positive values, one for each mean",
+        )
+    return Statistics(mean, std)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,18 +253,6 @@ def _average(found: Statistics, blocks: Sequence[str], group: Callable[[str], tu
 def _guard(found: Statistics) -> Statistics:
     constant = found.std <= CONSTANT * (1.0 + np.abs(found.mean))
     return Statistics(found.mean.astype(np.float32), np.where(constant, 1.0, found.std).astype(np.float32))
-
-
-def _load_side(folder: Path, side: str) -> Statistics:
-    mean, std = (_load(folder / f"{side}_{name}.npy") for name in ("mean", "std"))
-    if mean.shape != std.shape or not (std > 0).all():
-        raise InputError(
-            folder / f"{side}_std.npy",
-            "array",
-            f"shape {std.shape}, least {std.min(initial=np.inf)}",
-            f"must hold {len(mean)} positive values, one for each mean",
-        )
-    return Statistics(mean, std)
 
 
 def _load(path: Path) -> np.ndarray:
