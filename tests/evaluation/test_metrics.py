@@ -121,7 +121,7 @@ def test_skating_near_the_ground_is_not_lowered_by_feet_in_the_air(height, expec
 
 def test_skating_near_the_ground_counts_vertical_motion_and_leaves_out_weights_of_zero():
     foot = np.zeros((4, 1, 3))
-    foot[:, 0, 1] = [0.0, 0.025, 0.0, 0.0]  # steps of 2.5 cm to a height of weight 0, down to one of 1, and of no length
+    foot[:, 0, 1] = [0.0, 0.025, 0.0, 0.0]  # steps up to a weight of 0, down to 1, and none
     assert metrics.near_ground_skating(foot, 1.0) == pytest.approx(0.025 / 2, abs=EXACT)
 
 

@@ -28,7 +28,9 @@ def clips():
 def classifier(clips):
     known = [(clip, style) for style, own in clips.items() for clip in own[:-1]]
     windows = WindowConfig(frames=30, stride=15, time_scales=(1.0,))
-    return train_clip_classifier([clip for clip, _ in known], [style for _, style in known], windows=windows, config=SMALL)
+    return train_clip_classifier(
+        [clip for clip, _ in known], [style for _, style in known], windows=windows, config=SMALL
+    )
 
 
 def test_content_as_result_keeps_the_content_and_the_ground_truth_is_the_right_answer(clips):
