@@ -72,7 +72,7 @@ def test_fast_networks_have_seen_no_clip_of_the_tested_content(clips, tmp_path, 
         return None, {}
 
     monkeypatch.setattr(transfer_methods, "train_transformation", remember)
-    monkeypatch.setattr(transfer_methods, "apply_network", lambda run, network, rows, project: rows)
+    monkeypatch.setattr(transfer_methods, "apply_network", lambda run, network, rows, **options: rows)
     pair = xia_pairs(clips, 1)[0]
     Methods(make_run(tmp_path / "run"), clips).result("fast", pair)
     contents, styles = seen
