@@ -10,6 +10,7 @@ import pytest
 
 from experiments import transfer_judged
 from experiments.common import transfer_methods
+from experiments.common.transfer_judged_report import relative
 from experiments.common.transfer_methods import FINISHES, Methods, without_constraints
 from experiments.common.transfer_pairs import (
     OTHER_CONTENT,
@@ -22,7 +23,7 @@ from experiments.common.transfer_pairs import (
     xia_pairs,
 )
 from pfnn_jax.evaluation.style_classifier import ClassifierConfig
-from pfnn_jax.evaluation.transfer_judge import MEASURES
+from pfnn_jax.evaluation.transfer_judge import MEASURES, Spread
 from pfnn_jax.motion.retargeting.retarget import same_bones
 from pfnn_jax.transfer.config import LossWeights, OptimisationConfig
 from tests.raising import assert_refused
@@ -116,10 +117,18 @@ def test_transfer_judged(mocap, reference, tmp_path):
     assert {one["method"] for one in result["peers"]} > {"Aberman 2020, raw", "Park 2021, latent", "optimisation"}
     assert json.loads((config.out / "report.json").read_text())["records"]["content"][0]["CC, cm"] == 0.0
     table = (config.out / "table.md").read_text()
-    assert all(f"\n{kind}\n" in table for kind in (OTHER_CONTENT, SAME_CONTENT, SAME_STYLE))
+    assert all(f"Pairs: {kind}." in table for kind in (OTHER_CONTENT, SAME_CONTENT, SAME_STYLE))
     assert (config.out / "report.html").stat().st_size > 10_000
     clips = sorted((config.out / "clips" / "optimisation").glob("*.bvh"))
     assert len(clips) == 3 + 3  # one pair of each kind, and the pairs of released outputs
+
+
+def test_recognition_is_relative_to_the_ground_truths_of_the_same_pairs():
+    own, real = ({"style recognised": Spread(mean, 0.0, 1.0, 0.5, 4)} for mean in (0.3, 0.4))
+    found = relative({"ground truth": real, "optimisation": own})
+    assert found["ground truth"] == {"style recognised": 1.0}
+    assert found["optimisation"]["style recognised"] == pytest.approx(0.75)
+    assert relative({"optimisation": own}) == {}
 
 
 def test_unknown_method_is_refused(tmp_path):
