@@ -1,0 +1,257 @@
+"""A clip in the style of another: by optimisation between two clips, or by a network trained for one style."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import jax
+import numpy as np
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.io.files import locate, refuse_existing
+from pfnn_jax.motion.blending import Parts
+from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.clip import MotionClip, resample
+from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, select_styles
+from pfnn_jax.motion.length_unit import CENTIMETRE
+from pfnn_jax.motion.reading import ReadOptions
+from pfnn_jax.motion.retargeting.retarget import retarget
+from pfnn_jax.training.loop import no_progress
+from pfnn_jax.transfer.clip_rows import encode_clip
+from pfnn_jax.transfer.config import OptimisationConfig, TransformationTrainingConfig
+from pfnn_jax.transfer.finish import finish_clip
+from pfnn_jax.transfer.layout import LAYOUT_FPS
+from pfnn_jax.transfer.optimisation import optimise
+from pfnn_jax.transfer.pieces import in_pieces
+from pfnn_jax.transfer.run import (
+    BASE_AUTOENCODER,
+    TransferRun,
+    create_transfer_run,
+    list_transformations,
+    load_transfer_run,
+    load_transformation,
+    save_transformation,
+)
+from pfnn_jax.transfer.transformation_training import apply_network, train_transformation
+
+MAX_STRENGTH = 1.5
+"""Of a transfer: 0 is the content, 1 the result, and beyond 1 the difference between them is extrapolated."""
+
+Clip = MotionClip | str | Path
+"""A clip, or the path of a BVH file."""
+
+Progress = Callable[[float, str], Any]
+"""Called with the share that is done, 0 to 1, and what is being done."""
+
+
+@dataclass(frozen=True, eq=False)
+class TransferResult:
+    """A clip in another style.
+
+    Attributes:
+        clip: the result, on the content's skeleton and at its frame rate.
+        content: the content as it was read.
+        styles: the style clips as they were read; none where a network was trained for the style.
+        notes: what was assumed about the files and done with the clips, one line each.
+        seconds: that it took, with compilation.
+    """
+
+    clip: MotionClip
+    content: MotionClip
+    styles: tuple[MotionClip, ...]
+    notes: tuple[str, ...]
+    seconds: float
+
+    @property
+    def unit(self) -> float:
+        """Metres per unit of the content's file, in which the result is written; centimetres without a file."""
+        return CENTIMETRE if self.content.reading is None else self.content.reading.unit
+
+
+def transfer_clip(
+    content: Clip,
+    style: Clip | Sequence[Clip] | None = None,
+    *,
+    run: TransferRun | str | Path | None = None,
+    style_name: str | None = None,
+    strength: float = 1.0,
+    parts: Parts = "all",
+    foot_ik: bool = True,
+    config: OptimisationConfig | None = None,
+    seed: int = 0,
+    reading: ReadOptions | None = None,
+    roles_file: str | Path | None = None,
+    progress_callback: Progress = no_progress,
+) -> TransferResult:
+    """Returns a clip in another style, on its own skeleton and at its own frame rate.
+
+    With `style`, the hidden units of the run's autoencoder are optimised (Holden et al. 2016): nothing is trained, and
+    any two clips of any humanoid skeletons will do. Without it, the network that `train_transfer` has trained for one
+    style is applied (Holden et al. 2017). Clips longer than `transfer.pieces.PIECE` frames are done in pieces.
+
+    Args:
+        content: what is done: a clip, or a BVH file.
+        style: how it is to be done: one clip or several of one style.
+        run: a run of style transfer, or its directory; by default the autoencoder of the package.
+        style_name: one of the run's styles; may be left out if it has one only.
+        strength: 0 is the content, 1 the result; up to 1.5, the difference is extrapolated.
+        parts: of the body that take the style; the others stay those of the content.
+        foot_ik: hold feet in place while those of the content are in contact.
+        config: settings of the optimisation.
+        seed: of the noise from which the optimisation may start.
+        reading: what is known about the files.
+        roles_file: JSON naming the joints' roles.
+        progress_callback: called with the share that is done, 0 to 1, and what is being done.
+
+    Raises:
+        InputError: for a bad clip, one of a skeleton that is not a humanoid, or shorter than a filter of the
+            autoencoder; for a style clip that is the content itself; for a style that was not trained; for a strength
+            or parts that do not exist.
+    """
+    started = time.perf_counter()
+    check_strength(strength)
+    check_parts(parts)
+    run = _as_run(BASE_AUTOENCODER if run is None else run)
+    if style is not None and style_name is not None:
+        raise InputError("transfer_clip", "style_name", style_name, "pass either style clips or the name of a style")
+    network = load_transformation(run, _chosen_style(run, style_name)) if style is None else None
+    progress_callback(0.0, "reading")
+    clip, *styles = [_read(each, reading, roles_file) for each in (content, *_as_clips(style))]
+    notes = [f"{each.source or 'clip'}: {note}" for each in (clip, *styles) for note in each.notes]
+    rows, *style_rows = [clip_rows(each, run) for each in (clip, *styles)]
+    _refuse_same(clip, rows, styles, style_rows)
+    progress_callback(0.1, "transferring the style")
+    key = jax.random.key(seed)
+    if network is None:
+        settings = OptimisationConfig() if config is None else config
+        moved = in_pieces(rows, lambda piece: optimise(run, piece, style_rows, settings, key=key))
+    else:
+        moved = in_pieces(rows, lambda piece: apply_network(run, network, piece))
+    progress_callback(0.9, "finishing")
+    result = finish_clip(moved, clip, run.skeleton, run.layout, strength=strength, parts=parts, foot_ik=foot_ik)
+    progress_callback(1.0, "done")
+    return TransferResult(result, clip, tuple(styles), tuple(notes), time.perf_counter() - started)
+
+
+def train_transfer(
+    data: str | Path | Sequence[ClipFile],
+    style: str,
+    out: str | Path,
+    config: TransformationTrainingConfig | None = None,
+    *,
+    autoencoder: TransferRun | str | Path | None = None,
+    roles_file: str | Path | None = None,
+    overwrite: bool = False,
+    progress_callback: Progress = no_progress,
+) -> dict[str, Any]:
+    """Trains a network that puts any clip into one style, and saves it in a run of style transfer.
+
+    The contents to train on are the clips of all other styles; each is paired with the style's clips of the same gait.
+    A run that exists gets the style as one more.
+
+    Args:
+        data: folder of clips as `motion.list_clips` lists them, or such a list.
+        style: one of the styles of the data.
+        out: the run's folder.
+        config: how to train.
+        autoencoder: run whose autoencoder a new run takes; by default the package's.
+        roles_file: JSON naming the joints' roles.
+        overwrite: replace a style of this name.
+        progress_callback: called with the share that is done, 0 to 1, and what is being done.
+
+    Returns:
+        What is saved as `info` in the style's `style.json`: source clips, settings, metrics, notes, seconds.
+
+    Raises:
+        InputError: for a style that the data do not have, data of one style only, bad clips, a style that exists, or an
+            `out` that is not a run of style transfer. Nothing is trained before.
+        TrainingError: when a loss is not finite.
+    """
+    raise NotImplementedError
+
+
+def check_strength(strength: float) -> None:
+    """Checks the strength of a transfer.
+
+    Raises:
+        InputError: unless it is from 0 to `MAX_STRENGTH`.
+    """
+    if not 0.0 <= strength <= MAX_STRENGTH:  # also where it is not a number
+        raise InputError("transfer", "strength", strength, f"must be from 0 (the content) over 1 to {MAX_STRENGTH:g}")
+
+
+def check_parts(parts: str) -> None:
+    """Checks which parts of the body take the style.
+
+    Raises:
+        InputError: for parts that there are not.
+    """
+    if parts not in get_args(Parts):
+        raise InputError("transfer", "parts", parts, f"must be one of {', '.join(get_args(Parts))}")
+
+
+def clip_rows(clip: MotionClip, run: TransferRun) -> np.ndarray:
+    """Returns the rows [T, D] of a clip of any humanoid skeleton, put onto the run's, at the layout's frame rate.
+
+    Raises:
+        InputError: for a clip that is not finite, is shorter than the autoencoder's filters, or whose skeleton is not
+            a humanoid.
+    """
+    _check_finite(clip)
+    resampled = resample(clip, LAYOUT_FPS)
+    width = run.config.autoencoder.width
+    if resampled.num_frames < width:
+        value = f"{resampled.num_frames} frames at {LAYOUT_FPS:g} per second"
+        rule = f"must be at least {width} frames ({width / LAYOUT_FPS:.2f} s), the width of the autoencoder's filters"
+        raise InputError(clip.source or "clip", "length", value, rule)
+    return encode_clip(retarget(resampled, run.skeleton).clip, run.layout)
+
+
+def _check_finite(clip: MotionClip) -> None:
+    for what, values in (("root positions", clip.root_positions), ("rotations", clip.rotations)):
+        bad = ~np.isfinite(values)
+        if bad.any():
+            frame = int(np.argwhere(bad)[0][0])
+            raise InputError(clip.source or "clip", f"frame {frame}", f"{what} not finite", "must be finite numbers")
+
+
+def _as_run(run: TransferRun | str | Path) -> TransferRun:
+    return run if isinstance(run, TransferRun) else load_transfer_run(run)
+
+
+def _as_clips(style: Clip | Sequence[Clip] | None) -> list[Clip]:
+    if style is None:
+        return []
+    return [style] if isinstance(style, MotionClip | str | Path) else list(style)
+
+
+def _read(clip: Clip, reading: ReadOptions | None, roles_file: str | Path | None) -> MotionClip:
+    if isinstance(clip, MotionClip):
+        return clip
+    return read_bvh(clip, **asdict(reading or ReadOptions()), roles_file=roles_file)
+
+
+def _chosen_style(run: TransferRun, name: str | None) -> str:
+    """Returns the style of a run that is meant: the one that is named, or the only one.
+
+    Raises:
+        InputError: for a run of several styles if none is named, and of none.
+    """
+    names = list_transformations(run.path)
+    if name is None and len(names) != 1:
+        known = ", ".join(names) or "(this run has no styles yet: train one, or pass a style clip)"
+        raise InputError(run.path, "style", "none", f"must be one of {known}" if names else f"must be trained {known}")
+    return names[0] if name is None else name
+
+
+def _refuse_same(content: MotionClip, rows: np.ndarray, styles: Sequence[MotionClip], others: Sequence[np.ndarray]):
+    """Refuses a style clip that is the content itself, whatever its file is called."""
+    for style, other in zip(styles, others, strict=True):
+        if rows.shape == other.shape and np.allclose(rows, other, atol=SAME):
+            rule = "must be another clip: content and style are the same motion"
+            raise InputError(content.source or "content", "style", style.source or "clip", rule)
