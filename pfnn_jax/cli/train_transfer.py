@@ -44,7 +44,6 @@ class TrainTransfer(Command):
     def run(self) -> Any:
         from pfnn_jax.cli.progress import progress
         from pfnn_jax.motion.datasets.sources import list_clips, select_styles
-        from pfnn_jax.transfer.run import check_transfer_output
 
         clips = list_clips(self.data, self.kind, self.reading)
         select_styles(clips, [self.style], self.data)

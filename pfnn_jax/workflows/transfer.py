@@ -3,44 +3,41 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import locate, refuse_existing
-from pfnn_jax.motion.blending import Parts
+from pfnn_jax.motion.blending import PARTS, Parts
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, resample
-from pfnn_jax.motion.datasets.labelled import load_clip
+from pfnn_jax.motion.datasets.labelled import read_cut_clip
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, select_styles
 from pfnn_jax.motion.length_unit import CENTIMETRE
 from pfnn_jax.motion.reading import ReadOptions
-from pfnn_jax.motion.retargeting.retarget import retarget
+from pfnn_jax.run_config import check_new_style
 from pfnn_jax.training.loop import no_progress
-from pfnn_jax.transfer.clip_rows import encode_clip
+from pfnn_jax.transfer.clip_rows import encode_clip, prepare_clip
 from pfnn_jax.transfer.config import OptimisationConfig, TransformationTrainingConfig
-from pfnn_jax.transfer.finish import finish_clip
+from pfnn_jax.transfer.finish import MAX_STRENGTH, finish_clip
 from pfnn_jax.transfer.layout import LAYOUT_FPS
 from pfnn_jax.transfer.optimisation import optimise
 from pfnn_jax.transfer.pieces import in_pieces
 from pfnn_jax.transfer.run import (
     BASE_AUTOENCODER,
     TransferRun,
-    create_transfer_run,
     list_transformations,
     load_transfer_run,
     load_transformation,
-    save_transformation,
 )
-from pfnn_jax.transfer.transformation_training import apply_network, train_transformation
+from pfnn_jax.transfer.transformation_training import apply_network
 
-MAX_STRENGTH = 1.5
-"""Of a transfer: 0 is the content, 1 the result, and beyond 1 the difference between them is extrapolated."""
+SAME = 1e-4
+"""Metres and radians per frame by which the rows of one motion differ at the most, after it was written and read."""
 
 Clip = MotionClip | str | Path
 """A clip, or the path of a BVH file."""
@@ -123,7 +120,7 @@ def transfer_clip(
     progress_callback(0.0, "reading")
     clip, *styles = [_read(each, reading, roles_file) for each in (content, *_as_clips(style))]
     notes = [f"{each.source or 'clip'}: {note}" for each in (clip, *styles) for note in each.notes]
-    rows, *style_rows = [clip_rows(each, run) for each in (clip, *styles)]
+    rows, *style_rows = [rows_for_run(each, run) for each in (clip, *styles)]
     _refuse_same(clip, rows, styles, style_rows)
     progress_callback(0.1, "transferring the style")
     key = jax.random.key(seed)
@@ -172,7 +169,19 @@ def train_transfer(
             `out` that is not a run of style transfer. Nothing is trained before.
         TrainingError: when a loss is not finite.
     """
-    raise NotImplementedError
+    started = time.perf_counter()
+    clips, source = (list_clips(data), data) if isinstance(data, str | Path) else (list(data), "clips")
+    targets = select_styles(clips, [style], source)
+    others = [clip for clip in clips if clip.style != style]
+    if not others:
+        rule = "must have clips of another style as well: they are the contents to train on"
+        raise InputError(source, "style", style, rule)
+    config = TransformationTrainingConfig() if config is None else config
+    run, is_new = _run_to_train(Path(out), style, autoencoder, overwrite)
+    files = [*others, *targets]
+    rows, notes = _read_all(files, run, roles_file, lambda share: progress_callback(0.1 * share, "reading"))
+    contents = {file: rows[file] for file in others if file in rows}
+    styles = {file: rows[file] for file in targets if file in rows}
 
 
 def check_strength(strength: float) -> None:
@@ -191,11 +200,11 @@ def check_parts(parts: str) -> None:
     Raises:
         InputError: for parts that there are not.
     """
-    if parts not in get_args(Parts):
-        raise InputError("transfer", "parts", parts, f"must be one of {', '.join(get_args(Parts))}")
+    if parts not in PARTS:
+        raise InputError("transfer", "parts", parts, f"must be one of {', '.join(PARTS)}")
 
 
-def clip_rows(clip: MotionClip, run: TransferRun) -> np.ndarray:
+def rows_for_run(clip: MotionClip, run: TransferRun) -> np.ndarray:
     """Returns the rows [T, D] of a clip of any humanoid skeleton, put onto the run's, at the layout's frame rate.
 
     Raises:
@@ -203,13 +212,17 @@ def clip_rows(clip: MotionClip, run: TransferRun) -> np.ndarray:
             a humanoid.
     """
     _check_finite(clip)
-    resampled = resample(clip, LAYOUT_FPS)
-    width = run.config.autoencoder.width
-    if resampled.num_frames < width:
-        value = f"{resampled.num_frames} frames at {LAYOUT_FPS:g} per second"
+    frames, width = _num_frames(clip), run.config.autoencoder.width
+    if frames < width:
+        value = f"{frames} frames at {LAYOUT_FPS:g} per second"
         rule = f"must be at least {width} frames ({width / LAYOUT_FPS:.2f} s), the width of the autoencoder's filters"
         raise InputError(clip.source or "clip", "length", value, rule)
-    return encode_clip(retarget(resampled, run.skeleton).clip, run.layout)
+    return encode_clip(prepare_clip(clip, run.skeleton), run.layout)
+
+
+def _num_frames(clip: MotionClip) -> int:
+    """Returns the number of a clip's frames at the layout's frame rate."""
+    return resample(clip, LAYOUT_FPS).num_frames
 
 
 def _check_finite(clip: MotionClip) -> None:
@@ -218,6 +231,51 @@ def _check_finite(clip: MotionClip) -> None:
         if bad.any():
             frame = int(np.argwhere(bad)[0][0])
             raise InputError(clip.source or "clip", f"frame {frame}", f"{what} not finite", "must be finite numbers")
+
+
+def _run_to_train(
+    out: Path, style: str, autoencoder: TransferRun | str | Path | None, overwrite: bool
+) -> tuple[TransferRun, bool]:
+    """Returns the run to train a style for: the one at `out`, or that whose autoencoder a new one takes, and which.
+
+    Raises:
+        InputError: for an `out` that is not a run of style transfer or has another autoencoder than the one wanted, and
+            for a style that exists.
+    """
+    given = None if autoencoder is None else _as_run(autoencoder)
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        check_new_style(out, style)
+        return given or _as_run(BASE_AUTOENCODER), True
+    run = load_transfer_run(out)
+    if given is not None and given.fingerprint != run.fingerprint:
+        rule = f"must be {run.fingerprint[:12]}, that of {out}, or choose another folder for the run"
+        raise InputError(given.path, "autoencoder", given.fingerprint[:12], rule)
+    check_new_style(out, style, overwrite)
+    return run, False
+
+
+def _read_all(
+    files: Sequence[ClipFile], run: TransferRun, roles_file: str | Path | None, progress: Callable[[float], Any]
+) -> tuple[dict[ClipFile, np.ndarray], list[str]]:
+    """Returns the rows of clips, and what was noted; clips shorter than a filter are left out, which is noted.
+
+    Raises:
+        InputError: for a bad clip.
+    """
+    rows, notes, short = {}, [], []
+    for number, file in enumerate(files):
+        progress(number / len(files))
+        cut_clip = read_cut_clip(file, roles_file)
+        if _num_frames(cut_clip.clip) < run.config.autoencoder.width:
+            short.append(file.path)
+            continue
+        notes += [f"{file.path}: {cut_clip.note}"] if cut_clip.note else []
+        rows[file] = rows_for_run(cut_clip.clip, run)
+    if short:
+        notes.append(
+            f"{short[0]}: shorter than a filter, left out" + (f" (and {len(short) - 1} more)" * (len(short) > 1))
+        )
+    return rows, notes
 
 
 def _as_run(run: TransferRun | str | Path) -> TransferRun:

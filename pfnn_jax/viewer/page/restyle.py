@@ -42,7 +42,8 @@ class Restyled(NamedTuple):
     """A restyled clip.
 
     Attributes:
-        name: of the result: CONTENT_STYLE.
+        name: of the result's files: CONTENT_STYLE.
+        title: "CONTENT in the style of STYLE".
         bvh: the result as the bytes of a BVH file.
         page: complete HTML page with the content, the style and the result in step.
         notes: what was assumed and done, one line each.
@@ -50,6 +51,7 @@ class Restyled(NamedTuple):
     """
 
     name: str
+    title: str
     bvh: bytes
     page: str
     notes: tuple[str, ...]
@@ -101,12 +103,15 @@ def _restyle(
         try:
             done = transfer_clip(*paths, strength=strength, parts=parts, progress_callback=progress)
         except InputError as error:
-            raise InputError(_shown(error.file, folder), error.place, error.value, error.rule) from error
+            value = _shown(str(error.value), folder)
+            raise InputError(_shown(error.file, folder), error.place, value, error.rule) from error
     clips, names = (done.content, done.styles[0], done.clip), (content.name, style.name, "result")
+    title = f"{content.name} in the style of {style.name}"
     return Restyled(
         f"{content.name}_{style.name}",
+        title,
         bvh_bytes(done.clip, done.unit),
-        player_page(annotate_clips(clips, names), title=f"{content.name} in the style of {style.name}"),
+        player_page(annotate_clips(clips, names), title=title),
         tuple(_shown(note, folder) for note in done.notes),
         done.seconds,
     )

@@ -5,15 +5,15 @@ from __future__ import annotations
 import html
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError, TrainingError
-from pfnn_jax.motion.blending import Parts
+from pfnn_jax.motion.blending import PARTS
+from pfnn_jax.transfer.finish import MAX_STRENGTH
 from pfnn_jax.viewer.draw.palette import BUTTON, rgb
 from pfnn_jax.viewer.page import widgets
 from pfnn_jax.viewer.page.restyle import ClipUpload, Restyled, check_clip, restyle
 from pfnn_jax.workflows.samples import sample_clips
-from pfnn_jax.workflows.transfer import MAX_STRENGTH
 
 if TYPE_CHECKING:
     import viser
@@ -51,7 +51,7 @@ class RestylePanel:
             self.upload_style = gui.add_upload_button(STYLE, mime_type=".bvh")
             self._style = gui.add_dropdown("Style of", samples, initial_value=samples[0])
             self._strength = gui.add_slider("Strength", 0.0, MAX_STRENGTH, step=0.05, initial_value=1.0)
-            self._parts = gui.add_dropdown("Parts", get_args(Parts), initial_value="all")
+            self._parts = gui.add_dropdown("Parts", PARTS, initial_value="all")
             self._begin = gui.add_button("Restyle", color=rgb(BUTTON))
             self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
             self._message = gui.add_html(widgets.message("plain", FIRST_NOTE))
@@ -93,7 +93,7 @@ class RestylePanel:
         """Plays the content, the style and the result in step, above the page."""
         if self._done is None:
             return
-        modal = self._client.gui.add_modal(self._done.name)
+        modal = self._client.gui.add_modal(self._done.title)
         with modal:
             self._client.gui.add_html(player_frame(self._done.page))
             self._client.gui.add_button("Close").on_click(_in_thread(modal.close))
@@ -148,7 +148,7 @@ class RestylePanel:
         self._done = done
         for button in self._results:
             button.visible = True
-        lines = [f"{done.name} is ready ({done.seconds:.1f} s).", *(f"Note: {note}." for note in done.notes)]
+        lines = [f"{done.title}: ready after {done.seconds:.1f} s.", *(f"Note: {note}." for note in done.notes)]
         self.show_message("good", "\n".join(lines))
         self.show()
 
