@@ -47,7 +47,6 @@ class TrainTransfer(Command):
 
         clips = list_clips(self.data, self.kind, self.reading)
         select_styles(clips, [self.style], self.data)
-        check_new(self.out, self.style, self.overwrite)
         from pfnn_jax.workflows.transfer import train_transfer
 
         with progress("training") as report:

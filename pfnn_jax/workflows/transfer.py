@@ -170,7 +170,7 @@ def train_transfer(
         TrainingError: when a loss is not finite.
     """
     started = time.perf_counter()
-    clips, source = (list_clips(data), data) if isinstance(data, str | Path) else (list(data), "clips")
+    clips, source = (list_clips(data), data) if isinstance(data, str | Path) else (list(data), data[0].path.parent)
     targets = select_styles(clips, [style], source)
     others = [clip for clip in clips if clip.style != style]
     if not others:
