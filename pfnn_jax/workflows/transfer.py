@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,21 +20,27 @@ from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, select_styles
 from pfnn_jax.motion.length_unit import CENTIMETRE
 from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.run_config import check_new_style
+from pfnn_jax.training.loop import Progress as TrainingProgress
 from pfnn_jax.training.loop import no_progress
 from pfnn_jax.transfer.clip_rows import encode_clip, prepare_clip
-from pfnn_jax.transfer.config import OptimisationConfig, TransformationTrainingConfig
+from pfnn_jax.transfer.config import OptimisationConfig, TransformationConfig, TransformationTrainingConfig
 from pfnn_jax.transfer.finish import MAX_STRENGTH, finish_clip
 from pfnn_jax.transfer.layout import LAYOUT_FPS
 from pfnn_jax.transfer.optimisation import optimise
-from pfnn_jax.transfer.pieces import in_pieces
+from pfnn_jax.transfer.pairing import ALL, GaitClip, pair_by_gait
+from pfnn_jax.transfer.pieces import PIECE, in_pieces
 from pfnn_jax.transfer.run import (
     BASE_AUTOENCODER,
     TransferRun,
+    create_transfer_run,
     list_transformations,
     load_transfer_run,
     load_transformation,
+    save_transformation,
+    transformation_note,
 )
-from pfnn_jax.transfer.transformation_training import apply_network
+from pfnn_jax.transfer.transformation import TransformationNetwork, init_transformation
+from pfnn_jax.transfer.transformation_training import apply_network, train_transformation
 
 SAME = 1e-4
 """Metres and radians per frame by which the rows of one motion differ at the most, after it was written and read."""
@@ -116,19 +122,21 @@ def transfer_clip(
     run = _as_run(BASE_AUTOENCODER if run is None else run)
     if style is not None and style_name is not None:
         raise InputError("transfer_clip", "style_name", style_name, "pass either style clips or the name of a style")
-    network = load_transformation(run, _chosen_style(run, style_name)) if style is None else None
+    network = _load_network(run, _chosen_style(run, style_name)) if style is None else None
     progress_callback(0.0, "reading")
     clip, *styles = [_read(each, reading, roles_file) for each in (content, *_as_clips(style))]
     notes = [f"{each.source or 'clip'}: {note}" for each in (clip, *styles) for note in each.notes]
     rows, *style_rows = [rows_for_run(each, run) for each in (clip, *styles)]
     _refuse_same(clip, rows, styles, style_rows)
     progress_callback(0.1, "transferring the style")
-    key = jax.random.key(seed)
-    if network is None:
-        settings = OptimisationConfig() if config is None else config
-        moved = in_pieces(rows, lambda piece: optimise(run, piece, style_rows, settings, key=key))
-    else:
+    if network is not None:
         moved = in_pieces(rows, lambda piece: apply_network(run, network, piece))
+    else:
+        paired, said = _pair(clip, rows, styles, style_rows, run)
+        notes += said
+        settings = OptimisationConfig() if config is None else config
+        key = jax.random.key(seed)
+        moved = in_pieces(rows, lambda piece: optimise(run, piece, paired, settings, key=key))
     progress_callback(0.9, "finishing")
     result = finish_clip(moved, clip, run.skeleton, run.layout, strength=strength, parts=parts, foot_ik=foot_ik)
     progress_callback(1.0, "done")
@@ -178,10 +186,30 @@ def train_transfer(
         raise InputError(source, "style", style, rule)
     config = TransformationTrainingConfig() if config is None else config
     run, is_new = _run_to_train(Path(out), style, autoencoder, overwrite)
-    files = [*others, *targets]
-    rows, notes = _read_all(files, run, roles_file, lambda share: progress_callback(0.1 * share, "reading"))
-    contents = {file: rows[file] for file in others if file in rows}
-    styles = {file: rows[file] for file in targets if file in rows}
+    rows, notes = _read_all(
+        [*others, *targets], run, roles_file, lambda share: progress_callback(0.1 * share, "reading")
+    )
+    contents, styles = ([rows[file] for file in files if file in rows] for files in (others, targets))
+    _require_clips(contents, styles, source, style)
+    pairing = pair_by_gait(contents, styles, run.layout)
+
+    def report(now: TrainingProgress) -> None:
+        progress_callback(0.1 + 0.9 * now.step / now.steps, f"training, loss {now.loss:.4f}")
+
+    network, metrics = train_transformation(run, contents, styles, pairing, config, progress_callback=report)
+    info = {
+        "sources": [clip.name for clip in styles],
+        "contents": len(contents),
+        "gaits": dict(zip(pairing.groups, map(len, pairing.members), strict=True)),
+        "config": asdict(config),
+        "metrics": metrics,
+        "notes": [*notes, *_grouped(pairing.notes)],
+        "seconds": time.perf_counter() - started,
+    }
+    if is_new:
+        run = create_transfer_run(out, run.layout, run.skeleton, run.statistics, run.autoencoder, run.config.training)
+    save_transformation(run, style, network, info, overwrite=overwrite)
+    return info
 
 
 def check_strength(strength: float) -> None:
@@ -233,6 +261,40 @@ def _check_finite(clip: MotionClip) -> None:
             raise InputError(clip.source or "clip", f"frame {frame}", f"{what} not finite", "must be finite numbers")
 
 
+def _pair(
+    clip: MotionClip, rows: np.ndarray, styles: Sequence[MotionClip], style_rows: Sequence[np.ndarray], run: TransferRun
+) -> tuple[list[np.ndarray], list[str]]:
+    """Returns the rows of the style's clips of the content's gait, long ones in pieces, and what is to be said of it.
+
+    Nothing is said of a single style clip of the same gait, as there was no choice.
+    """
+    content, *others = (
+        GaitClip(each, of.content, of.source or "clip")
+        for of, each in zip((clip, *styles), (rows, *style_rows), strict=True)
+    )
+    pairing = pair_by_gait([content], others, run.layout)
+    obvious = len(styles) == 1 and pairing.groups[0] != ALL
+    members = [style_rows[index] for index in pairing.members[0]]
+    pieces = [piece for each in members for piece in np.array_split(each, -(-len(each) // PIECE))]
+    return pieces, [] if obvious else list(pairing.notes)
+
+
+def _load_network(run: TransferRun, style: str) -> TransformationNetwork:
+    """Loads the network of one of a run's styles.
+
+    Raises:
+        InputError: as `load_transformation`, and for a note without the network's sizes.
+    """
+    note = transformation_note(run.path, style)
+    try:
+        sizes = TransformationConfig(**note["info"]["config"]["network"])
+    except (KeyError, TypeError, ValueError) as error:
+        file = run.path / "styles" / style / "style.json"
+        raise InputError(file, "network", error, "must be the sizes of a transformation network") from error
+    abstract = jax.eval_shape(lambda: init_transformation(sizes, run.layout.size, key=jax.random.key(0)))
+    return load_transformation(run, style, abstract)
+
+
 def _run_to_train(
     out: Path, style: str, autoencoder: TransferRun | str | Path | None, overwrite: bool
 ) -> tuple[TransferRun, bool]:
@@ -256,8 +318,8 @@ def _run_to_train(
 
 def _read_all(
     files: Sequence[ClipFile], run: TransferRun, roles_file: str | Path | None, progress: Callable[[float], Any]
-) -> tuple[dict[ClipFile, np.ndarray], list[str]]:
-    """Returns the rows of clips, and what was noted; clips shorter than a filter are left out, which is noted.
+) -> tuple[dict[ClipFile, GaitClip], list[str]]:
+    """Returns clips as rows, and what was noted; clips shorter than a filter are left out, which is noted.
 
     Raises:
         InputError: for a bad clip.
@@ -270,12 +332,25 @@ def _read_all(
             short.append(file.path)
             continue
         notes += [f"{file.path}: {cut_clip.note}"] if cut_clip.note else []
-        rows[file] = rows_for_run(cut_clip.clip, run)
-    if short:
-        notes.append(
-            f"{short[0]}: shorter than a filter, left out" + (f" (and {len(short) - 1} more)" * (len(short) > 1))
-        )
-    return rows, notes
+        rows[file] = GaitClip(rows_for_run(cut_clip.clip, run), file.content, str(file.path))
+    notes += [f"{path}: shorter than a filter of the autoencoder, left out" for path in short]
+    return rows, _grouped(notes)
+
+
+def _grouped(notes: Iterable[str]) -> list[str]:
+    """Returns notes "FILE: NOTE", those that many files share once."""
+    files: dict[str, list[str]] = {}
+    for note in notes:
+        file, _, text = note.partition(": ")
+        files.setdefault(text, []).append(file)
+    others = {text: f" (and {len(names) - 1} more)" if len(names) > 1 else "" for text, names in files.items()}
+    return [f"{names[0]}{others[text]}: {text}" for text, names in files.items()]
+
+
+def _require_clips(contents: Sequence[GaitClip], styles: Sequence[GaitClip], source: str | Path, style: str) -> None:
+    for what, clips in (("clips of other styles", contents), (f"clips of {style}", styles)):
+        if not clips:
+            raise InputError(source, what, "all are shorter than a filter", "must have at least one long enough")
 
 
 def _as_run(run: TransferRun | str | Path) -> TransferRun:
