@@ -122,9 +122,12 @@ def transfer_clip(
     run = _as_run(BASE_AUTOENCODER if run is None else run)
     if style is not None and style_name is not None:
         raise InputError("transfer_clip", "style_name", style_name, "pass either style clips or the name of a style")
+    given = _as_clips(style)
+    if style is not None and not given:
+        raise InputError("transfer_clip", "style", "no clips", "pass at least one, or the name of a style of the run")
     network = _load_network(run, _chosen_style(run, style_name)) if style is None else None
     progress_callback(0.0, "reading")
-    clip, *styles = [_read(each, reading, roles_file) for each in (content, *_as_clips(style))]
+    clip, *styles = [_read(each, reading, roles_file) for each in (content, *given)]
     notes = [f"{each.source or 'clip'}: {note}" for each in (clip, *styles) for note in each.notes]
     rows, *style_rows = [rows_for_run(each, run) for each in (clip, *styles)]
     _refuse_same(clip, rows, styles, style_rows)
