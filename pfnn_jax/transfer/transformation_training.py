@@ -30,7 +30,7 @@ from pfnn_jax.transfer.losses import (
     style_loss,
     trajectory_loss,
 )
-from pfnn_jax.transfer.optimisation import padded_length, speed_ratio, style_gram
+from pfnn_jax.transfer.optimisation import add_change, padded_length, speed_ratio, style_gram
 from pfnn_jax.transfer.pairing import GaitClip, Pairing
 from pfnn_jax.transfer.run import TransferRun
 from pfnn_jax.transfer.transformation import TransformationNetwork, init_transformation
@@ -112,19 +112,26 @@ def window_losses(
     target: jax.Array,
     frozen: Frozen,
     layout: ClipLayout,
+    keep_detail: bool,
 ) -> dict[str, jax.Array]:
     """Returns the terms of Eq. 10, without weights, of one moved window.
 
     Args:
-        moved, x: [T, D] normalised, result and content.
+        moved, x: [T, D] normalised, what the network makes of a content, and the content.
         constraints: of the content.
         target: [F, F] Gram matrix of the style.
         frozen: loss network and statistics.
         layout: of the rows.
+        keep_detail: whether constraints see the motion that `apply_network` returns, after the projection, or the
+            network's, as in the paper.
     """
-    hidden, rows = frozen.autoencoder.encode(moved), moved * frozen.std[None] + frozen.mean[None]
+    autoencoder = frozen.autoencoder
+    hidden, content = autoencoder.encode(moved), autoencoder.encode(x)
+    if keep_detail:
+        moved = add_change(x, autoencoder.decode(content), autoencoder.decode(hidden))
+    rows = moved * frozen.std[None] + frozen.mean[None]
     return {
-        "content": content_loss(hidden, frozen.autoencoder.encode(x)),
+        "content": content_loss(hidden, content),
         "style": style_loss(hidden, target),
         "foot": foot_loss(rows, constraints, layout),
         "bone": bone_loss(rows, constraints, layout),
@@ -133,7 +140,12 @@ def window_losses(
 
 
 def apply_network(
-    run: TransferRun, network: TransformationNetwork, rows: np.ndarray, *, project: bool = True
+    run: TransferRun,
+    network: TransformationNetwork,
+    rows: np.ndarray,
+    *,
+    project: bool = True,
+    keep_detail: bool = True,
 ) -> np.ndarray:
     """Returns the rows [T, D] of a clip moved by a network, in layout units.
 
@@ -142,23 +154,34 @@ def apply_network(
         network: of one style.
         rows: [T, D] in layout units; clips of many lengths share a few compilations.
         project: project the result onto the motions that the autoencoder can express.
+        keep_detail: project the content as well, and add only what the network changes to it; see `add_change`.
     """
     frames = len(rows)
-    size = padded_length(frames)
-    x = np.zeros((size, rows.shape[1]), np.float32)
-    x[:frames] = run.statistics.apply(rows)
-    mask = (np.arange(size) < frames + frames % POOLING).astype(np.float32)
-    x[frames : frames + frames % POOLING] = x[frames - 1]  # the autoencoder pools pairs of frames
-    y = _apply(network, run.autoencoder, jnp.asarray(x), jnp.asarray(mask), project=project)
+    even = frames + frames % POOLING  # the autoencoder pools pairs of frames
+    x = np.zeros((padded_length(frames), rows.shape[1]), np.float32)
+    x[:frames], x[frames:even] = run.statistics.apply(rows), run.statistics.apply(rows[-1])
+    mask = (np.arange(len(x)) < even).astype(np.float32)
+    y = _apply(network, run.autoencoder, x, mask, project=project, keep_detail=keep_detail)
     return np.asarray(run.statistics.invert(np.asarray(y[:frames], np.float64)))
 
 
-@partial(jax.jit, static_argnames="project")
+@partial(jax.jit, static_argnames=("project", "keep_detail"))
 def _apply(
-    network: TransformationNetwork, autoencoder: MotionAutoencoder, x: jax.Array, mask: jax.Array, *, project: bool
+    network: TransformationNetwork,
+    autoencoder: MotionAutoencoder,
+    x: jax.Array,
+    mask: jax.Array,
+    *,
+    project: bool,
+    keep_detail: bool,
 ) -> jax.Array:
+    def projected(x: jax.Array) -> jax.Array:
+        return autoencoder.decode(autoencoder.encode(x), mask[::POOLING])
+
     y = network(x, mask)
-    return autoencoder.decode(autoencoder.encode(y), mask[::POOLING]) if project else y
+    if not project:
+        return y
+    return add_change(x, projected(x), projected(y)) if keep_detail else projected(y)
 
 
 def _held_out(count: int, config: TransformationTrainingConfig) -> np.ndarray:
@@ -196,12 +219,12 @@ def _frozen(run: TransferRun, styles: Sequence[GaitClip], pairing: Pairing) -> F
 
 
 def _batch_losses(
-    network: TransformationNetwork, batch: Windows, frozen: Frozen, layout: ClipLayout
+    network: TransformationNetwork, batch: Windows, frozen: Frozen, layout: ClipLayout, keep_detail: bool
 ) -> dict[str, jax.Array]:
     """Returns the mean over a minibatch of each term."""
 
     def one(x: jax.Array, constraints: Constraints, group: jax.Array) -> dict[str, jax.Array]:
-        return window_losses(network(x), x, constraints, frozen.grams[group], frozen, layout)
+        return window_losses(network(x), x, constraints, frozen.grams[group], frozen, layout, keep_detail)
 
     terms = jax.vmap(one)(batch.x, batch.constraints, batch.group)
     return {name: jnp.mean(values) for name, values in terms.items()}
@@ -222,7 +245,7 @@ def _measure(
     count, size = len(windows.x), config.batch_size
     if not count:
         return {}
-    measure = jax.jit(partial(_batch_losses, layout=layout))
+    measure = jax.jit(partial(_batch_losses, layout=layout, keep_detail=config.keep_detail))
     found: dict[str, float] = dict.fromkeys(TERMS, 0.0)
     for start in range(0, count, size):
         # The last minibatch begins with its first windows again, so that one program serves all.
@@ -248,7 +271,7 @@ def _train(
 
     def step(state: TrainState, batch: Windows, frozen: Frozen) -> tuple[TrainState, jax.Array]:
         def loss(params: TransformationNetwork) -> jax.Array:
-            return _total(_batch_losses(params, batch, frozen, layout), config.weights)
+            return _total(_batch_losses(params, batch, frozen, layout, config.keep_detail), config.weights)
 
         found, gradient = jax.value_and_grad(loss)(state.params)
         updates, opt_state = tx.update(gradient, state.opt_state)
