@@ -69,7 +69,8 @@ def test_the_transfer_in_the_readme_runs(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_commands_are_shown():
-    assert {command[1] for command in commands()} >= {"prepare", "pretrain", "few-shot", "generate", "label-phase", "transfer", "train-transfer"}
+    shown = {command[1] for command in commands()}
+    assert shown >= {"prepare", "pretrain", "few-shot", "generate", "label-phase", "transfer", "train-transfer"}
 
 
 @pytest.mark.parametrize("command", sorted(set(commands())), ids=" ".join)
