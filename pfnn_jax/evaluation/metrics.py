@@ -90,10 +90,54 @@ def foot_skating(feet: np.ndarray, fps: float, ground: np.ndarray | float = 0.0,
 
     Source: Zhang et al. 2018 (MANN), section 8; later work also uses H = 0.033 m.
     """
-    speed = _horizontal_speed(feet, fps)
     height = feet[..., 1] - ground
-    share = np.clip((height[1:] + height[:-1]) / (2 * limit), 0.0, 1.0)
-    return float((speed * (2.0 - 2.0**share)).mean())
+    return float((_horizontal_speed(feet, fps) * _near_ground((height[1:] + height[:-1]) / 2, limit)).mean())
+
+
+def near_ground_skating(feet: np.ndarray, fps: float, ground: np.ndarray | float = 0.0, limit: float = 0.025) -> float:
+    """Returns the speed of feet near the ground in m/s, Σ ‖Δp‖ clamp(2 - 2^(|h| / H), 0, 1) over non-zero weights.
+
+    Unlike `foot_skating`, feet in the air do not lower it, as the sum is divided by the number of weights that are not
+    zero, and vertical motion counts. Divide by `fps` for the published distance per frame.
+
+    Args:
+        feet: [T, F, 3] metres, T at least 2.
+        fps: frames per second.
+        ground: [F] metres, resting heights (0 in the published code); h is the height above them after a step.
+        limit: H, metres.
+
+    Returns:
+        m/s, 0 if no foot is near the ground.
+
+    Source: code of RSMT (Tang et al. 2023), `skating_loss` of its benchmark.
+    """
+    weight = _near_ground(np.abs(feet[1:, :, 1] - ground), limit)
+    speed = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * fps
+    return float((speed * weight).sum() / max(np.count_nonzero(weight), 1))
+
+
+def sliding_over_travel(toes: np.ndarray, root: np.ndarray, height_limit: float = 0.01) -> float:
+    """Returns the mean horizontal step of toes near the ground over the mean horizontal step of the root.
+
+    The lowest toe of the motion is put at height 0. A step counts if it begins less than `height_limit` above that.
+    The published code also counts a step of length 0 after the last frame. In motion on the spot the ratio is large,
+    since its denominator is small.
+
+    Args:
+        toes: [T, F, 3] metres, T at least 2.
+        root: [T, 3] metres, the hips.
+        height_limit: metres.
+
+    Returns:
+        Dimensionless; 0 if no step counts, NaN if the root does not move.
+
+    Source: code of CAMDM (Chen et al. 2024), `cal_metric_foot_sliding` of its evaluation.
+    """
+    low = toes[:-1, :, 1] - toes[..., 1].min() < height_limit
+    steps, travel = _horizontal_speed(toes, 1.0)[low], _horizontal_speed(root, 1.0).mean()
+    if not steps.size:
+        return 0.0
+    return float(steps.mean() / travel) if travel > 0 else float("nan")
 
 
 def skating_ratio(
@@ -253,6 +297,11 @@ def nearest_pose_distance(poses: np.ndarray, real: np.ndarray) -> np.ndarray:
 def _chunks(rows: int, width: int, entries: int = 2_000_000):
     size = max(1, entries // max(1, width))
     return (slice(start, start + size) for start in range(0, rows, size))
+
+
+def _near_ground(height: np.ndarray, limit: float) -> np.ndarray:
+    """Returns the weight of a foot by its height: 1 on the ground and below, 0 from `limit` upwards."""
+    return 2.0 - 2.0 ** np.clip(height / limit, 0.0, 1.0)
 
 
 def _horizontal_speed(points: np.ndarray, fps: float) -> np.ndarray:

@@ -23,7 +23,13 @@ STRIDE = 30
 
 
 def motion_windows(
-    positions: np.ndarray, roles: Roles, fps: float, *, frames: int = WINDOW_FRAMES, stride: int = STRIDE
+    positions: np.ndarray,
+    roles: Roles,
+    fps: float,
+    *,
+    frames: int = WINDOW_FRAMES,
+    stride: int = STRIDE,
+    pad: bool = False,
 ) -> np.ndarray:
     """Returns windows of joint positions and velocities, each frame relative to its own root.
 
@@ -36,12 +42,15 @@ def motion_windows(
         fps: frames per second; motion at another rate than `WINDOW_FPS` is resampled linearly.
         frames: frames per window, at `WINDOW_FPS`.
         stride: frames between the starts of two windows.
+        pad: repeat the first and the last frame of motion that is shorter than one window.
 
     Returns:
         [N, frames, 6 J] float32, positions in metres and velocities in metres per second; N is 0 if the motion is
-        shorter than one window.
+        shorter than one window and not padded.
     """
     positions = _at_rate(np.asarray(positions, np.float64), fps)
+    if pad and (missing := frames + 1 - len(positions)) > 0:
+        positions = np.pad(positions, ((missing // 2, missing - missing // 2), (0, 0), (0, 0)), mode="edge")
     if len(positions) < frames + 1:
         return np.zeros((0, frames, 6 * positions.shape[1]), np.float32)
     root = root_motion(positions, roles, WINDOW_FPS)

@@ -1,16 +1,17 @@
-"""A small network that classifies the style of motion: recognition accuracy and Fréchet distance.
+"""A small network that classifies motion, by style or any other label: recognition accuracy and Fréchet distance.
 
 Its input is a window of one second of joint positions and velocities relative to the root of each frame. The window
 contains neither the character's position and heading on the ground nor bones, file names and lengths of takes. Two
 convolutions over time, a mean over the window and a dense layer compute features; a second dense layer computes the
-logits of the styles.
+logits of the labels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from flax import struct
 
 from pfnn_jax.errors import check_at_least, check_probability
 from pfnn_jax.models.dropout import drop
+from pfnn_jax.training.loop import chunks, no_progress, scan_steps, train_steps
 
 WIDTH = 5
 """Frames in the kernel of a convolution."""
@@ -76,7 +78,7 @@ class StyleClassifier:
 
 
 def init_classifier(
-    config: ClassifierConfig, num_columns: int, num_styles: int, mean: np.ndarray, std: np.ndarray
+    config: ClassifierConfig, num_columns: int, num_labels: int, mean: np.ndarray, std: np.ndarray
 ) -> StyleClassifier:
     """Returns an untrained classifier of windows with F columns: He-normal weights, zero biases."""
     keys = jax.random.split(jax.random.key(config.seed), 4)
@@ -84,7 +86,7 @@ def init_classifier(
         (WIDTH, num_columns, config.filters),
         (WIDTH, config.filters, config.filters),
         (config.filters, config.features),
-        (config.features, num_styles),
+        (config.features, num_labels),
     ]
     arrays = [
         jax.random.normal(key, shape) * (2.0 / np.prod(shape[:-1])) ** 0.5
@@ -101,14 +103,14 @@ def init_classifier(
 
 
 def train_classifier(
-    windows: np.ndarray, labels: np.ndarray, num_styles: int | None = None, config: ClassifierConfig | None = None
+    windows: np.ndarray, labels: np.ndarray, num_labels: int | None = None, config: ClassifierConfig | None = None
 ) -> StyleClassifier:
-    """Trains a classifier on real windows by cross entropy, with equal total weight for every style.
+    """Trains a classifier on real windows by cross entropy, with equal total weight for every label.
 
     Args:
         windows: [N, T, F] as returned by `motion_windows`, mirror images included.
-        labels: [N] style indices, from 0.
-        num_styles: S; the largest label plus one by default.
+        labels: [N] indices of styles, or of what else is told apart, from 0.
+        num_labels: L; the largest label plus one by default.
         config: sizes and schedule.
 
     Raises:
@@ -116,22 +118,25 @@ def train_classifier(
     """
     config = config or ClassifierConfig()
     labels = np.asarray(labels, np.int32)
-    _check(windows, labels, num_styles)
-    num_styles = int(labels.max()) + 1 if num_styles is None else num_styles
+    _check(windows, labels, num_labels)
+    num_labels = int(labels.max()) + 1 if num_labels is None else num_labels
     mean, std = windows.mean(axis=(0, 1)), np.maximum(windows.std(axis=(0, 1)), 1e-3)
-    classifier = init_classifier(config, windows.shape[-1], num_styles, mean, std)
-    count = np.bincount(labels, minlength=num_styles)
+    classifier = init_classifier(config, windows.shape[-1], num_labels, mean, std)
+    count = np.bincount(labels, minlength=num_labels)
     weight = jnp.asarray(np.where(count > 0, len(labels) / (np.maximum(count, 1) * (count > 0).sum()), 0.0))
     batch_size = min(config.batch_size, len(labels))
     rounds = len(labels) // batch_size
     num_steps = config.epochs * rounds
     state = (_trained(classifier), _optimiser(config, num_steps).init(_trained(classifier)))
-    on_device, targets = jnp.asarray(windows, jnp.float32), jnp.asarray(labels)
-    rng = np.random.default_rng(config.seed)
-    for epoch in range(config.epochs):
-        order = rng.permutation(len(labels))[: rounds * batch_size].reshape(rounds, batch_size)
-        key = jax.random.fold_in(jax.random.key(config.seed), epoch + 1)
-        state = _epoch(state, classifier, on_device, targets, weight, jnp.asarray(order), key, config, num_steps)
+    data, frozen = (jnp.asarray(windows, jnp.float32), jnp.asarray(labels)), (classifier, weight)
+    scan, rng = _compiled(config, num_steps), np.random.default_rng(config.seed)
+
+    def epoch(state: Any, first: int, count: int) -> tuple[Any, Any]:
+        order = rng.permutation(len(labels))[: count * batch_size].reshape(count, batch_size)
+        key = jax.random.fold_in(jax.random.key(config.seed), first // rounds + 1)
+        return scan(state, (jnp.asarray(order), jax.random.split(key, count)), data, frozen)
+
+    state = train_steps(state, epoch, chunks(0, num_steps, rounds), no_progress)
     return replace(classifier, **state[0])
 
 
@@ -141,22 +146,22 @@ def features(classifier: StyleClassifier, windows: np.ndarray) -> np.ndarray:
 
 
 def scores(classifier: StyleClassifier, windows: np.ndarray) -> np.ndarray:
-    """Returns the logits [N, S] of the styles for windows [N, T, F]."""
+    """Returns the logits [N, L] of the labels for windows [N, T, F]."""
     hidden = features(classifier, windows)
     return hidden @ np.asarray(classifier.weights[1]) + np.asarray(classifier.biases[3])
 
 
 def recognition_accuracy(classifier: StyleClassifier, windows: np.ndarray, labels: np.ndarray) -> float:
-    """Returns the share of windows [N, T, F] whose predicted style equals `labels` [N]."""
+    """Returns the share of windows [N, T, F] whose predicted label equals `labels` [N]."""
     return float(np.mean(scores(classifier, windows).argmax(axis=1) == np.asarray(labels)))
 
 
 def confusion_matrix(classifier: StyleClassifier, windows: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Returns the confusion matrix [S, S]: number of windows of style i (row) predicted as style j (column)."""
-    num_styles = classifier.biases[3].shape[0]
+    """Returns the confusion matrix [L, L]: number of windows of label i (row) predicted as label j (column)."""
+    num_labels = classifier.biases[3].shape[0]
     predicted = scores(classifier, windows).argmax(axis=1)
-    pairs = np.asarray(labels) * num_styles + predicted
-    return np.bincount(pairs, minlength=num_styles**2).reshape(num_styles, num_styles)
+    pairs = np.asarray(labels) * num_labels + predicted
+    return np.bincount(pairs, minlength=num_labels**2).reshape(num_labels, num_labels)
 
 
 def frechet_distance(features_a: np.ndarray, features_b: np.ndarray) -> float:
@@ -197,11 +202,11 @@ def shrunk_covariance(samples: np.ndarray) -> np.ndarray:
     return (1.0 - share) * covariance + share * target
 
 
-def _check(windows: np.ndarray, labels: np.ndarray, num_styles: int | None) -> None:
+def _check(windows: np.ndarray, labels: np.ndarray, num_labels: int | None) -> None:
     if windows.ndim != 3 or len(windows) != len(labels) or not len(labels):
         raise ValueError(f"`windows` must be [N, T, F] with N labels, got {windows.shape} and {labels.shape}.")
-    if labels.min() < 0 or (num_styles is not None and labels.max() >= num_styles):
-        raise ValueError(f"`labels` must lie in 0 to {num_styles}, got {labels.min()} to {labels.max()}.")
+    if labels.min() < 0 or (num_labels is not None and labels.max() >= num_labels):
+        raise ValueError(f"`labels` must lie in 0 to {num_labels}, got {labels.min()} to {labels.max()}.")
 
 
 def _trained(classifier: StyleClassifier) -> dict:
@@ -238,28 +243,37 @@ def _optimiser(config: ClassifierConfig, num_steps: int) -> optax.GradientTransf
     return optax.adam(optax.cosine_decay_schedule(config.learning_rate, num_steps))
 
 
-@partial(jax.jit, static_argnames=("config", "num_steps"), donate_argnums=0)
-def _epoch(state, classifier, windows, labels, weight, order, key, config: ClassifierConfig, num_steps: int):
-    """Returns (trained arrays, optimiser state) after one pass over windows in `order` [rounds, B]."""
+@lru_cache
+def _compiled(config: ClassifierConfig, num_steps: int) -> Callable:
+    """Returns compiled steps of training, (state, draws, data, frozen) -> (state, losses).
+
+    The state is (trained arrays, optimiser state), a draw (rows [B], key), data (windows, labels), and frozen
+    (classifier, weight of each label).
+    """
     tx = _optimiser(config, num_steps)
 
-    def loss(trained, rows, key):
+    def loss(trained, windows, labels, key, frozen):
+        classifier, weight = frozen
         model = replace(classifier, **trained)
         keys = jax.random.split(key, 3)
-        x = _normalised(model, windows[rows])
+        x = _normalised(model, windows)
         x = x + config.noise * jax.random.normal(keys[0], x.shape)
         hidden = drop(keys[1], jnp.float32(config.dropout), _layers(model, x, config.dropout, keys[2:]))
         logits = hidden @ model.weights[1] + model.biases[3][None]
-        own = optax.softmax_cross_entropy_with_integer_labels(logits, labels[rows])
-        return jnp.mean(weight[labels[rows]] * own)
+        own = optax.softmax_cross_entropy_with_integer_labels(logits, labels)
+        return jnp.mean(weight[labels] * own)
 
-    def body(state, step):
-        rows, key = step
+    def step(state, batch, frozen):
         trained, opt_state = state
-        updates, opt_state = tx.update(jax.grad(loss)(trained, rows, key), opt_state)
-        return (optax.apply_updates(trained, updates), opt_state), None
+        value, gradient = jax.value_and_grad(loss)(trained, *batch, frozen)
+        updates, opt_state = tx.update(gradient, opt_state)
+        return (optax.apply_updates(trained, updates), opt_state), value
 
-    return jax.lax.scan(body, state, (order, jax.random.split(key, len(order))))[0]
+    def read(data, draw):
+        (windows, labels), (rows, key) = data, draw
+        return windows[rows], labels[rows], key
+
+    return scan_steps(step, read)
 
 
 def _in_chunks(work, windows: np.ndarray) -> np.ndarray:
