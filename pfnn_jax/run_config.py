@@ -152,7 +152,7 @@ def check_new_run(path: str | Path, overwrite: bool = False, kind: str = CONTROL
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return path
     is_run = (path / "config.json").is_file()
-    if is_run and (found := _kind_at(path, kind)) != kind:
+    if is_run and (found := kind_at(path, kind)) != kind:
         raise InputError(path, "output", f"exists and is a {found} run", "choose another path")
     if kind == CONTROLLER and is_run and not overwrite and not has_shared(path):
         step, steps = train_progress(path) or (0, None)
@@ -164,10 +164,10 @@ def check_new_run(path: str | Path, overwrite: bool = False, kind: str = CONTROL
     return path
 
 
-def _kind_at(path: Path, otherwise: str) -> str:
+def kind_at(path: Path, otherwise: str = CONTROLLER) -> str:
     """Returns the kind of the run in a folder, or `otherwise` where its configuration cannot be read."""
     try:
-        return str(read_json(path / "config.json", RUN_RULE).get("kind", CONTROLLER))
+        return str(read_json((locate(path) or path) / "config.json", RUN_RULE).get("kind", CONTROLLER))
     except InputError:
         return otherwise
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -66,12 +66,12 @@ def read_rows(file: Path, layout: FrameLayout) -> InputRows:
     if phase.shape != size:
         each = f"{layout.phase_size} numbers" if layout.phase_size else "one phase"
         raise InputError(file, f"array {name}", f"shape {phase.shape}", f"must hold {each} for each of {len(x)} rows")
-    x, phase = _as_floats(file, "x", x), _as_floats(file, name, phase)
+    x, phase = as_floats(file, "x", x), as_floats(file, name, phase)
     if "styles" in arrays:
         styles = _as_indices(file, "styles", arrays["styles"], (len(x), None))
         if "weights" not in arrays:
             raise InputError(file, "array weights", "absent", "must accompany array styles")
-        weights = _as_floats(file, "weights", arrays["weights"])
+        weights = as_floats(file, "weights", arrays["weights"])
         if weights.shape != styles.shape:
             rule = f"must have the shape of styles, {styles.shape}"
             raise InputError(file, "array weights", f"shape {weights.shape}", rule)
@@ -89,21 +89,34 @@ def _phase_array(arrays: dict[str, np.ndarray], layout: FrameLayout) -> str:
 def _read_arrays(file: Path, layout: FrameLayout) -> dict[str, np.ndarray]:
     phase = "phase (or gating_x)" if layout.phase_size else "phase"
     rule = f"must be a NumPy .npz file with arrays x and {phase}"
+    found = read_arrays(file, ("x", "phase", "gating_x", "style", "styles", "weights"), rule)
+    for name in ("x", _phase_array(found, layout)):
+        if name not in found:
+            raise InputError(file, f"array {name}", "absent", rule)
+    return found
+
+
+def read_arrays(file: Path, names: Sequence[str], rule: str) -> dict[str, np.ndarray]:
+    """Returns those of the named arrays that a `.npz` file holds.
+
+    Args:
+        file: the archive; nothing in it is unpickled.
+        names: of the arrays.
+        rule: what the file should be, for messages.
+
+    Raises:
+        InputError: if the file cannot be read, or is no archive.
+    """
     try:
         with file.open("rb") as stream:  # opened here, because NumPy leaves a damaged file open
             arrays = _load(stream)
             if not isinstance(arrays, np.lib.npyio.NpzFile):
                 raise InputError(file, "file", "a single array", rule)
-            names = ("x", "phase", "gating_x", "style", "styles", "weights")
-            found = {name: arrays[name] for name in names if name in arrays}
+            return {name: arrays[name] for name in names if name in arrays}
     except InputError:
         raise
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(file, "file", failure(error), rule) from error
-    for name in ("x", _phase_array(found, layout)):
-        if name not in found:
-            raise InputError(file, f"array {name}", "absent", rule)
-    return found
 
 
 def _load(stream: BinaryIO) -> Any:
@@ -129,7 +142,7 @@ def _as_indices(file: Path, name: str, values: np.ndarray, shape: tuple[int | No
     return values.astype(np.int64)
 
 
-def _as_floats(file: Path, name: str, values: np.ndarray) -> np.ndarray:
+def as_floats(file: Path, name: str, values: np.ndarray) -> np.ndarray:
     """Returns the values in float64 after checking that all are finite in float32."""
     if values.dtype.kind not in "fiu":
         raise InputError(file, f"array {name}", values.dtype, "must hold real numbers")

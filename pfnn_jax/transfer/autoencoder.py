@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.models.convolution import POOLING, Convolution, average_depool, convolve_repeated, max_pool
+from pfnn_jax.models.convolution import POOLING, Convolution, convolve_repeated, max_pool
 from pfnn_jax.transfer.config import AutoencoderConfig
 
 
@@ -32,15 +32,25 @@ class MotionAutoencoder:
         chex.assert_is_divisible(x.shape[0], POOLING)
         return jax.nn.relu(max_pool(self.encoder(x)))
 
-    def decode(self, hidden: jax.Array) -> jax.Array:
-        """Returns the rows [T, D] of hidden units [T / 2, F]: Eq. 2, with average depooling."""
+    def decode(self, hidden: jax.Array, mask: jax.Array | None = None) -> jax.Array:
+        """Returns the rows [T, D] of hidden units [T / 2, F]: Eq. 2, with average depooling.
+
+        Args:
+            hidden: hidden units.
+            mask: [T / 2], 1 within a clip and 0 beyond its end, where a clip is padded to a longer one: its rows are
+                then those of the shorter clip. None where it is not padded.
+        """
         chex.assert_shape(hidden, (None, self.encoder.filters.shape[2]))
         # Depooled frames come in equal pairs, so the convolution is computed from the halved frames before they are
         # repeated; `average_depool` and a convolution are the same, at twice the cost.
-        halved = hidden / POOLING
-        if self.decoder is not None:
-            return convolve_repeated(halved, self.decoder.filters) + self.decoder.bias[None]
-        return convolve_repeated(halved - self.encoder.bias[None], transposed(self.encoder.filters))
+        value = hidden / POOLING
+        if self.decoder is None:
+            value = value - self.encoder.bias[None]
+        if mask is not None:
+            value = value * mask[:, None]
+        if self.decoder is None:
+            return convolve_repeated(value, transposed(self.encoder.filters))
+        return convolve_repeated(value, self.decoder.filters) + self.decoder.bias[None]
 
     def project(self, x: jax.Array) -> jax.Array:
         """Returns the reconstruction [T, D] of rows x [T, D]: the nearest motion that the hidden units can express."""

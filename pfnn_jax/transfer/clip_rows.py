@@ -6,9 +6,11 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.body_points import POINT_NAMES, find_body_points
-from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.clip import MotionClip, resample
 from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.ground import facing_of, to_local, to_world
+from pfnn_jax.motion.retargeting.retarget import retarget
+from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.trajectory import Root, relative_to_root, root_motion
 from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 from pfnn_jax.transfer.layout import LAYOUT_FPS, WINDOW_FRAMES, ClipLayout
@@ -24,6 +26,15 @@ MAX_HEIGHT = 0.056444 * np.array([3.0, 2.0, 3.0, 2.0])
 
 FEET = [POINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("foot", "toe")]
 """Points in the order of contacts: left heel, left toe, right heel, right toe."""
+
+
+def prepare_clip(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
+    """Returns a clip of any humanoid on a run's skeleton at the frame rate of rows, ready for `encode_clip`.
+
+    Raises:
+        InputError: if either skeleton has no humanoid map, no ankles, or a leg without length.
+    """
+    return resample(retarget(clip, skeleton).clip, LAYOUT_FPS)
 
 
 def encode_clip(clip: MotionClip | WorldMotion, layout: ClipLayout) -> np.ndarray:

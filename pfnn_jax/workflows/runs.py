@@ -3,35 +3,52 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, get_args, overload
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.interop.export.run import export_run
+from pfnn_jax.interop.released.holden2016 import import_released_autoencoder
 from pfnn_jax.interop.released.holden2017 import import_released_pfnn
 from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
 from pfnn_jax.run import Run, load_run, load_style, save_style
 from pfnn_jax.run_config import list_styles
+from pfnn_jax.transfer.run import TransferRun
 
 __all__ = ["Run", "export_run", "import_released", "list_styles", "load_run", "load_style", "save_style"]
 
-ReleasedKind = Literal["pfnn", "cp", "lpn"]
+ReleasedKind = Literal["pfnn", "cp", "lpn", "autoencoder"]
 
 
-def import_released(kind: ReleasedKind, directory: str | Path, out: str | Path, *, overwrite: bool = False) -> Run:
+@overload
+def import_released(
+    kind: Literal["pfnn", "cp", "lpn"], directory: str | Path, out: str | Path, *, overwrite: bool = False
+) -> Run: ...
+@overload
+def import_released(
+    kind: Literal["autoencoder"], directory: str | Path, out: str | Path, *, overwrite: bool = False
+) -> TransferRun: ...
+def import_released(
+    kind: ReleasedKind, directory: str | Path, out: str | Path, *, overwrite: bool = False
+) -> Run | TransferRun:
     """Makes a run from the authors' released weights, or from files that `export_run` wrote in the format `bins`.
 
     Args:
-        kind: `pfnn` (Holden 2017), `cp` (the files of Mason 2018's demo, with their description) or `lpn` (Mason 2022,
-            with its 100 styles).
-        directory: folder of `.bin` files.
+        kind: `pfnn` (Holden 2017), `cp` (the files of Mason 2018's demo, with their description), `lpn` (Mason 2022,
+            with its 100 styles) or `autoencoder` (Holden 2016), which makes a run of style transfer.
+        directory: folder of `.bin` files; for `autoencoder` of the two `.npz` files.
         out: the run's folder.
         overwrite: replace an existing run.
 
     Raises:
         InputError: for an unknown kind, a file that is absent or has the wrong size, or an existing run.
     """
-    importers = {"pfnn": import_released_pfnn, "cp": import_released_cp, "lpn": import_released_lpn}
+    importers = {
+        "pfnn": import_released_pfnn,
+        "cp": import_released_cp,
+        "lpn": import_released_lpn,
+        "autoencoder": import_released_autoencoder,
+    }
     if kind not in importers:
         raise InputError("import_released", "kind", kind, f"must be one of {', '.join(get_args(ReleasedKind))}")
     return importers[kind](directory, out, overwrite)

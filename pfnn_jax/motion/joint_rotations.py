@@ -1,0 +1,207 @@
+"""Joint rotations of a body with rigid bones, from positions of its points that need not fit any bones.
+
+From the hips outwards every joint is turned so that its bones point as the positions do. Where several bones leave a
+joint, at hips and chest, its rotation is their least-squares fit (Kabsch 1976). A thigh or upper arm is also turned
+about itself, into the plane in which its limb bends. What positions cannot show is kept from an initial motion: the
+twist of other bones and of straight limbs, the orientation of the head on its neck, the roll of feet, and joints that
+carry no point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pfnn_jax.motion.body_points import POINT_NAMES, POINT_PARENTS, BodyPoints
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.humanoid.tree import joint_tree
+from pfnn_jax.motion.kinematics import (
+    forward_kinematics,
+    quat_between,
+    quat_conjugate,
+    quat_from_axis_angle,
+    quat_from_matrix,
+    quat_multiply,
+    quat_rotate,
+)
+from pfnn_jax.motion.roles import chain_up
+from pfnn_jax.motion.skeleton import Skeleton
+
+PELVIS = [POINT_NAMES.index(name) for name in ("hips", "left_thigh", "right_thigh", "spine")]
+"""Points whose mean places the pelvis, so that the noise of one of them matters less."""
+
+STRAIGHT, BENT = 0.17, 0.5
+"""Sine of a limb's bend (10 and 30 degrees) up to which its plane says nothing, and from which on it decides."""
+
+FLEXIBLE = ("spine", "chest", "neck", "left_upper_arm", "right_upper_arm")
+"""Points that a joint between them and the one above, such as a clavicle, may move; thighs are rigid in the pelvis."""
+
+_SIDES = ("left", "right")
+LIMBS = {
+    f"{side}_{first}": tuple(POINT_NAMES.index(f"{side}_{part}") for part in (first, *others))
+    for side in _SIDES
+    for first, *others in (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
+}
+"""Points (root, middle, end) of each limb that bends in a plane, by the name of its root."""
+
+LEVEL = ("left_foot", "right_foot")
+"""Points whose joints keep their roll in the world: a foot stands flat however its shin leans."""
+
+Points = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """An initial motion, and what of it has been turned so far.
+
+    Attributes:
+        skeleton: J joints.
+        points: where the points are.
+        local, world: [T, J, 4] rotations of the initial motion.
+        joints: [T, J, 3] its joints in metres.
+        own: [T, 21, 3] its points.
+        turned: [T, J, 4] new world rotations.
+        places: [T, J, 3] new positions in metres, relative to joint 0.
+    """
+
+    skeleton: Skeleton
+    points: BodyPoints
+    local: np.ndarray
+    world: np.ndarray
+    joints: np.ndarray
+    own: np.ndarray
+    turned: np.ndarray
+    places: np.ndarray
+
+    def carry(self, joint: int) -> None:
+        """Moves a joint with its parent."""
+        parent = int(self.skeleton.parents[joint])
+        if parent < 0:
+            self.turned[:, joint], self.places[:, joint] = self.world[:, joint], 0.0
+            return
+        above = self.turned[:, parent]
+        self.turned[:, joint] = quat_multiply(above, self.local[:, joint])
+        self.places[:, joint] = self.places[:, parent] + quat_rotate(above, self.skeleton.offsets[joint])
+
+    def aim(self, joint: int, aimed: Points, positions: np.ndarray) -> None:
+        """Turns a joint so that these points lie in the directions that positions [T, 21, 3] give them."""
+        carried = self.world[:, joint] if self._is_level(joint) else self.turned[:, joint]
+        bones = [self.bone(joint, point) for point in aimed]
+        have = [quat_rotate(carried, bone) for bone in bones]
+        want = [self._wanted(joint, point, positions) for point in aimed]
+        turned = quat_multiply(best_rotation(np.stack(have, axis=1), np.stack(want, axis=1)), carried)
+        for limb in LIMBS.values():
+            if aimed == (limb[1],) and self.points.joints[limb[0]] == joint:
+                turned = quat_multiply(self._roll(joint, limb, turned, positions), turned)
+        self.turned[:, joint] = turned
+
+    def bone(self, joint: int, point: int) -> np.ndarray:
+        """Returns a point [T, 3] in the frame of a joint above it, in the initial motion."""
+        return quat_rotate(quat_conjugate(self.world[:, joint]), self.own[:, point] - self.joints[:, joint])
+
+    def _wanted(self, joint: int, point: int, positions: np.ndarray) -> np.ndarray:
+        """Returns the vector [T, 3] from a joint, where it is now, to a point."""
+        above = POINT_PARENTS[point]
+        carrier = int(self.points.joints[above])
+        start = self.places[:, carrier] + quat_rotate(self.turned[:, carrier], self.points.offsets[above])
+        return positions[:, point] - positions[:, above] - (self.places[:, joint] - start)
+
+    def _roll(self, joint: int, limb: Points, turned: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Returns the rotations [T, 4] about a limb's first bone into the plane in which the limb bends."""
+        root, middle, end = limb
+        upper, lower = self.bone(joint, middle), self.bone(joint, end) - self.bone(joint, middle)
+        along = _unit(quat_rotate(turned, upper))
+        own, bent = _plane(quat_rotate(turned, upper), quat_rotate(turned, lower))
+        plane, wanted = _plane(positions[:, middle] - positions[:, root], positions[:, end] - positions[:, middle])
+        share = np.clip((np.minimum(bent, wanted) - STRAIGHT) / (BENT - STRAIGHT), 0.0, 1.0)[:, None]
+        share = share * share * (3.0 - 2.0 * share)
+        into = share * plane + (1.0 - share) * own
+        angle = np.arctan2(np.sum(np.cross(own, into) * along, axis=-1), np.sum(own * into, axis=-1))
+        return quat_from_axis_angle(along, angle)
+
+    def _is_level(self, joint: int) -> bool:
+        return any(self.points.joints[POINT_NAMES.index(name)] == joint for name in LEVEL)
+
+
+def rotations_from_positions(
+    skeleton: Skeleton, points: BodyPoints, positions: np.ndarray, initial: MotionClip
+) -> MotionClip:
+    """Returns the clip on rigid bones whose points lie as given positions do.
+
+    The positions of the initial motion's own points give back the initial motion.
+
+    Args:
+        skeleton: J joints.
+        points: where its points are (`find_body_points`).
+        positions: [T, 21, 3] metres in the world.
+        initial: T frames on the skeleton, facing as the positions do. It decides what positions do not show.
+    """
+    joints, world = forward_kinematics(skeleton, initial.root_positions, initial.rotations)
+    own = points.positions(joints, world)
+    body = _Body(skeleton, points, initial.rotations, world, joints, own, np.empty_like(world), np.empty_like(joints))
+    aims = _aims(skeleton, points)
+    for joint in range(skeleton.num_joints):
+        body.carry(joint)
+        if joint in aims:
+            body.aim(joint, aims[joint], positions)
+    _share_twist(body)
+    pelvis = points.positions(body.places, body.turned)[:, PELVIS].mean(axis=1)
+    local = body.turned.copy()
+    local[:, 1:] = quat_multiply(quat_conjugate(body.turned[:, skeleton.parents[1:]]), body.turned[:, 1:])
+    local = np.where(np.sum(local * initial.rotations, axis=-1, keepdims=True) < 0, -local, local)
+    return replace(initial, root_positions=positions[:, PELVIS].mean(axis=1) - pelvis, rotations=local)
+
+
+def best_rotation(have: np.ndarray, want: np.ndarray) -> np.ndarray:
+    """Returns the rotations [T, 4] that turn N vectors [T, N, 3] towards others: the least-squares fit (Kabsch 1976).
+
+    For a single vector it is the shortest arc, which is the identity where one of both is zero.
+    """
+    if have.shape[1] == 1:
+        return quat_between(have[:, 0], want[:, 0])
+    left, _, right = np.linalg.svd(np.einsum("tni,tnj->tij", want, have))
+    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    return quat_from_matrix(left @ right)
+
+
+def _aims(skeleton: Skeleton, points: BodyPoints) -> dict[int, Points]:
+    """Returns joint -> points that it is turned towards."""
+    aims: dict[int, Points] = {}
+    for point, above in enumerate(POINT_PARENTS):
+        if above < 0:
+            continue
+        end = int(points.joints[point])
+        start = joint_tree(tuple(skeleton.parents.tolist())).fork((int(points.joints[above]), end))
+        chain = chain_up(skeleton.parents, end)
+        between = chain[: chain.index(start)][::-1]
+        if end in between and not points.offsets[point].any():
+            between.remove(end)
+        first = POINT_NAMES[point] in FLEXIBLE and between
+        for joint in {start, between[0]} if first else {start}:
+            aims[joint] = (*aims.get(joint, ()), point)
+    return aims
+
+
+def _share_twist(body: _Body) -> None:
+    """Gives the spine half of the twist between pelvis and chest, where the chest hangs from it."""
+    spine, chest = (int(body.points.joints[POINT_NAMES.index(name)]) for name in ("spine", "chest"))
+    if body.skeleton.parents[chest] != spine:
+        return
+    axis = _unit(body.places[:, chest] - body.places[:, spine])
+    changes = [quat_multiply(body.turned[:, j], quat_conjugate(body.world[:, j])) for j in (spine, chest)]
+    between = quat_multiply(changes[1], quat_conjugate(changes[0]))
+    half = np.arctan2(np.sum(between[:, 1:] * axis, axis=-1), between[:, 0])
+    half = (half + np.pi / 2) % np.pi - np.pi / 2  # the shorter way round
+    body.turned[:, spine] = quat_multiply(quat_from_axis_angle(axis, half), body.turned[:, spine])
+
+
+def _plane(upper: np.ndarray, lower: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the unit normal [T, 3] of the plane of two bones, or zero, and the sine [T] of their angle."""
+    normal = np.cross(upper, lower)
+    lengths = np.linalg.norm(upper, axis=-1) * np.linalg.norm(lower, axis=-1)
+    return _unit(normal), np.linalg.norm(normal, axis=-1) / np.maximum(lengths, 1e-12)
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12)
