@@ -31,9 +31,17 @@ from pathlib import Path
 from typing import Any
 
 import tyro
+from pfnn_jax.workflows.transfer import train_transfer, transfer_clip
 
 from experiments.common.any_clip_takes import SOURCES, Trial, find_trial
-from experiments.common.style_walk_judge import Judge, Takes, deal_files, judge_clip, make_judge, read_takes, recognition
+from experiments.common.style_walk_judge import (
+    Judge,
+    Takes,
+    deal_files,
+    judge_clip,
+    make_judge,
+    read_takes,
+)
 from experiments.common.transfer_against_few_shot_table import write_results
 from pfnn_jax.control.controller import Controller, make_controller
 from pfnn_jax.errors import InputError
@@ -54,7 +62,6 @@ from pfnn_jax.viewer.draw.drawing import save_figure
 from pfnn_jax.viewer.draw.filmstrip import filmstrip
 from pfnn_jax.workflows.base import BASE_NETWORK
 from pfnn_jax.workflows.learn import default_config, learn_style, precompile
-from pfnn_jax.workflows.transfer import train_transfer, transfer_clip
 
 NEUTRAL = "normal"
 """Style of the contents."""
@@ -91,7 +98,7 @@ class Config:
     takes: int = 2
     fast: bool = True
     epochs: int = 100
-    classifier_epochs: int = 12
+    classifier_epochs: int = 6
     seed: int = 0
 
 
@@ -212,7 +219,9 @@ def judge_content(
         rows.append({**_row(key, name, method, judge_clip(made[method], key, judge)), **about})
     real = takes.test[key][0]
     shown = [AnnotatedClip(f"real, {style}", real), *(AnnotatedClip(method, one) for method, one in made.items())]
-    save_figure(filmstrip(*shown, moments=6, title=f"{name} as {style}"), out / "pictures" / f"{style}__{name}.png", dpi=72)
+    save_figure(
+        filmstrip(*shown, moments=6, title=f"{name} as {style}"), out / "pictures" / f"{style}__{name}.png", dpi=72
+    )
     return rows
 
 

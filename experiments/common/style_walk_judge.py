@@ -95,9 +95,7 @@ def make_judge(takes: Takes, epochs: int) -> Judge:
     return Judge(classifier, styles, cycles, speeds)
 
 
-def judge_clip(
-    clip: MotionClip, key: Key, judge: Judge, *, without: int | None = None
-) -> dict[str, float | None]:
+def judge_clip(clip: MotionClip, key: Key, judge: Judge, *, without: int | None = None) -> dict[str, float | None]:
     """Returns the measures of a clip as a walk of a style and content.
 
     Args:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,9 @@ COMPARED = ("recognition", "distance", "trunk", "arms", "legs", "sliding", "skat
 
 PAIRS = (("few-shot", "optimisation"), ("few-shot", "fast network"), ("fast network", "optimisation"))
 
+BY_STYLE = ("recognition", "distance", "skating", "speed")
+BY_CONTENT = ("recognition", "distance", "skating")
+
 RESAMPLES = 2000
 """Of the bootstrap."""
 
@@ -41,22 +44,26 @@ Row = Mapping[str, Any]
 
 def write_results(out: Path, rows: Sequence[Row], settings: Mapping[str, str]) -> dict[str, Any]:
     """Writes report.json, report.html and table.md, and returns the content of the first."""
-    tables = {
-        "All styles": (["method", "walks", *(title for title, _ in MEASURES.values()), "failed"], summary(rows)),
-        "By style": (["style", "method", "walks", *_titles("recognition", "distance", "skating", "speed")], by_style(rows)),
-        "By content": (["content", "method", "walks", *_titles("recognition", "distance", "skating")], by_content(rows)),
+    shown = {
+        "All styles": (["method", *_titles(*MEASURES), "failed"], summary(rows)),
+        "By style": (["style", "method", *_titles(*BY_STYLE)], _by(rows, "style", BY_STYLE)),
+        "By content": (["content", "method", *_titles(*BY_CONTENT)], _by(rows, "content", BY_CONTENT)),
         "Pair by pair": (["first", "second", "measure", "difference", "95 %", "first better"], pairwise(rows)),
     }
+    tables = {title: Table(head, lines) for title, (head, lines) in shown.items()}
     result = {
         "config": dict(settings),
         "rows": list(rows),
-        **{title: [dict(zip(head, line, strict=True)) for line in lines] for title, (head, lines) in tables.items()},
+        **{
+            title: [dict(zip(table.columns, line, strict=True)) for line in table.rows]
+            for title, table in tables.items()
+        },
     }
-    sections = [Section(title, table=Table(head, lines)) for title, (head, lines) in tables.items()]
+    sections = [Section(title, table=table) for title, table in tables.items()]
     pictures = sorted((out / "pictures").glob("*.png"))
     sections.append(Section("Pictures", figures=[(path.stem, _figure(path)) for path in pictures]))
     write_report(out, result, sections, title="Style transfer against few-shot learning", overwrite=True)
-    text = "\n".join(f"{title}\n\n{markdown_table(head, lines)}" for title, (head, lines) in tables.items())
+    text = "\n".join(f"{title}\n\n{markdown_table(table.columns, table.rows)}" for title, table in tables.items())
     write_whole(out / "table.md", text)
     print(text)
     return result
@@ -70,16 +77,6 @@ def summary(rows: Sequence[Row]) -> list[list[Any]]:
         failed = sum(bool(row["fault"]) for row in own)
         lines.append([method, str(len(own)), *(_spread(own, measure) for measure in MEASURES), str(failed)])
     return lines
-
-
-def by_style(rows: Sequence[Row]) -> list[list[Any]]:
-    """Returns one line for each style and method."""
-    return _by(rows, "style", ("recognition", "distance", "skating", "speed"))
-
-
-def by_content(rows: Sequence[Row]) -> list[list[Any]]:
-    """Returns one line for each content and method."""
-    return _by(rows, "content", ("recognition", "distance", "skating"))
 
 
 def pairwise(rows: Sequence[Row]) -> list[list[Any]]:
@@ -152,7 +149,7 @@ def _values(rows: Sequence[Row], field: str) -> list[str]:
 
 
 def _titles(*measures: str) -> list[str]:
-    return [MEASURES[measure][0] for measure in measures]
+    return ["walks", *(MEASURES[measure][0] for measure in measures)]
 
 
 def _figure(path: Path) -> Any:

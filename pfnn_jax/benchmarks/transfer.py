@@ -5,6 +5,7 @@ Sizes are those of Holden et al. 2017. Parameters are random and clips procedura
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,10 +20,12 @@ from pfnn_jax.control.ik.fix_feet import fix_feet
 from pfnn_jax.errors import check_at_least
 from pfnn_jax.models.convolution import Convolution
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.transfer.autoencoder import MotionAutoencoder, init_autoencoder
-from pfnn_jax.transfer.clip_rows import cut_windows, decode_rows, encode_clip
+from pfnn_jax.transfer.autoencoder import MotionAutoencoder, config_of, init_autoencoder
+from pfnn_jax.transfer.autoencoder_training import fit_statistics
+from pfnn_jax.transfer.clip_rows import encode_clip, prepare_clip
 from pfnn_jax.transfer.config import (
     AutoencoderConfig,
     OptimisationConfig,
@@ -32,7 +35,8 @@ from pfnn_jax.transfer.config import (
 from pfnn_jax.transfer.finish import finish_clip
 from pfnn_jax.transfer.layout import HOLDEN2017, LAYOUT_FPS, WINDOW_FRAMES
 from pfnn_jax.transfer.optimisation import optimise
-from pfnn_jax.transfer.run import TransferRun
+from pfnn_jax.transfer.pairing import GaitClip, pair_by_gait
+from pfnn_jax.transfer.run import TransferRun, TransferRunConfig
 from pfnn_jax.transfer.transformation import TransformationNetwork, init_transformation
 from pfnn_jax.transfer.transformation_training import train_transformation
 
@@ -177,9 +181,7 @@ def fast_figures(sizes: TransferSizes, repetitions: int) -> list[Figure]:
         seconds = interleave(works, repetitions)
         aim = FAST_AIMS.get(num_frames)
         figures += [
-            figure(
-                section, f"{num_frames} frames, {name}", 1e3 * value, "ms", at_most=aim if name == "ours" else None
-            )
+            figure(section, f"{num_frames} frames, {name}", 1e3 * value, "ms", at_most=aim if name == "ours" else None)
             for name, value in seconds.items()
         ]
         naive = seconds["XLA's convolutions"] / seconds["ours"]
@@ -189,7 +191,8 @@ def fast_figures(sizes: TransferSizes, repetitions: int) -> list[Figure]:
 
 def optimisation_works(sizes: TransferSizes) -> dict[int, Work]:
     """Returns the optimisation of a clip towards the style of a clip of four seconds, by number of frames."""
-    run, settings = random_run(sizes), OptimisationConfig(sizes.iterations, sizes.constraint_iterations)
+    run = random_run(sizes)
+    settings = OptimisationConfig(iterations=sizes.iterations, constraint_iterations=sizes.constraint_iterations)
     style = [encode_clip(walking_clip(WINDOW_FRAMES, "zombie"), HOLDEN2017)]
     return {
         num_frames: partial(
@@ -208,3 +211,52 @@ def optimisation_figures(sizes: TransferSizes, repetitions: int) -> list[Figure]
         figure(section, f"{name} frames", value, "s", at_most=OPTIMISATION_AIMS.get(int(name)))
         for name, value in seconds.items()
     ]
+
+
+def training_figures(sizes: TransferSizes) -> list[Figure]:
+    """Measures the steps of one epoch of training for one style, and says what 100 epochs would take.
+
+    The minutes of 100 epochs are extrapolated from the median step of one epoch, without compilation and without the
+    loss on held-out clips.
+    """
+    run, clip_frames = random_run(sizes), 4 * WINDOW_FRAMES
+    count = max(1, round(sizes.minutes * 60 * LAYOUT_FPS / clip_frames))
+    rows = encode_clip(walking_clip(clip_frames), HOLDEN2017)
+    contents = [GaitClip(rows, "walk")] * count
+    styles = [GaitClip(encode_clip(walking_clip(WINDOW_FRAMES, "zombie"), HOLDEN2017), "walk")]
+    config = TransformationTrainingConfig(
+        network=TransformationConfig(sizes.hidden, sizes.width), epochs=1, held_out=0.0, steps_per_dispatch=1
+    )
+    reports: list[tuple[float, int]] = []
+    train_transformation(
+        run,
+        contents,
+        styles,
+        pair_by_gait(contents, styles, HOLDEN2017),
+        config,
+        progress_callback=lambda progress: reports.append((time.perf_counter(), progress.steps)),
+    )
+    times, steps = np.array([at for at, _ in reports]), reports[-1][1]
+    step = np.diff(times) if len(times) > 1 else np.array([np.nan])
+    section = f"style transfer, training on {sizes.minutes:g} minutes"
+    minutes = EPOCHS * steps * step / 60
+    return [
+        figure(section, f"step of {config.batch_size} windows", step, "s"),
+        figure(section, "one epoch", steps * step, "s"),
+        figure(section, f"{EPOCHS} epochs, extrapolated", minutes, "min", at_most=TRAINING_AIM),
+    ]
+
+
+def command_figures(sizes: TransferSizes, repetitions: int) -> list[Figure]:
+    """Measures what a command does before and after the network: the clip to rows, rows to the clip, foot locking."""
+    num_frames = sizes.frames[0]
+    section, skeleton = f"style transfer, clip of {num_frames} frames", synthetic_skeleton()
+    clip = walking_clip(num_frames)
+    rows = encode_clip(clip, HOLDEN2017)
+    works: dict[str, Work] = {
+        "retarget and encode": lambda: encode_clip(prepare_clip(clip, skeleton), HOLDEN2017),
+        "decode and fit rotations": lambda: finish_clip(rows, clip, skeleton, HOLDEN2017, foot_ik=False).rotations,
+        "lock feet": lambda: fix_feet(clip).rotations,
+    }
+    seconds = interleave(works, repetitions)
+    return [figure(section, name, 1e3 * value, "ms") for name, value in seconds.items()]
