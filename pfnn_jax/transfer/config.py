@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
-from pfnn_jax.errors import check_at_least, check_field, check_not_negative, check_positive, check_probability
+from pfnn_jax.errors import (
+    check_at_least,
+    check_field,
+    check_not_negative,
+    check_one_of,
+    check_positive,
+    check_probability,
+)
+
+Start = Literal["content", "noise"]
 
 
 @dataclass(frozen=True)
@@ -55,3 +65,99 @@ class AutoencoderTrainingConfig:
         check_positive(self, "learning_rate")
         check_not_negative(self, "l1", "seed")
         check_probability(self, "dropout")
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the losses of a moved clip (Holden et al. 2017, Eq. 4 to 9).
+
+    Attributes:
+        content: c, of the hidden units' mean squared difference from the content's.
+        style: s, of the Gram matrix' mean squared difference from the style's.
+        foot: of the mean squared velocity of feet on the ground, (m/s)².
+        bone: of the mean squared error of bone lengths, cm².
+        trajectory: of the mean squared error of the root's velocity, (m/s)² and (rad/s)².
+    """
+
+    content: float = 1.0
+    style: float = 0.01
+    foot: float = 0.1
+    bone: float = 0.01
+    trajectory: float = 0.1
+
+    def __post_init__(self):
+        check_not_negative(self, "content", "style", "foot", "bone", "trajectory")
+
+
+@dataclass(frozen=True)
+class OptimisationConfig:
+    """How a clip is moved by optimisation over its hidden units (Holden et al. 2016).
+
+    Attributes:
+        weights: of the losses; content and style act in the first loop, the constraints in the second.
+        iterations: steps of the first loop.
+        constraint_iterations: steps of the second.
+        learning_rate: of Adam in both.
+        start: begin at the content's hidden units, or at noise, as the authors' code.
+        scale_speed: whether the result follows the content's path at the style's speed, or at its own.
+    """
+
+    weights: LossWeights = LossWeights()
+    iterations: int = 250
+    constraint_iterations: int = 100
+    learning_rate: float = 0.01
+    start: Start = "content"
+    scale_speed: bool = True
+
+    def __post_init__(self):
+        check_at_least(self, "iterations", "constraint_iterations", least=0)
+        check_positive(self, "learning_rate")
+        check_one_of(self, "start", get_args(Start))
+
+
+@dataclass(frozen=True)
+class TransformationConfig:
+    """Sizes of the transformation network.
+
+    Attributes:
+        hidden: units of both hidden layers.
+        width: W frames that a filter spans, odd.
+    """
+
+    hidden: int = 128
+    width: int = 25
+
+    def __post_init__(self):
+        check_at_least(self, "hidden", "width")
+        check_field(self, "width", "be odd", lambda width: width % 2 == 1)
+
+
+@dataclass(frozen=True)
+class TransformationTrainingConfig:
+    """How a transformation network is trained to one style.
+
+    Attributes:
+        network: its sizes.
+        weights: of the losses.
+        epochs: passes over the windows of the contents (100 in the paper).
+        batch_size: windows of a minibatch.
+        learning_rate: of Adam at the first step; it falls to zero along a cosine.
+        held_out: share of the contents' clips that the loss is measured on and that training does not see.
+        seed: of initialisation and shuffling.
+        steps_per_dispatch: steps that are compiled into one call, and between two reports of the loss.
+    """
+
+    network: TransformationConfig = TransformationConfig()
+    weights: LossWeights = LossWeights()
+    epochs: int = 100
+    batch_size: int = 8
+    learning_rate: float = 1e-3
+    held_out: float = 0.1
+    seed: int = 0
+    steps_per_dispatch: int = 25
+
+    def __post_init__(self):
+        check_at_least(self, "epochs", "batch_size", "steps_per_dispatch")
+        check_positive(self, "learning_rate")
+        check_not_negative(self, "seed")
+        check_probability(self, "held_out")

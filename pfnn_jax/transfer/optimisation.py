@@ -1,0 +1,229 @@
+"""Style transfer by optimisation over hidden units (Holden et al. 2016, the method that the paper of 2017 replaces).
+
+A first loop moves hidden units from the content's until their Gram matrix is the style's, a second one until the decoded
+motion obeys the content's constraints. Both are compiled into one program, for clips padded to a few lengths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import struct
+
+from pfnn_jax.models.convolution import POOLING
+from pfnn_jax.motion.features.normaliser import Statistics
+from pfnn_jax.transfer.autoencoder import MotionAutoencoder
+from pfnn_jax.transfer.clip_rows import pad_rows
+from pfnn_jax.transfer.config import LossWeights, OptimisationConfig
+from pfnn_jax.transfer.layout import ClipLayout
+from pfnn_jax.transfer.losses import (
+    Constraints,
+    bone_loss,
+    content_constraints,
+    content_loss,
+    foot_loss,
+    gram,
+    root_motion,
+    style_loss,
+    trajectory_loss,
+)
+from pfnn_jax.transfer.run import TransferRun
+
+MARGIN = 26
+"""Frames of padding at both ends of a clip. Beyond its ends a convolution reads zeros, the mean pose, and a frame of the
+result sees 25 frames to either side through encoder and decoder."""
+
+LENGTHS_PER_OCTAVE = 4
+"""Lengths that clips are padded to, for each doubling: padding adds at most a quarter."""
+
+SPEED_RATIOS = (0.4, 2.5)
+"""Bounds of the ratio of speeds."""
+
+MIN_SPEED = 0.3
+"""Metres per second below which a clip stands, and has no speed to scale."""
+
+
+@struct.dataclass
+class Task:
+    """One clip to move, padded to [P, D]; all arrays on the device.
+
+    Attributes:
+        content: [P / 2, F] the content's hidden units.
+        target: [F, F] Gram matrix of the style.
+        constraints: of the P frames.
+        mask: [P] 1 for the clip's frames and 0 for padding.
+    """
+
+    content: jax.Array
+    target: jax.Array
+    constraints: Constraints
+    mask: jax.Array
+
+
+def optimise(
+    run: TransferRun,
+    content_rows: np.ndarray,
+    style_rows: Sequence[np.ndarray],
+    config: OptimisationConfig | None = None,
+    *,
+    key: jax.Array,
+) -> np.ndarray:
+    """Returns the rows [T, D] of the content in the style, in layout units.
+
+    Args:
+        run: its autoencoder, statistics and layout.
+        content_rows: [T, D] in layout units.
+        style_rows: one or more clips of the style, [S, D] each.
+        config: weights and schedule.
+        key: of the noise where the optimisation starts at noise.
+    """
+    config, frames = config or OptimisationConfig(), len(content_rows)
+    task = make_task(run, content_rows, style_rows, scale_speed=config.scale_speed)
+    weights = jax.tree.map(jnp.float32, vars(config.weights))
+    rows, _ = _optimise(
+        run.autoencoder, _arrays(run.statistics), task, weights, jnp.float32(config.learning_rate), key,
+        layout=run.layout, config=replace(config, weights=LossWeights(), learning_rate=1.0),
+    )  # fmt: skip
+    return np.asarray(rows[MARGIN : MARGIN + frames], np.float64)
+
+
+def make_task(
+    run: TransferRun, content_rows: np.ndarray, style_rows: Sequence[np.ndarray], *, scale_speed: bool = True
+) -> Task:
+    """Returns the task of moving a content [T, D] into the style of some clips [S, D], in layout units."""
+    frames, ratio = len(content_rows), 1.0
+    if scale_speed:
+        ratio = speed_ratio(content_rows, style_rows, run.layout)
+    size = padded_length(frames)
+    return Task(
+        content=hidden_units(run, content_rows),
+        target=style_gram(run, style_rows),
+        constraints=content_constraints(pad_edges(content_rows, size), run.layout, ratio),
+        mask=clip_mask(frames, size),
+    )
+
+
+def style_gram(run: TransferRun, style_rows: Sequence[np.ndarray]) -> jax.Array:
+    """Returns the Gram matrix [F, F] of all frames of some clips [S, D] of one style, in layout units."""
+    frames = [len(rows) for rows in style_rows]
+    grams = [
+        gram(hidden_units(run, rows), loss_mask(clip_mask(len(rows), padded_length(len(rows))))) for rows in style_rows
+    ]
+    return sum(one * (count / sum(frames)) for one, count in zip(grams, frames, strict=True))
+
+
+def hidden_units(run: TransferRun, rows: np.ndarray) -> jax.Array:
+    """Returns the hidden units [P / 2, F] of a clip [T, D] in layout units, padded as in `pad_edges`."""
+    padded = run.statistics.apply(pad_edges(rows, padded_length(len(rows))))
+    return _encode(run.autoencoder, jnp.asarray(padded, jnp.float32))
+
+
+def speed_ratio(content_rows: np.ndarray, style_rows: Sequence[np.ndarray], layout: ClipLayout) -> float:
+    """Returns the mean speed of the style over that of the content, within bounds; 1 if either of them stands."""
+    content = mean_speed(content_rows, layout)
+    style = float(np.average([mean_speed(rows, layout) for rows in style_rows], weights=[len(r) for r in style_rows]))
+    if min(content, style) < MIN_SPEED:
+        return 1.0
+    return float(np.clip(style / content, *SPEED_RATIOS))
+
+
+def mean_speed(rows: np.ndarray, layout: ClipLayout) -> float:
+    """Returns the mean speed of the root of rows [T, D] in metres per second."""
+    return float(np.linalg.norm(root_motion(rows, layout)[0], axis=-1).mean())
+
+
+def padded_length(frames: int) -> int:
+    """Returns P, the even number of frames that a clip is padded to: margins, and one of a few lengths."""
+    needed = frames + 2 * MARGIN
+    step = max(2 ** (needed.bit_length() - 1) // LENGTHS_PER_OCTAVE, POOLING)
+    return -(-needed // step) * step
+
+
+def pad_edges(rows: np.ndarray, size: int) -> np.ndarray:
+    """Pads rows [T, D] to [P, D] by `MARGIN` times the first row, and the last row to the end.
+
+    The root moves on as in the clip's first and last frame: standing still would add frames of another gait.
+    """
+    return np.pad(rows, ((MARGIN, size - MARGIN - len(rows)), (0, 0)), mode="edge")
+
+
+def clip_mask(frames: int, size: int) -> np.ndarray:
+    """Returns [P], 1 for the frames of a clip in its padded rows and 0 for padding."""
+    mask = np.zeros(size, np.float32)
+    mask[MARGIN : MARGIN + frames] = 1.0
+    return mask
+
+
+def loss_mask(mask: jax.Array | np.ndarray) -> jax.Array:
+    """Returns the weights [P / 2] of hidden units: those that frames of the clip are decoded from count alike."""
+    pairs = mask.reshape(-1, POOLING).max(axis=1)
+    reach = MARGIN // (2 * POOLING)
+    padded = jnp.pad(jnp.asarray(pairs), reach)
+    return jnp.max(jnp.stack([padded[shift : shift + len(pairs)] for shift in range(2 * reach + 1)]), axis=0)
+
+
+def _arrays(statistics: Statistics) -> tuple[jax.Array, jax.Array]:
+    return jnp.asarray(statistics.mean, jnp.float32), jnp.asarray(statistics.std, jnp.float32)
+
+
+@jax.jit
+def _encode(autoencoder: MotionAutoencoder, x: jax.Array) -> jax.Array:
+    return autoencoder.encode(x)
+
+
+@partial(jax.jit, static_argnames=("layout", "config"))
+def _optimise(
+    autoencoder: MotionAutoencoder,
+    statistics: tuple[jax.Array, jax.Array],
+    task: Task,
+    weights: dict[str, jax.Array],
+    learning_rate: jax.Array,
+    key: jax.Array,
+    *,
+    layout: ClipLayout,
+    config: OptimisationConfig,
+) -> tuple[jax.Array, jax.Array]:
+    """Returns the rows [P, D] in layout units, and the loss [n] of every iteration of the first loop."""
+    mean, std = statistics
+    counts = loss_mask(task.mask)
+
+    def decode(hidden: jax.Array) -> jax.Array:
+        return autoencoder.decode(hidden) * std[None] + mean[None]
+
+    def transfer_loss(hidden: jax.Array) -> jax.Array:
+        own = weights["content"] * content_loss(hidden, task.content, counts)
+        return own + weights["style"] * style_loss(hidden, task.target, counts)
+
+    def constraint_loss(hidden: jax.Array) -> jax.Array:
+        rows = decode(hidden)
+        losses = {"foot": foot_loss, "bone": bone_loss, "trajectory": trajectory_loss}
+        return sum(weights[name] * loss(rows, task.constraints, layout, task.mask) for name, loss in losses.items())
+
+    hidden = task.content
+    if config.start == "noise":
+        hidden = jnp.sqrt(jnp.diagonal(task.target))[None] * jnp.abs(jax.random.normal(key, hidden.shape))
+    hidden, losses = descend(transfer_loss, hidden, learning_rate, config.iterations)
+    hidden, _ = descend(constraint_loss, hidden, learning_rate, config.constraint_iterations)
+    return decode(hidden), losses
+
+
+def descend(
+    loss: Callable[[jax.Array], jax.Array], start: jax.Array, learning_rate: jax.Array, iterations: int
+) -> tuple[jax.Array, jax.Array]:
+    """Returns what `iterations` steps of Adam make of an array, and the loss [iterations] before each step."""
+    tx = optax.adam(learning_rate)
+
+    def step(state: tuple, _: None) -> tuple[tuple, jax.Array]:
+        value, opt_state = state
+        found, gradient = jax.value_and_grad(loss)(value)
+        updates, opt_state = tx.update(gradient, opt_state)
+        return (optax.apply_updates(value, updates), opt_state), found
+
+    (value, _), losses = jax.lax.scan(step, (start, tx.init(start)), None, length=iterations)
+    return value, losses

@@ -1,0 +1,276 @@
+"""Trains the transformation network of one style on many contents (Holden et al. 2017, Training), and applies it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import struct
+
+from pfnn_jax.errors import InputError
+from pfnn_jax.models.convolution import POOLING
+from pfnn_jax.training.loop import Progress, TrainState, check_finite, chunks, no_progress, scan_steps, train_steps
+from pfnn_jax.transfer.autoencoder import MotionAutoencoder
+from pfnn_jax.transfer.autoencoder_training import draw_order
+from pfnn_jax.transfer.clip_rows import cut_windows
+from pfnn_jax.transfer.config import AutoencoderTrainingConfig, LossWeights, TransformationTrainingConfig
+from pfnn_jax.transfer.layout import ClipLayout
+from pfnn_jax.transfer.losses import (
+    Constraints,
+    bone_loss,
+    content_constraints,
+    content_loss,
+    foot_loss,
+    style_loss,
+    trajectory_loss,
+)
+from pfnn_jax.transfer.optimisation import padded_length, speed_ratio, style_gram
+from pfnn_jax.transfer.pairing import GaitClip, Pairing
+from pfnn_jax.transfer.run import TransferRun
+from pfnn_jax.transfer.transformation import TransformationNetwork, init_transformation
+
+TERMS = ("content", "style", "foot", "bone", "trajectory")
+
+
+@struct.dataclass
+class Windows:
+    """Windows of contents, and what each must become.
+
+    Attributes:
+        x: [N, T, D] normalised.
+        constraints: leaves [N, ...].
+        group: [N] of the style's Gram matrices.
+    """
+
+    x: Any
+    constraints: Constraints
+    group: Any
+
+
+@struct.dataclass
+class Frozen:
+    """What training reads and does not change: the loss network, statistics [D], Gram matrices [G, F, F]."""
+
+    autoencoder: MotionAutoencoder
+    mean: jax.Array
+    std: jax.Array
+    grams: jax.Array
+
+
+def train_transformation(
+    run: TransferRun,
+    contents: Sequence[GaitClip],
+    styles: Sequence[GaitClip],
+    pairing: Pairing,
+    config: TransformationTrainingConfig | None = None,
+    *,
+    progress_callback: Callable[[Progress], Any] = no_progress,
+) -> tuple[TransformationNetwork, dict[str, Any]]:
+    """Returns the network of one style, trained by Adam on windows of contents (Eq. 10), and what training measured.
+
+    Args:
+        run: its autoencoder is the loss network.
+        contents: clips to learn from.
+        styles: clips of the style.
+        pairing: of both, as `pair_by_gait` returns it.
+        config: sizes, weights and schedule.
+        progress_callback: called after every chunk of steps.
+
+    Returns:
+        (network, metrics): `windows`, `loss` (mean of the last epoch), and the loss and each of its terms on held-out
+        clips before and after training, where clips are held out.
+
+    Raises:
+        InputError: if there is no content.
+        TrainingError: when the loss becomes non-finite.
+    """
+    config = config or TransformationTrainingConfig()
+    if not contents:
+        raise InputError("train_transformation", "contents", "none", "must be at least one clip")
+    held = _held_out(len(contents), config)
+    learned, tested = (_windows(run, contents, styles, pairing, which) for which in (~held, held))
+    frozen = _frozen(run, styles, pairing)
+    params = init_transformation(config.network, run.layout.size, key=jax.random.key(config.seed))
+    before = _measure(params, tested, frozen, run.layout, config)
+    params, losses = _train(params, learned, frozen, run.layout, config, progress_callback)
+    after = _measure(params, tested, frozen, run.layout, config)
+    epoch = -(-len(learned.x) // config.batch_size)
+    metrics = {"windows": len(learned.x), "held_out_windows": len(tested.x), "loss": float(losses[-epoch:].mean())}
+    return params, {**metrics, "held_out_before": before, "held_out": after}
+
+
+def window_losses(
+    moved: jax.Array,
+    x: jax.Array,
+    constraints: Constraints,
+    target: jax.Array,
+    frozen: Frozen,
+    layout: ClipLayout,
+) -> dict[str, jax.Array]:
+    """Returns the terms of Eq. 10, without weights, of one moved window.
+
+    Args:
+        moved, x: [T, D] normalised, result and content.
+        constraints: of the content.
+        target: [F, F] Gram matrix of the style.
+        frozen: loss network and statistics.
+        layout: of the rows.
+    """
+    hidden, rows = frozen.autoencoder.encode(moved), moved * frozen.std[None] + frozen.mean[None]
+    return {
+        "content": content_loss(hidden, frozen.autoencoder.encode(x)),
+        "style": style_loss(hidden, target),
+        "foot": foot_loss(rows, constraints, layout),
+        "bone": bone_loss(rows, constraints, layout),
+        "trajectory": trajectory_loss(rows, constraints, layout),
+    }
+
+
+def apply_network(
+    run: TransferRun, network: TransformationNetwork, rows: np.ndarray, *, project: bool = True
+) -> np.ndarray:
+    """Returns the rows [T, D] of a clip moved by a network, in layout units.
+
+    Args:
+        run: its autoencoder, statistics and layout.
+        network: of one style.
+        rows: [T, D] in layout units; clips of many lengths share a few compilations.
+        project: project the result onto the motions that the autoencoder can express.
+    """
+    frames = len(rows)
+    size = padded_length(frames)
+    x = np.zeros((size, rows.shape[1]), np.float32)
+    x[:frames] = run.statistics.apply(rows)
+    mask = (np.arange(size) < frames + frames % POOLING).astype(np.float32)
+    x[frames : frames + frames % POOLING] = x[frames - 1]  # the autoencoder pools pairs of frames
+    y = _apply(network, run.autoencoder, jnp.asarray(x), jnp.asarray(mask), project=project)
+    return np.asarray(run.statistics.invert(np.asarray(y[:frames], np.float64)))
+
+
+@partial(jax.jit, static_argnames="project")
+def _apply(
+    network: TransformationNetwork, autoencoder: MotionAutoencoder, x: jax.Array, mask: jax.Array, *, project: bool
+) -> jax.Array:
+    y = network(x, mask)
+    return autoencoder.decode(autoencoder.encode(y), mask[::POOLING]) if project else y
+
+
+def _held_out(count: int, config: TransformationTrainingConfig) -> np.ndarray:
+    """Returns which clips [N] are held out, at least one is not."""
+    held = np.zeros(count, bool)
+    order = np.random.default_rng(config.seed).permutation(count)
+    held[order[: min(round(config.held_out * count), count - 1)]] = True
+    return held
+
+
+def _windows(
+    run: TransferRun, contents: Sequence[GaitClip], styles: Sequence[GaitClip], pairing: Pairing, which: np.ndarray
+) -> Windows:
+    """Returns the windows of the contents that `which` [N] selects."""
+    layout, x, constraints, groups = run.layout, [], [], []
+    for index in np.flatnonzero(which):
+        rows, group = contents[index].rows, int(pairing.group_of[index])
+        ratio = speed_ratio(rows, [styles[member].rows for member in pairing.members[group]], layout)
+        for window in cut_windows(rows, layout):
+            x.append(np.asarray(run.statistics.apply(window), np.float32))
+            constraints.append(content_constraints(window, layout, ratio))
+            groups.append(group)
+    if not x:
+        return Windows(
+            np.zeros((0, 0, layout.size), np.float32), Constraints(*[np.zeros(0)] * 4), np.zeros(0, np.int32)
+        )
+    joined = jax.tree.map(lambda *leaves: np.stack(leaves), *constraints)
+    return Windows(np.stack(x), joined, np.array(groups, np.int32))
+
+
+def _frozen(run: TransferRun, styles: Sequence[GaitClip], pairing: Pairing) -> Frozen:
+    grams = [style_gram(run, [styles[member].rows for member in members]) for members in pairing.members]
+    mean, std = (jnp.asarray(values, jnp.float32) for values in (run.statistics.mean, run.statistics.std))
+    return Frozen(run.autoencoder, mean, std, jnp.stack(grams))
+
+
+def _batch_losses(
+    network: TransformationNetwork, batch: Windows, frozen: Frozen, layout: ClipLayout
+) -> dict[str, jax.Array]:
+    """Returns the mean over a minibatch of each term."""
+
+    def one(x: jax.Array, constraints: Constraints, group: jax.Array) -> dict[str, jax.Array]:
+        return window_losses(network(x), x, constraints, frozen.grams[group], frozen, layout)
+
+    terms = jax.vmap(one)(batch.x, batch.constraints, batch.group)
+    return {name: jnp.mean(values) for name, values in terms.items()}
+
+
+def _total(terms: dict[str, jax.Array], weights: LossWeights) -> jax.Array:
+    return sum((getattr(weights, name) * terms[name] for name in TERMS), start=jnp.zeros(()))
+
+
+def _measure(
+    network: TransformationNetwork,
+    windows: Windows,
+    frozen: Frozen,
+    layout: ClipLayout,
+    config: TransformationTrainingConfig,
+) -> dict[str, float]:
+    """Returns the loss and its terms on windows; empty if there are none."""
+    count, size = len(windows.x), config.batch_size
+    if not count:
+        return {}
+    measure = jax.jit(partial(_batch_losses, layout=layout))
+    found: dict[str, float] = dict.fromkeys(TERMS, 0.0)
+    for start in range(0, count, size):
+        # The last minibatch begins with its first windows again, so that one program serves all.
+        rows = np.arange(start, start + size) % count
+        terms = measure(network, jax.tree.map(lambda leaf, rows=rows: leaf[rows], windows), frozen)
+        for name in TERMS:
+            found[name] += float(terms[name]) / -(-count // size)
+    return {**found, "loss": sum(getattr(config.weights, name) * found[name] for name in TERMS)}
+
+
+def _train(
+    params: TransformationNetwork,
+    windows: Windows,
+    frozen: Frozen,
+    layout: ClipLayout,
+    config: TransformationTrainingConfig,
+    progress_callback: Callable[[Progress], Any],
+) -> tuple[TransformationNetwork, np.ndarray]:
+    """Returns the trained network and the loss [steps] of every step."""
+    count = len(windows.x)
+    steps = config.epochs * -(-count // config.batch_size)
+    tx = optax.adam(optax.cosine_decay_schedule(config.learning_rate, steps))
+
+    def step(state: TrainState, batch: Windows, frozen: Frozen) -> tuple[TrainState, jax.Array]:
+        def loss(params: TransformationNetwork) -> jax.Array:
+            return _total(_batch_losses(params, batch, frozen, layout), config.weights)
+
+        found, gradient = jax.value_and_grad(loss)(state.params)
+        updates, opt_state = tx.update(gradient, state.opt_state)
+        params = optax.apply_updates(state.params, updates)
+        return TrainState(params=params, opt_state=opt_state, step=state.step + 1), found
+
+    scan = scan_steps(step, lambda data, rows: jax.tree.map(lambda leaf: leaf[rows], data))
+    order = draw_order(count, AutoencoderTrainingConfig(steps=steps, batch_size=config.batch_size, seed=config.seed))
+    data, kept, started = jax.device_put(windows), [np.empty(0, np.float32)], time.perf_counter()
+
+    def report(state: TrainState, step: int, losses: Any) -> None:
+        nonlocal started
+        losses = np.asarray(losses)
+        check_finite(losses, step - losses.size, ("all",))
+        kept.append(losses)
+        rate = losses.size * config.batch_size * windows.x.shape[1] / (time.perf_counter() - started)
+        progress_callback(Progress(step, steps, float(losses.mean()), rate))
+        started = time.perf_counter()
+
+    state = TrainState(params=params, opt_state=tx.init(params), step=jnp.zeros((), jnp.int32))
+    plan = chunks(0, steps, config.steps_per_dispatch)
+    state = train_steps(
+        state, lambda state, first, count: scan(state, order[first : first + count], data, frozen), plan, report
+    )
+    return state.params, np.concatenate(kept)
