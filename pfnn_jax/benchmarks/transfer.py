@@ -101,12 +101,13 @@ def fast_transfer(parameters: FastTransfer, x: jax.Array) -> jax.Array:
 @jax.jit
 def xla_transfer(parameters: FastTransfer, x: jax.Array) -> jax.Array:
     """Returns the same as `fast_transfer` by XLA's own convolutions, and by depooling before the decoder's."""
-    encoder = parameters.autoencoder.encoder
-    for layer in parameters.network.layers[:-1]:
-        x = jax.nn.relu(_xla_convolve(x, layer.filters) + layer.bias)
-    x = _xla_convolve(x, parameters.network.layers[-1].filters) + parameters.network.layers[-1].bias
-    hidden = jax.nn.relu((_xla_convolve(x, encoder.filters) + encoder.bias).reshape(len(x) // 2, 2, -1).max(axis=1))
-    depooled = jnp.repeat(hidden / 2, 2, axis=0) - encoder.bias
+    encoder, (*layers, last) = parameters.autoencoder.encoder, parameters.network.layers
+    for layer in layers:
+        x = jax.nn.relu(_xla_convolve(x, layer.filters) + layer.bias[None])
+    x = _xla_convolve(x, last.filters) + last.bias[None]
+    value = _xla_convolve(x, encoder.filters) + encoder.bias[None]
+    hidden = jax.nn.relu(jnp.maximum(value[0::2], value[1::2]))
+    depooled = jnp.repeat(hidden / 2, 2, axis=0) - encoder.bias[None]
     return _xla_convolve(depooled, jnp.flip(encoder.filters, axis=0).swapaxes(1, 2))
 
 
