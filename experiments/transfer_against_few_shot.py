@@ -30,8 +30,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import jax
+import numpy as np
 import tyro
-from pfnn_jax.workflows.transfer import train_transfer, transfer_clip
 
 from experiments.common.any_clip_takes import SOURCES, Trial, find_trial
 from experiments.common.style_walk_judge import (
@@ -55,8 +56,14 @@ from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.run import Run, load_run
-from pfnn_jax.transfer.config import TransformationTrainingConfig
-from pfnn_jax.transfer.run import list_transformations
+from pfnn_jax.transfer.clip_rows import encode_clip, prepare_clip
+from pfnn_jax.transfer.config import OptimisationConfig, TransformationTrainingConfig
+from pfnn_jax.transfer.finish import finish_clip
+from pfnn_jax.transfer.optimisation import optimise
+from pfnn_jax.transfer.pairing import GaitClip, pair_by_gait
+from pfnn_jax.transfer.run import BASE_AUTOENCODER, TransferRun, load_transfer_run
+from pfnn_jax.transfer.transformation import TransformationNetwork
+from pfnn_jax.transfer.transformation_training import apply_network, train_transformation
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
 from pfnn_jax.viewer.draw.drawing import save_figure
 from pfnn_jax.viewer.draw.filmstrip import filmstrip
@@ -83,6 +90,7 @@ class Config:
         out: folder of results.
         mocap: folder of all motion capture.
         base: run on which styles are learned; the package's by default.
+        autoencoder: run whose autoencoder both methods of transfer use; the package's by default.
         styles: to transfer to; all but normal by default.
         takes: clips of each content that are transferred.
         fast: also train and judge the fast network of each style.
@@ -94,6 +102,7 @@ class Config:
     out: Path
     mocap: Path = Path("../shared/mocap")
     base: Path = BASE_NETWORK
+    autoencoder: Path = BASE_AUTOENCODER
     styles: tuple[str, ...] = ()
     takes: int = 2
     fast: bool = True
@@ -135,14 +144,14 @@ def main(config: Config) -> dict[str, Any]:
     known, test = deal_files(files)
     takes = Takes(read_takes(known), read_takes(test))
     judge = make_judge(takes, config.classifier_epochs)
-    characters = open_base(config)
+    methods = open_methods(takes, config)
     rows = []
     for style, trial in trials.items():
-        methods = learn(trial, known, characters, config)
-        rows += judge_real(style, takes, judge, characters.run)
+        makes = methods.learn(trial, config)
+        rows += judge_real(style, takes, judge, methods.characters.run)
         for content in CONTENTS:
             for clip in takes.test[NEUTRAL, content][: config.takes]:
-                rows += judge_content(style, clip, methods, takes, judge, config.out)
+                rows += judge_content(style, clip, makes, takes, judge, config.out)
         print(f"{style}: done", flush=True)
     settings = {name: str(value) for name, value in asdict(config).items()}
     return write_results(config.out, rows, settings)
@@ -165,48 +174,81 @@ def find_style(style: str, files: Sequence[ClipFile]) -> Trial:
     return trial
 
 
-def open_base(config: Config) -> Characters:
-    """Returns a copy of the base network, in which learned styles are kept."""
+Make = Callable[[MotionClip, Mapping[str, MotionClip]], tuple[MotionClip, float | None]]
+"""Makes a walk from the content and the walks made before, and says how far it is from the path that it follows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Methods:
+    """What learns a style and makes walks in it.
+
+    Attributes:
+        characters: of few-shot learning.
+        transfer: the run of both methods of transfer.
+        contents: what fast networks are trained on.
+    """
+
+    characters: Characters
+    transfer: TransferRun
+    contents: Sequence[GaitClip]
+
+    def learn(self, trial: Trial, config: Config) -> dict[str, Make]:
+        """Returns what makes walks in a style, learned from its clip by each method."""
+        style = GaitClip(self.rows_of(trial.learned.labelled.clip), trial.learned.file.content, trial.style)
+        settings, key = OptimisationConfig(), jax.random.key(config.seed)
+        makes = {
+            "optimisation": self._transfer(lambda rows: optimise(self.transfer, rows, [style.rows], settings, key=key))
+        }
+        if config.fast:
+            network: list[TransformationNetwork] = []  # trained when the first of its walks is missing
+
+            def move(rows: np.ndarray) -> np.ndarray:
+                if not network:
+                    network.append(self._train(style, config))
+                return apply_network(self.transfer, network[0], rows)
+
+            makes["fast network"] = self._transfer(move)
+        name, run = f"learned {trial.style}", self.characters.run
+        if not (run.path / "styles" / name).exists():
+            learn_style(run, replace(trial.learned.file, style=name))
+        makes["few-shot"] = lambda _, made: self.characters.walk(name, made["optimisation"])
+        makes[NO_STYLE] = lambda _, made: self.characters.walk(None, made["optimisation"])
+        return makes
+
+    def rows_of(self, clip: MotionClip) -> np.ndarray:
+        """Returns the rows [T, D] of a clip."""
+        return encode_clip(prepare_clip(clip, self.transfer.skeleton), self.transfer.layout)
+
+    def _transfer(self, move: Callable[[np.ndarray], np.ndarray]) -> Make:
+        run = self.transfer
+        return lambda clip, _: (finish_clip(move(self.rows_of(clip)), clip, run.skeleton, run.layout), None)
+
+    def _train(self, style: GaitClip, config: Config) -> TransformationNetwork:
+        settings = TransformationTrainingConfig(epochs=config.epochs, seed=config.seed)
+        pairing = pair_by_gait(self.contents, [style], self.transfer.layout)
+        return train_transformation(self.transfer, self.contents, [style], pairing, settings)[0]
+
+
+def open_methods(takes: Takes, config: Config) -> Methods:
+    """Returns the methods; styles are learned on a copy of the base network, which is kept."""
     copy = config.out / "base"
     if not copy.exists():
         shutil.copytree(config.base, copy, ignore=shutil.ignore_patterns("train_state"))
     run = load_run(copy)
     precompile(run, default_config(run))
-    return Characters(run, {})
-
-
-Make = Callable[[MotionClip, Mapping[str, MotionClip]], tuple[MotionClip, float | None]]
-"""Makes a walk from the content and the walks made before, and says how far it is from the path that it follows."""
-
-
-def learn(trial: Trial, known: Sequence[ClipFile], characters: Characters, config: Config) -> dict[str, Make]:
-    """Learns a style by every method that learns, unless it has been learned, and returns what makes walks in it."""
-    name, style = f"learned {trial.style}", trial.learned
-    if not (characters.run.path / "styles" / name).exists():
-        learn_style(characters.run, replace(style.file, style=name))
-    makes: dict[str, Make] = {
-        "optimisation": lambda clip, _: (transfer_clip(clip, style.labelled.clip, seed=config.seed).clip, None)
-    }
-    if config.fast:
-        folder = config.out / "fast"
-        if trial.style not in (list_transformations(folder) if folder.exists() else ()):
-            contents = [file for file in known if file.style == NEUTRAL]
-            settings = TransformationTrainingConfig(epochs=config.epochs)
-            train_transfer([style.file, *contents], trial.style, folder, settings)
-        makes["fast network"] = lambda clip, _: (transfer_clip(clip, run=folder, style_name=trial.style).clip, None)
-    makes["few-shot"] = lambda _, made: characters.walk(name, made["optimisation"])
-    makes[NO_STYLE] = lambda _, made: characters.walk(None, made["optimisation"])
-    return makes
+    methods = Methods(Characters(run, {}), load_transfer_run(config.autoencoder), ())
+    clips = [clip for content in CONTENTS for clip in takes.known[NEUTRAL, content]] if config.fast else []
+    return replace(methods, contents=[GaitClip(methods.rows_of(clip), clip.content, clip.source) for clip in clips])
 
 
 def judge_content(
-    style: str, clip: MotionClip, methods: Mapping[str, Make], takes: Takes, judge: Judge, out: Path
+    style: str, clip: MotionClip, makes: Mapping[str, Make], takes: Takes, judge: Judge, out: Path
 ) -> list[dict[str, Any]]:
     """Returns the rows of one content: as it is, and by every method; makes and draws what has not been made."""
     key, name = (style, clip.content), Path(clip.source).stem
     made: dict[str, MotionClip] = {"content": clip}
     rows = [_row(key, name, "content", judge_clip(clip, key, judge))]
-    for method, make in methods.items():
+    for method, make in makes.items():
         file = out / "clips" / f"{style}__{name}__{method.replace(' ', '_')}.bvh"
         note = file.with_suffix(".json")
         if not note.exists():
