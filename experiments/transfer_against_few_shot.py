@@ -107,7 +107,7 @@ class Config:
     takes: int = 2
     fast: bool = True
     epochs: int = 100
-    classifier_epochs: int = 6
+    classifier_epochs: int = 2
     seed: int = 0
 
 
@@ -148,10 +148,11 @@ def main(config: Config) -> dict[str, Any]:
     rows = []
     for style, trial in trials.items():
         makes = methods.learn(trial, config)
-        rows += judge_real(style, takes, judge, methods.characters.run)
+        example = replace(trial.learned.labelled.clip, style=style)
+        rows += judge_real(example, takes, judge, methods.characters.run)
         for content in CONTENTS:
             for clip in takes.test[NEUTRAL, content][: config.takes]:
-                rows += judge_content(style, clip, makes, takes, judge, config.out)
+                rows += judge_content(clip, example, makes, takes, judge, config.out)
         print(f"{style}: done", flush=True)
     settings = {name: str(value) for name, value in asdict(config).items()}
     return write_results(config.out, rows, settings)
@@ -242,12 +243,21 @@ def open_methods(takes: Takes, config: Config) -> Methods:
 
 
 def judge_content(
-    style: str, clip: MotionClip, makes: Mapping[str, Make], takes: Takes, judge: Judge, out: Path
+    clip: MotionClip, example: MotionClip, makes: Mapping[str, Make], takes: Takes, judge: Judge, out: Path
 ) -> list[dict[str, Any]]:
-    """Returns the rows of one content: as it is, and by every method; makes and draws what has not been made."""
-    key, name = (style, clip.content), Path(clip.source).stem
+    """Returns the rows of one content: as it is, and by every method; makes what has not been made, and draws all.
+
+    Args:
+        clip: the content.
+        example: the style clip.
+        makes: what makes walks, by method.
+        takes, judge: to compare with.
+        out: folder of results.
+    """
+    style, name = example.style, Path(clip.source).stem
+    key = style, clip.content
     made: dict[str, MotionClip] = {"content": clip}
-    rows = [_row(key, name, "content", judge_clip(clip, key, judge))]
+    rows = [_row(key, name, "content", judge_clip(clip, clip, example, judge))]
     for method, make in makes.items():
         file = out / "clips" / f"{style}__{name}__{method.replace(' ', '_')}.bvh"
         note = file.with_suffix(".json")
@@ -258,7 +268,7 @@ def judge_content(
             rows.append({**_row(key, name, method, {}), **about})
             continue
         made[method] = read_bvh(file)
-        rows.append({**_row(key, name, method, judge_clip(made[method], key, judge)), **about})
+        rows.append({**_row(key, name, method, judge_clip(made[method], clip, example, judge)), **about})
     real = takes.test[key][0]
     shown = [AnnotatedClip(f"real, {style}", real), *(AnnotatedClip(method, one) for method, one in made.items())]
     save_figure(
@@ -277,15 +287,15 @@ def _make(make: Make, clip: MotionClip, made: Mapping[str, MotionClip], file: Pa
     return {"fault": "", "path_error": None if path_error is None else 100.0 * path_error}
 
 
-def judge_real(style: str, takes: Takes, judge: Judge, run: Run) -> list[dict[str, Any]]:
+def judge_real(example: MotionClip, takes: Takes, judge: Judge, run: Run) -> list[dict[str, Any]]:
     """Returns the rows of real walks of a style, each compared with the others, as they are and retargeted."""
     rows = []
     for content in CONTENTS:
-        key = style, content
+        key = example.style, content
         for number, clip in enumerate(takes.test[key]):
             back = retarget(retarget(clip, run.skeleton).clip, clip.skeleton).clip
             for method, shown in (("real", clip), ("real, retargeted", back)):
-                measures = judge_clip(shown, key, judge, without=number)
+                measures = judge_clip(shown, clip, example, judge, without=number)
                 rows.append(_row(key, Path(clip.source).stem, method, measures))
     return rows
 

@@ -17,7 +17,17 @@ from pfnn_jax.motion.reading import Axis
 from pfnn_jax.motion.synthetic.walks import synthesise
 from tests.motion.skeletons import tipped
 
-READING = ("skeleton", "prepare", "few-shot", "evaluate", "label-phase", "plot-phase", "render")
+READING = (
+    "skeleton",
+    "prepare",
+    "few-shot",
+    "evaluate",
+    "label-phase",
+    "plot-phase",
+    "render",
+    "transfer",
+    "train-transfer",
+)
 
 
 def run(*words) -> None:

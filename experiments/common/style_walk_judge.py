@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfnn_jax.evaluation.actor_test import MOST_SECONDS, by_part, feet_of
+from pfnn_jax.evaluation.actor_test import MOST_SECONDS, by_part
+from pfnn_jax.evaluation.clip_classifier import WindowConfig, train_clip_classifier
 from pfnn_jax.evaluation.gait_cycle import cycle_distance, mean_cycle
-from pfnn_jax.evaluation.metrics import jitter, near_ground_skating, planted_heights, sliding_over_travel
-from pfnn_jax.evaluation.motion_windows import clip_windows
-from pfnn_jax.evaluation.style_classifier import ClassifierConfig, StyleClassifier, scores, train_classifier
+from pfnn_jax.evaluation.style_classifier import ClassifierConfig
+from pfnn_jax.evaluation.transfer_judge import Recognisers, judge_transfer
 from pfnn_jax.motion.clip import MotionClip, cut
 from pfnn_jax.motion.datasets.labelled import read_cut_clip
 from pfnn_jax.motion.datasets.sources import ClipFile
@@ -22,8 +22,8 @@ from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 Key = tuple[str, str]
 """Style and content of a take."""
 
-TOES = [1, 3]
-"""Of the foot joints of `feet_of`: left and right toe."""
+TIME_SCALES = (0.8, 1.0, 1.25)
+"""Speeds at which the classifier sees every take, so that it does not tell styles by their speed alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +49,12 @@ class Judge:
     """What every clip is judged by.
 
     Attributes:
-        classifier: of styles.
-        styles: its labels.
+        recognisers: a classifier of styles.
         cycles: mean gait cycles [P, J, 3] of the test takes that have one, by style and content.
         speeds: mean speed in m/s of the same takes.
     """
 
-    classifier: StyleClassifier
-    styles: tuple[str, ...]
+    recognisers: Recognisers
     cycles: Mapping[Key, Sequence[np.ndarray]]
     speeds: Mapping[Key, float]
 
@@ -84,57 +82,43 @@ def read_takes(files: Sequence[ClipFile]) -> dict[Key, list[MotionClip]]:
 
 def make_judge(takes: Takes, epochs: int) -> Judge:
     """Returns a judge whose classifier has seen the known half of the takes for a number of epochs."""
-    styles = takes.styles
-    parts = {key: np.concatenate([clip_windows(clip, mirror=True) for clip in takes.known[key]]) for key in takes.known}
-    labels = [np.full(len(windows), styles.index(style)) for (style, _), windows in parts.items()]
-    settings = ClassifierConfig(epochs=epochs)
-    windows = np.concatenate(list(parts.values()))
-    classifier = train_classifier(windows, np.concatenate(labels), len(styles), settings)
-    cycles = {key: [c for clip in clips if (c := cycle_of(clip)) is not None] for key, clips in takes.test.items()}
+    clips = [(style, clip) for (style, _), own in takes.known.items() for clip in own]
+    style = train_clip_classifier(
+        [clip for _, clip in clips],
+        [name for name, _ in clips],
+        windows=WindowConfig(time_scales=TIME_SCALES),
+        config=ClassifierConfig(epochs=epochs),
+    )
+    cycles = {key: [c for clip in own if (c := cycle_of(clip)) is not None] for key, own in takes.test.items()}
     speeds = {key: float(np.mean([speed_of(world_motion(clip)) for clip in own])) for key, own in takes.test.items()}
-    return Judge(classifier, styles, cycles, speeds)
+    return Judge(Recognisers(style=style), cycles, speeds)
 
 
-def judge_clip(clip: MotionClip, key: Key, judge: Judge, *, without: int | None = None) -> dict[str, float | None]:
-    """Returns the measures of a clip as a walk of a style and content.
+def judge_clip(
+    result: MotionClip, content: MotionClip, style: MotionClip, judge: Judge, *, without: int | None = None
+) -> dict[str, float | None]:
+    """Returns the measures of a walk that is to have the content of one clip and the style of another.
 
     Args:
-        clip: on the skeleton of the takes.
-        key: what it is to be.
+        result: on the skeleton of the takes.
+        content: what it is to do; at its frame rate everything is judged.
+        style: the style clip, with the name of its style.
         judge: the judge.
-        without: index of the test take that is left out of the comparison, because it is the clip itself.
+        without: index of the test take that is left out of the comparison, because it is the result itself.
 
     Returns:
-        `recognition`, the share of windows recognised as the style (None for a clip without a window); `distance` in
-        cm from the mean gait cycle of real takes, over the joints of the body, and `trunk`, `arms` and `legs` (None
-        for a clip without steps); `sliding`, of toes relative to the root; `skating` in cm/s; `jitter` in m/s³;
-        `speed`, of that of real takes; `metres_per_second`.
+        Measures of `evaluation.transfer_judge`; and `distance` in cm from the mean gait cycles of real takes of that
+        style and content, over the joints of the body, with `trunk`, `arms` and `legs` (None for a clip without
+        steps), and `speed`, of that of the same takes.
     """
-    world = world_motion(clip)
-    feet = feet_of(world)
-    speed = speed_of(world)
+    key, world = (style.style, content.content), world_motion(result)
     real = [cycle for number, cycle in enumerate(judge.cycles[key]) if number != without]
-    own = cycle_of(clip)
+    own = cycle_of(result)
     distances: dict[str, float | None] = dict.fromkeys(("distance", "trunk", "arms", "legs"))
     if own is not None and real:
-        distances |= by_part(np.mean([cycle_distance(other, own) for other in real], axis=0), clip.skeleton)
-    return {
-        "recognition": recognition(clip, key[0], judge),
-        **distances,
-        "sliding": sliding_over_travel(feet[:, TOES], world.positions[:, world.roles.hips]),
-        "skating": 100.0 * near_ground_skating(feet, world.fps, planted_heights(feet)),
-        "jitter": jitter(world.positions, world.fps),
-        "speed": speed / judge.speeds[key],
-        "metres_per_second": speed,
-    }
-
-
-def recognition(clip: MotionClip, style: str, judge: Judge) -> float | None:
-    """Returns the share of a clip's windows that are recognised as a style, None for a clip without a window."""
-    windows = clip_windows(clip)
-    if not len(windows):
-        return None
-    return float(np.mean(scores(judge.classifier, windows).argmax(axis=1) == judge.styles.index(style)))
+        distances |= by_part(np.mean([cycle_distance(other, own) for other in real], axis=0), result.skeleton)
+    judged = judge_transfer(content, style, result, None, judge.recognisers, fps=content.fps)
+    return {**judged, **distances, "speed": speed_of(world) / judge.speeds[key]}
 
 
 def cycle_of(clip: MotionClip) -> np.ndarray | None:

@@ -13,28 +13,41 @@ from pfnn_jax.evaluation.report import Section, Table, write_report
 from pfnn_jax.io.files import write_whole
 
 MEASURES = {
-    "recognition": ("recognised, %", 100.0),
+    "style recognised": ("recognised, %", 100.0),
+    "style probability": ("probability, %", 100.0),
     "distance": ("from real walks, cm", 1.0),
     "trunk": ("trunk", 1.0),
     "arms": ("arms", 1.0),
     "legs": ("legs", 1.0),
-    "sliding": ("sliding, of travel", 1.0),
-    "skating": ("skating, cm/s", 1.0),
-    "jitter": ("jitter, m/s³", 1.0),
+    "CC warped, cm": ("from the content, cm", 1.0),
+    "trajectory shape, m": ("path's shape, m", 1.0),
+    "sliding": ("sliding", 1.0),
+    "skating, cm/s": ("skating, cm/s", 1.0),
+    "jitter ratio": ("jitter, of the content's", 1.0),
     "speed": ("speed, of real walks'", 1.0),
     "path_error": ("from the path, cm", 1.0),
 }
 """Title and factor of every measure."""
 
-HIGHER_IS_BETTER = ("recognition",)
+HIGHER_IS_BETTER = ("style recognised", "style probability")
 
-COMPARED = ("recognition", "distance", "trunk", "arms", "legs", "sliding", "skating", "jitter")
+COMPARED = (
+    "style recognised",
+    "style probability",
+    "distance",
+    "trunk",
+    "arms",
+    "legs",
+    "sliding",
+    "skating, cm/s",
+    "jitter ratio",
+)
 """Measures of which the lower (or, in `HIGHER_IS_BETTER`, the higher) is better."""
 
 PAIRS = (("few-shot", "optimisation"), ("few-shot", "fast network"), ("fast network", "optimisation"))
 
-BY_STYLE = ("recognition", "distance", "skating", "speed")
-BY_CONTENT = ("recognition", "distance", "skating")
+BY_STYLE = ("style recognised", "style probability", "distance", "skating, cm/s", "jitter ratio", "speed")
+BY_CONTENT = ("style recognised", "distance", "skating, cm/s", "jitter ratio")
 
 RESAMPLES = 2000
 """Of the bootstrap."""

@@ -21,6 +21,8 @@ COMMANDS = {
     "few-shot": "Learn a new style from one clip.",
     "sample": "List the sample clips, or write one.",
     "generate": "Generate motion in a style along a path.",
+    "transfer": "Put a clip into the style of another.",
+    "train-transfer": "Train a network that puts any clip into a style.",
     "play": "Drive a character in the browser.",
     "render": "Draw clips as a page, a film or a picture.",
     "evaluate": "Measure one-step errors of a run on clips.",

@@ -6,11 +6,13 @@ from fractions import Fraction
 
 import numpy as np
 
+from pfnn_jax.motion.body_points import POINT_NAMES
 from pfnn_jax.motion.clip import MotionClip, mirror_clip
 from pfnn_jax.motion.ground import to_local
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.skeleton import Roles, need_roles
 from pfnn_jax.motion.trajectory import relative_to_root, root_motion
+from pfnn_jax.transfer.clip_rows import clip_points
 
 WINDOW_FPS = 60.0
 """Frame rate of the windows."""
@@ -20,6 +22,22 @@ WINDOW_FRAMES = 60
 
 STRIDE = 30
 """Frames between the starts of two windows."""
+
+_POINT = POINT_NAMES.index
+
+POINT_ROLES = Roles(
+    hips=_POINT("hips"),
+    left_hip=_POINT("left_thigh"),
+    right_hip=_POINT("right_thigh"),
+    left_shoulder=_POINT("left_upper_arm"),
+    right_shoulder=_POINT("right_upper_arm"),
+    left_foot=(_POINT("left_foot"), _POINT("left_toe")),
+    right_foot=(_POINT("right_foot"), _POINT("right_toe")),
+    left_hand=_POINT("left_hand"),
+    right_hand=_POINT("right_hand"),
+    head=_POINT("head"),
+)
+"""Roles of the 21 points of a body."""
 
 
 def motion_windows(
@@ -70,6 +88,14 @@ def clip_windows(
         for one in ((clip, mirror_clip(clip)) if mirror else (clip,))
     ]
     return np.concatenate(parts)
+
+
+def point_windows(clip: MotionClip, *, frames: int = WINDOW_FRAMES, stride: int = STRIDE) -> np.ndarray:
+    """Returns the `motion_windows` [N, frames, 126] of a clip's 21 points, padded to at least one window.
+
+    Fingers and helper joints, which not all skeletons have, do not count.
+    """
+    return motion_windows(clip_points(clip), POINT_ROLES, clip.fps, frames=frames, stride=stride, pad=True)
 
 
 def _world(clip: MotionClip) -> np.ndarray:

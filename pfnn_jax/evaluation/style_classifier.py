@@ -29,6 +29,10 @@ WIDTH = 5
 CHUNK = 512
 """Windows evaluated at once, which limits memory."""
 
+ROUND_UP = 1024
+"""The number of training windows is filled up to a multiple of this, so that training compiles once for sets of about
+the same size."""
+
 
 @dataclass(frozen=True)
 class ClassifierConfig:
@@ -127,9 +131,11 @@ def train_classifier(
     batch_size = min(config.batch_size, len(labels))
     rounds = len(labels) // batch_size
     num_steps = config.epochs * rounds
-    state = (_trained(classifier), _optimiser(config, num_steps).init(_trained(classifier)))
-    data, frozen = (jnp.asarray(windows, jnp.float32), jnp.asarray(labels)), (classifier, weight)
-    scan, rng = _compiled(config, num_steps), np.random.default_rng(config.seed)
+    state = (_trained(classifier), optax.scale_by_adam().init(_trained(classifier)), jnp.int32(0))
+    spare = -len(labels) % ROUND_UP  # never drawn
+    data = tuple(jnp.asarray(np.concatenate([part, part[:1].repeat(spare, 0)])) for part in (windows, labels))
+    frozen = classifier, weight, jnp.float32(num_steps)
+    scan, rng = _compiled(replace(config, seed=0)), np.random.default_rng(config.seed)
 
     def epoch(state: Any, first: int, count: int) -> tuple[Any, Any]:
         order = rng.permutation(len(labels))[: count * batch_size].reshape(count, batch_size)
@@ -239,21 +245,16 @@ def _normalised(classifier: StyleClassifier, windows: jax.Array) -> jax.Array:
     return (windows - classifier.mean[None, None]) / classifier.std[None, None]
 
 
-def _optimiser(config: ClassifierConfig, num_steps: int) -> optax.GradientTransformation:
-    return optax.adam(optax.cosine_decay_schedule(config.learning_rate, num_steps))
-
-
 @lru_cache
-def _compiled(config: ClassifierConfig, num_steps: int) -> Callable:
+def _compiled(config: ClassifierConfig) -> Callable:
     """Returns compiled steps of training, (state, draws, data, frozen) -> (state, losses).
 
-    The state is (trained arrays, optimiser state), a draw (rows [B], key), data (windows, labels), and frozen
-    (classifier, weight of each label).
+    The state is (trained arrays, state of Adam, steps taken), a draw (rows [B], key), data (windows, labels), and
+    frozen (classifier, weight of each label, steps in all).
     """
-    tx = _optimiser(config, num_steps)
+    adam = optax.scale_by_adam()
 
-    def loss(trained, windows, labels, key, frozen):
-        classifier, weight = frozen
+    def loss(trained, windows, labels, key, classifier, weight):
         model = replace(classifier, **trained)
         keys = jax.random.split(key, 3)
         x = _normalised(model, windows)
@@ -264,16 +265,20 @@ def _compiled(config: ClassifierConfig, num_steps: int) -> Callable:
         return jnp.mean(weight[labels] * own)
 
     def step(state, batch, frozen):
-        trained, opt_state = state
-        value, gradient = jax.value_and_grad(loss)(trained, *batch, frozen)
-        updates, opt_state = tx.update(gradient, opt_state)
-        return (optax.apply_updates(trained, updates), opt_state), value
+        trained, moments, taken = state
+        classifier, weight, num_steps = frozen
+        value, gradient = jax.value_and_grad(loss)(trained, *batch, classifier, weight)
+        updates, moments = adam.update(gradient, moments)
+        # cosine decay, not as a schedule of Optax, whose number of steps is compiled
+        rate = config.learning_rate * 0.5 * (1.0 + jnp.cos(jnp.pi * taken / num_steps))
+        trained = optax.apply_updates(trained, jax.tree.map(lambda leaf: -rate * leaf, updates))
+        return (trained, moments, taken + 1), value
 
     def read(data, draw):
         (windows, labels), (rows, key) = data, draw
         return windows[rows], labels[rows], key
 
-    return scan_steps(step, read)
+    return scan_steps(step, read, rolled=False)  # convolutions
 
 
 def _in_chunks(work, windows: np.ndarray) -> np.ndarray:

@@ -10,23 +10,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pfnn_jax.motion.body_poses import body_joints
 from pfnn_jax.motion.trajectory import relative_to_root, root_motion
 from pfnn_jax.motion.world_motion import WorldMotion
+from pfnn_jax.transfer.clip_rows import clip_points
 
 
 def facing_poses(world: WorldMotion) -> np.ndarray:
-    """Returns the joints of the body [T, P, 3] in metres, without the motion of the hips and the facing.
+    """Returns the 21 points of the body [T, 21, 3] in metres, without the motion of the hips and the facing.
 
     Positions are relative to the hips, turned so that the character faces +Z, and heights begin at the height of the
     hips in the first frame: what a jump adds to the height of all joints is no part of the pose.
 
-    Source: preprocessing of MoST (Kim et al. 2024), with the facing of Holden et al. 2016.
+    Source: preprocessing of MoST (Kim et al. 2024), which uses the same 21 joints and the facing of Holden et al. 2016.
     """
-    hips = world.positions[:, world.roles.hips, 1]
-    poses = relative_to_root(world.positions, root_motion(world.positions, world.roles, world.fps))
+    points, root = clip_points(world), root_motion(world.positions, world.roles, world.fps)
+    hips = points[:, 0, 1].copy()
+    poses = relative_to_root(points, root)
     poses[..., 1] += (hips[0] - hips)[:, None]
-    return poses[:, body_joints(world.skeleton)]
+    return poses
 
 
 def content_consistency(result: np.ndarray, content: np.ndarray, *, warp: bool = False) -> float:

@@ -142,6 +142,12 @@ class Visitor:
         """Clicks a button by its label."""
         self.page.get_by_role("button", name=label).first.click()
 
+    def upload(self, label: str, path: Path) -> None:
+        """Uploads a file with the button of a label."""
+        with self.page.expect_file_chooser() as chooser:
+            self.press(label)
+        chooser.value.set_files(path)
+
     def field(self, label: str) -> Any:
         """Returns the input field of a label."""
         xpath = f"xpath=//label[normalize-space()='{label}']/ancestor::div[.//input][1]//input"

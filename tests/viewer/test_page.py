@@ -152,7 +152,7 @@ def test_a_bad_clip_is_refused_and_changes_nothing(visitor, served, played_run, 
     before, styles, style = files_of(played_run), visitor.options("Style"), visitor.read("style")
     bad = tmp_path / "walk.bvh"
     bad.write_text("HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 nought\n}\n")
-    visitor.page.locator("input[type=file]").set_input_files(bad)
+    visitor.upload("Upload a BVH file", bad)
     message = visitor.page.locator("[data-message=bad]")
     message.wait_for()
     assert "walk.bvh" in message.inner_text()
@@ -162,7 +162,7 @@ def test_a_bad_clip_is_refused_and_changes_nothing(visitor, served, played_run, 
 
 
 def test_a_good_clip_becomes_a_style_that_moves(visitor, played_run, zombie_bvh):
-    visitor.page.locator("input[type=file]").set_input_files(zombie_bvh)
+    visitor.upload("Upload a BVH file", zombie_bvh)
     visitor.page.locator("[data-message=good], [data-message=warning]").wait_for(timeout=LEARNING)
     assert "zombie walk" in visitor.options("Style")
     visitor.wait(lambda: visitor.read("style") == "zombie walk", "the character is in the new style")

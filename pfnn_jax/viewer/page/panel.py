@@ -15,6 +15,7 @@ from pfnn_jax.viewer.page import widgets
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.drive_input import parse_message
 from pfnn_jax.viewer.page.recording import bvh_bytes
+from pfnn_jax.viewer.page.restyle_panel import RestylePanel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look_from_behind
 from pfnn_jax.viewer.page.style_picker import StylePicker
@@ -64,6 +65,7 @@ class Panel:
         clicks: pending actions, functions without arguments.
         upload: the upload button.
         samples: the buttons of the sample clips.
+        restyle: the controls that restyle a clip.
         rate: pictures per second that the browser manages, 0 while unknown.
     """
 
@@ -86,6 +88,7 @@ class Panel:
         with self._gui.add_folder("Style"):
             self._picker = StylePicker(self._gui, library, character)
         self._files()
+        self.restyle = RestylePanel(client)
         self._gait()
         self._camera()
         self._commands()

@@ -10,6 +10,7 @@ import numpy as np
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_normalise
+from pfnn_jax.motion.length_unit import CENTIMETRE
 from pfnn_jax.motion.skeleton import Skeleton
 
 LONGEST = 600.0
@@ -66,13 +67,17 @@ class Recording:
         return MotionClip(self._skeleton, self._fps, hips, rotations, self._style, "played", source=self._source)
 
 
-def bvh_bytes(clip: MotionClip) -> bytes:
+def bvh_bytes(clip: MotionClip, unit: float = CENTIMETRE) -> bytes:
     """Returns the BVH file of a clip as bytes, for a download.
+
+    Args:
+        clip: the motion.
+        unit: metres per unit of the file.
 
     Raises:
         InputError: if the clip is not finite or has no frames.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "clip.bvh"
-        write_bvh(path, clip)
+        write_bvh(path, clip, unit=unit)
         return path.read_bytes()
