@@ -100,6 +100,8 @@ class OptimisationConfig:
         learning_rate: of Adam in both.
         start: begin at the content's hidden units, or at noise, as the authors' code.
         scale_speed: whether the result follows the content's path at the style's speed, or at its own.
+        keep_detail: whether only the change that the style makes passes the autoencoder, and is added to the content,
+            or the whole motion, as in the paper.
     """
 
     weights: LossWeights = LossWeights()
@@ -108,6 +110,7 @@ class OptimisationConfig:
     learning_rate: float = 0.01
     start: Start = "content"
     scale_speed: bool = True
+    keep_detail: bool = True
 
     def __post_init__(self):
         check_at_least(self, "iterations", "constraint_iterations", least=0)

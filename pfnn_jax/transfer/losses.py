@@ -1,8 +1,8 @@
 """What a moved clip must keep of its content and take from its style (Holden et al. 2017, Eq. 4 to 9).
 
-Hidden units are those of the motion autoencoder; rows are in layout units. Losses are means, as in the
-authors' code of 2016, so that weights mean the same for clips of any length, and those of constraints are in centimetres, metres per
-second and radians per second, so that they mean the same in every layout.
+Hidden units are those of the motion autoencoder; rows are in layout units. Losses are means, as in the authors' code of
+2016, so that weights mean the same for clips of any length. Those of constraints are in centimetres, metres per second
+and radians per second, so that they mean the same in every layout.
 
 A `mask` weighs frames: clips of many lengths are padded to few, and padded frames must not count.
 """

@@ -1,7 +1,7 @@
 """Style transfer by optimisation over hidden units (Holden et al. 2016, the method that the paper of 2017 replaces).
 
-A first loop moves hidden units from the content's until their Gram matrix is the style's, a second one until the decoded
-motion obeys the content's constraints. Both are compiled into one program, for clips padded to a few lengths.
+A first loop moves hidden units from the content's until their Gram matrix is the style's, a second one until the motion
+obeys the content's constraints. Both are compiled into one program, for clips padded to a few lengths.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from flax import struct
 from pfnn_jax.models.convolution import POOLING
 from pfnn_jax.motion.features.normaliser import Statistics
 from pfnn_jax.transfer.autoencoder import MotionAutoencoder
-from pfnn_jax.transfer.clip_rows import pad_rows
 from pfnn_jax.transfer.config import LossWeights, OptimisationConfig
 from pfnn_jax.transfer.layout import ClipLayout
 from pfnn_jax.transfer.losses import (
@@ -36,8 +35,11 @@ from pfnn_jax.transfer.losses import (
 from pfnn_jax.transfer.run import TransferRun
 
 MARGIN = 26
-"""Frames of padding at both ends of a clip. Beyond its ends a convolution reads zeros, the mean pose, and a frame of the
-result sees 25 frames to either side through encoder and decoder."""
+"""Frames of padding at both ends of a clip: a convolution reads zeros beyond its ends, which are the mean pose, and a
+frame of the result sees 25 frames to either side through encoder and decoder."""
+
+SMOOTHING = (1 / 64, 6 / 64, 15 / 64, 20 / 64, 15 / 64, 6 / 64, 1 / 64)
+"""Binomial weights of 7 frames: a standard deviation of 1.2 frames. They remove what alternates from frame to frame."""
 
 LENGTHS_PER_OCTAVE = 4
 """Lengths that clips are padded to, for each doubling: padding adds at most a quarter."""
@@ -54,12 +56,14 @@ class Task:
     """One clip to move, padded to [P, D]; all arrays on the device.
 
     Attributes:
-        content: [P / 2, F] the content's hidden units.
+        x: [P, D] the content, normalised.
+        content: [P / 2, F] its hidden units.
         target: [F, F] Gram matrix of the style.
         constraints: of the P frames.
         mask: [P] 1 for the clip's frames and 0 for padding.
     """
 
+    x: jax.Array
     content: jax.Array
     target: jax.Array
     constraints: Constraints
@@ -101,11 +105,14 @@ def make_task(
     if scale_speed:
         ratio = speed_ratio(content_rows, style_rows, run.layout)
     size = padded_length(frames)
+    padded = pad_edges(content_rows, size)
+    x = jnp.asarray(run.statistics.apply(padded), jnp.float32)
     return Task(
-        content=hidden_units(run, content_rows),
+        x=x,
+        content=_encode(run.autoencoder, x),
         target=style_gram(run, style_rows),
-        constraints=content_constraints(pad_edges(content_rows, size), run.layout, ratio),
-        mask=clip_mask(frames, size),
+        constraints=content_constraints(padded, run.layout, ratio),
+        mask=jnp.asarray(clip_mask(frames, size)),
     )
 
 
@@ -194,7 +201,10 @@ def _optimise(
     counts = loss_mask(task.mask)
 
     def decode(hidden: jax.Array) -> jax.Array:
-        return autoencoder.decode(hidden) * std[None] + mean[None]
+        moved = autoencoder.decode(hidden)
+        if config.keep_detail:
+            moved = add_change(task.x, autoencoder.decode(task.content), moved)
+        return moved * std[None] + mean[None]
 
     def transfer_loss(hidden: jax.Array) -> jax.Array:
         own = weights["content"] * content_loss(hidden, task.content, counts)
@@ -211,6 +221,18 @@ def _optimise(
     hidden, losses = descend(transfer_loss, hidden, learning_rate, config.iterations)
     hidden, _ = descend(constraint_loss, hidden, learning_rate, config.constraint_iterations)
     return decode(hidden), losses
+
+
+def add_change(x: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
+    """Returns x [T, D] with the smoothed change between its projection and a moved clip's, all normalised.
+
+    An autoencoder loses detail, and depooling adds steps of two frames: what it makes of a clip jerks four times as
+    much. Both cancel where only the change is taken from it. The change of a style is slow, so that smoothing it costs
+    nothing.
+    """
+    change, half = after - before, len(SMOOTHING) // 2
+    padded = jnp.pad(change, ((half, half), (0, 0)), mode="edge")
+    return x + sum(weight * padded[shift : shift + len(x)] for shift, weight in enumerate(SMOOTHING))
 
 
 def descend(

@@ -30,7 +30,7 @@ from pfnn_jax.transfer.losses import (
     style_loss,
     trajectory_loss,
 )
-from pfnn_jax.transfer.optimisation import padded_length, speed_ratio, style_gram
+from pfnn_jax.transfer.optimisation import add_change, padded_length, speed_ratio, style_gram
 from pfnn_jax.transfer.pairing import GaitClip, Pairing
 from pfnn_jax.transfer.run import TransferRun
 from pfnn_jax.transfer.transformation import TransformationNetwork, init_transformation
@@ -133,7 +133,12 @@ def window_losses(
 
 
 def apply_network(
-    run: TransferRun, network: TransformationNetwork, rows: np.ndarray, *, project: bool = True
+    run: TransferRun,
+    network: TransformationNetwork,
+    rows: np.ndarray,
+    *,
+    project: bool = True,
+    keep_detail: bool = True,
 ) -> np.ndarray:
     """Returns the rows [T, D] of a clip moved by a network, in layout units.
 
@@ -142,23 +147,34 @@ def apply_network(
         network: of one style.
         rows: [T, D] in layout units; clips of many lengths share a few compilations.
         project: project the result onto the motions that the autoencoder can express.
+        keep_detail: project the content as well, and add only what the network changes to it; see `add_change`.
     """
     frames = len(rows)
-    size = padded_length(frames)
-    x = np.zeros((size, rows.shape[1]), np.float32)
-    x[:frames] = run.statistics.apply(rows)
-    mask = (np.arange(size) < frames + frames % POOLING).astype(np.float32)
-    x[frames : frames + frames % POOLING] = x[frames - 1]  # the autoencoder pools pairs of frames
-    y = _apply(network, run.autoencoder, jnp.asarray(x), jnp.asarray(mask), project=project)
+    even = frames + frames % POOLING  # the autoencoder pools pairs of frames
+    x = np.zeros((padded_length(frames), rows.shape[1]), np.float32)
+    x[:frames], x[frames:even] = run.statistics.apply(rows), run.statistics.apply(rows[-1])
+    mask = (np.arange(len(x)) < even).astype(np.float32)
+    y = _apply(network, run.autoencoder, x, mask, project=project, keep_detail=keep_detail)
     return np.asarray(run.statistics.invert(np.asarray(y[:frames], np.float64)))
 
 
-@partial(jax.jit, static_argnames="project")
+@partial(jax.jit, static_argnames=("project", "keep_detail"))
 def _apply(
-    network: TransformationNetwork, autoencoder: MotionAutoencoder, x: jax.Array, mask: jax.Array, *, project: bool
+    network: TransformationNetwork,
+    autoencoder: MotionAutoencoder,
+    x: jax.Array,
+    mask: jax.Array,
+    *,
+    project: bool,
+    keep_detail: bool,
 ) -> jax.Array:
+    def projected(x: jax.Array) -> jax.Array:
+        return autoencoder.decode(autoencoder.encode(x), mask[::POOLING])
+
     y = network(x, mask)
-    return autoencoder.decode(autoencoder.encode(y), mask[::POOLING]) if project else y
+    if not project:
+        return y
+    return add_change(x, projected(x), projected(y)) if keep_detail else projected(y)
 
 
 def _held_out(count: int, config: TransformationTrainingConfig) -> np.ndarray:
