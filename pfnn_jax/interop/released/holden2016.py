@@ -105,9 +105,7 @@ def _read_autoencoder(file: Path, size: int) -> MotionAutoencoder:
             filters=jnp.asarray(turned, jnp.float32), bias=jnp.asarray(found[bias].reshape(-1), jnp.float32)
         )
 
-    return MotionAutoencoder(
-        encoder=layer("L000_L001_W", "L000_L002_b"), decoder=layer("L001_L002_W", "L001_L003_b")
-    )
+    return MotionAutoencoder(encoder=layer("L000_L001_W", "L000_L002_b"), decoder=layer("L001_L002_W", "L001_L003_b"))
 
 
 def _read(file: Path, shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:

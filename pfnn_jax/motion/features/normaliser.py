@@ -131,8 +131,8 @@ def load_statistics(folder: Path, prefix: str) -> Statistics:
     """Loads what `save_statistics` wrote, exact to the last bit.
 
     Raises:
-        InputError: if a file is missing, is not an array of one axis, or holds a value that is not finite, or a standard
-            deviation that is not positive.
+        InputError: if a file is missing, is not an array of one axis, or holds a value that is not finite, or if a
+            standard deviation is not positive.
     """
     mean, std = (_load(folder / f"{prefix}_{name}.npy") for name in ("mean", "std"))
     if mean.shape != std.shape or not (std > 0).all():
