@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -62,5 +63,14 @@ class TrainTransfer(Command):
             )
         for note in info["notes"]:
             print(f"note: {note}")
-        print(f"{self.out}: style {self.style}, {info['seconds']:.0f} s")
+        print(f"{self.style}: {len(info['sources'])} clips, {info['contents']} contents; {info['seconds']:.1f} s")
+        before, after = (info["metrics"][name].get("loss") for name in ("held_out_before", "held_out"))
+        if after is not None:
+            print(f"held-out loss {after:.3f}, before training {before:.3f}")
+        print(f"next: {self._next()}")
         return info
+
+    def _next(self) -> str:
+        """Returns the command that puts a clip into the style."""
+        words = ["--run", str(self.out), "--style", self.style, "--out", f"{self.style}_CLIP.bvh"]
+        return shlex.join(["pfnn-jax", "transfer", "CLIP.bvh", *words])

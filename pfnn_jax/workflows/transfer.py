@@ -197,11 +197,11 @@ def train_transfer(
     pairing = pair_by_gait(contents, styles, run.layout)
 
     def report(now: TrainingProgress) -> None:
-        progress_callback(0.1 + 0.9 * now.step / now.steps, f"training, loss {now.loss:.4f}")
+        progress_callback(0.1 + 0.9 * now.step / now.steps, f"loss {now.loss:.4f}")
 
     network, metrics = train_transformation(run, contents, styles, pairing, config, progress_callback=report)
     info = {
-        "sources": [clip.name for clip in styles],
+        "sources": [Path(clip.name).name for clip in styles],
         "contents": len(contents),
         "gaits": dict(zip(pairing.groups, map(len, pairing.members), strict=True)),
         "config": asdict(config),
