@@ -52,7 +52,7 @@ def test_table1_transfer(tmp_path):
     assert {"fast network", "optimisation"} < set(result["rows"])
     assert all(row["median"] > 0 for by_frames in result["rows"].values() for row in by_frames.values())
     table = (tmp_path / "table1_transfer.md").read_text().splitlines()
-    assert len(table) == 2 + 4 and all(line.count("|") == 8 for line in table)
+    assert len(table) == 2 + 5 and all(line.count("|") == 8 for line in table)
 
 
 def test_few_shot_dropout(tmp_path):

@@ -38,7 +38,7 @@ from pfnn_jax.transfer.optimisation import optimise
 from pfnn_jax.transfer.pairing import GaitClip, pair_by_gait
 from pfnn_jax.transfer.run import TransferRun, TransferRunConfig
 from pfnn_jax.transfer.transformation import TransformationNetwork, init_transformation
-from pfnn_jax.transfer.transformation_training import train_transformation
+from pfnn_jax.transfer.transformation_training import apply_network, train_transformation
 
 FAST_AIMS = {240: 12.0, 960: 40.0}
 """Largest allowed milliseconds of the fast network with projection, by number of frames (paper: 12 and 17 on a GPU)."""
@@ -175,11 +175,23 @@ def fast_works(sizes: TransferSizes) -> dict[int, dict[str, Work]]:
     return works
 
 
+def applied_works(sizes: TransferSizes) -> dict[int, Work]:
+    """Returns, by number of frames, what a command does with a network: from rows to rows, with the content projected.
+
+    It costs one projection more than the paper's form, because only the change of the projection is added to the
+    content.
+    """
+    run, network = random_run(sizes), random_transfer(sizes).network
+    rows = {num_frames: encode_clip(walking_clip(num_frames), HOLDEN2017) for num_frames in sizes.frames}
+    return {num_frames: partial(apply_network, run, network, own) for num_frames, own in rows.items()}
+
+
 def fast_figures(sizes: TransferSizes, repetitions: int) -> list[Figure]:
-    """Measures the fast network with projection, next to XLA's own convolutions and to plain NumPy."""
+    """Measures the fast network with projection, next to XLA's own convolutions, plain NumPy, and all of a command's."""
     section, figures = "style transfer, fast network with projection", []
+    applied = applied_works(sizes)
     for num_frames, works in fast_works(sizes).items():
-        seconds = interleave(works, repetitions)
+        seconds = interleave({**works, "from rows to rows": applied[num_frames]}, repetitions)
         aim = FAST_AIMS.get(num_frames)
         figures += [
             figure(section, f"{num_frames} frames, {name}", 1e3 * value, "ms", at_most=aim if name == "ours" else None)
