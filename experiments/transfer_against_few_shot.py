@@ -93,6 +93,7 @@ class Config:
         autoencoder: run whose autoencoder both methods of transfer use; the package's by default.
         styles: to transfer to; all but normal by default.
         takes: clips of each content that are transferred.
+        real: real walks of each content that are judged.
         fast: also train and judge the fast network of each style.
         epochs: of its training.
         classifier_epochs: passes of the style classifier over its windows.
@@ -105,6 +106,7 @@ class Config:
     autoencoder: Path = BASE_AUTOENCODER
     styles: tuple[str, ...] = ()
     takes: int = 2
+    real: int = 4
     fast: bool = True
     epochs: int = 100
     classifier_epochs: int = 2
@@ -149,7 +151,7 @@ def main(config: Config) -> dict[str, Any]:
     for style, trial in trials.items():
         makes = methods.learn(trial, config)
         example = replace(trial.learned.labelled.clip, style=style)
-        rows += judge_real(example, takes, judge, methods.characters.run)
+        rows += judge_real(example, takes, judge, methods.characters.run, config.real)
         for content in CONTENTS:
             for clip in takes.test[NEUTRAL, content][: config.takes]:
                 rows += judge_content(clip, example, makes, takes, judge, config.out)
@@ -287,12 +289,12 @@ def _make(make: Make, clip: MotionClip, made: Mapping[str, MotionClip], file: Pa
     return {"fault": "", "path_error": None if path_error is None else 100.0 * path_error}
 
 
-def judge_real(example: MotionClip, takes: Takes, judge: Judge, run: Run) -> list[dict[str, Any]]:
-    """Returns the rows of real walks of a style, each compared with the others, as they are and retargeted."""
+def judge_real(example: MotionClip, takes: Takes, judge: Judge, run: Run, most: int) -> list[dict[str, Any]]:
+    """Returns the rows of `most` real walks of each content, compared with the others, as they are and retargeted."""
     rows = []
     for content in CONTENTS:
         key = example.style, content
-        for number, clip in enumerate(takes.test[key]):
+        for number, clip in enumerate(takes.test[key][:most]):
             back = retarget(retarget(clip, run.skeleton).clip, clip.skeleton).clip
             for method, shown in (("real", clip), ("real, retargeted", back)):
                 measures = judge_clip(shown, clip, example, judge, without=number)

@@ -187,7 +187,7 @@ def applied_works(sizes: TransferSizes) -> dict[int, Work]:
 
 
 def fast_figures(sizes: TransferSizes, repetitions: int) -> list[Figure]:
-    """Measures the fast network with projection, next to XLA's convolutions and NumPy, and all a command does with it."""
+    """Measures the fast network with projection, next to XLA's convolutions and NumPy, and as a command applies it."""
     section, figures = "style transfer, fast network with projection", []
     applied = applied_works(sizes)
     for num_frames, works in fast_works(sizes).items():
