@@ -48,6 +48,9 @@ LIMBS = {
 LEVEL = ("left_foot", "right_foot")
 """Points whose joints keep their roll in the world: a foot stands flat however its shin leans."""
 
+BACKWARD = 0.03
+"""Metres by which a knee behind the line from hip to ankle is half reflected to the front."""
+
 Points = tuple[int, ...]
 
 
@@ -139,8 +142,8 @@ def rotations_from_positions(
     """
     joints, world = forward_kinematics(skeleton, initial.root_positions, initial.rotations)
     own = points.positions(joints, world)
-    body = _Body(skeleton, points, initial.rotations, world, joints, own, np.empty_like(world), np.empty_like(joints))
-    aims = _aims(skeleton, points)
+    body = _Body(skeleton, points, initial.rotations, world, joints, own, world.copy(), joints - joints[:, :1])
+    positions, aims = bend_knees_forward(positions, own), _aims(skeleton, points)
     for joint in range(skeleton.num_joints):
         body.carry(joint)
         if joint in aims:
@@ -151,6 +154,32 @@ def rotations_from_positions(
     local[:, 1:] = quat_multiply(quat_conjugate(body.turned[:, skeleton.parents[1:]]), body.turned[:, 1:])
     local = np.where(np.sum(local * initial.rotations, axis=-1, keepdims=True) < 0, -local, local)
     return replace(initial, root_positions=positions[:, PELVIS].mean(axis=1) - pelvis, rotations=local)
+
+
+def bend_knees_forward(positions: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Returns positions with knees that are bent backwards reflected to the front of the line from hip to ankle.
+
+    A network can place knees there; a thigh that followed would turn about itself by half a turn.
+
+    Args:
+        positions: [T, 21, 3] metres.
+        own: [T, 21, 3] metres, of a motion whose knees may be as far back as they are.
+    """
+    left = [points[:, LIMBS["left_thigh"][0]] - points[:, LIMBS["right_thigh"][0]] for points in (positions, own)]
+    positions = positions.copy()
+    for limb in (LIMBS["left_thigh"], LIMBS["right_thigh"]):
+        ahead, forward = _ahead(positions, limb, left[0])
+        excess = ahead - np.minimum(_ahead(own, limb, left[1])[0], 0.0)
+        reflected = excess**2 / (np.abs(excess) + BACKWARD)
+        positions[:, limb[1]] += np.where(excess < 0, reflected - excess, 0.0)[:, None] * forward
+    return positions
+
+
+def _ahead(points: np.ndarray, limb: Points, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the metres [T] by which a knee is in front of its leg, and the direction [T, 3] that is the front."""
+    hip, knee, ankle = (points[:, point] for point in limb)
+    forward = np.cross(_unit(ankle - hip), _unit(left))
+    return np.sum((knee - hip) * forward, axis=-1), forward
 
 
 def best_rotation(have: np.ndarray, want: np.ndarray) -> np.ndarray:
