@@ -68,7 +68,7 @@ class Predict(Command):
         for name in ("style", "mode", "layer_norm"):
             if name in self.given:
                 option = f"--{name.replace('_', '-')}"
-                raise InputError(option, "value", getattr(self, name), "must be left out for a motion autoencoder")
+                raise InputError("command line", option, getattr(self, name), "leave it out for a motion autoencoder")
         found = reconstruct_file(self.run_path, self.rows, self.out, overwrite=self.overwrite)
         sizes = [f"{name} {len(array)} x {array.shape[1]}" for name, array in found._asdict().items()]
         print(f"{self.out}: {', '.join(sizes)}")

@@ -44,7 +44,8 @@ class AutoencoderTrainingConfig:
         autoencoder: its sizes.
         steps: number of steps.
         batch_size: windows of a minibatch.
-        learning_rate: of Adam at the first step; it falls to zero along a cosine.
+        learning_rate: the largest of Adam: it rises over the first twentieth of the steps, then falls to zero along a
+            cosine (1e-5 throughout in the authors' code).
         l1: α of Eq. 3, on the mean absolute weight of the filters, as in the authors' code (0.01).
         dropout: drop probability before the encoder and before the decoder (0.25 in the authors' code).
         seed: of initialisation, shuffling and dropout.
@@ -52,8 +53,8 @@ class AutoencoderTrainingConfig:
     """
 
     autoencoder: AutoencoderConfig = AutoencoderConfig()
-    steps: int = 2000
-    batch_size: int = 16
+    steps: int = 3500
+    batch_size: int = 4
     learning_rate: float = 1e-3
     l1: float = 0.01
     dropout: float = 0.0
