@@ -82,9 +82,9 @@ class LossWeights:
 
     content: float = 1.0
     style: float = 0.01
-    foot: float = 0.1
+    foot: float = 1.0
     bone: float = 0.01
-    trajectory: float = 0.1
+    trajectory: float = 1.0
 
     def __post_init__(self):
         check_not_negative(self, "content", "style", "foot", "bone", "trajectory")
@@ -146,6 +146,8 @@ class TransformationTrainingConfig:
         epochs: passes over the windows of the contents (100 in the paper).
         batch_size: windows of a minibatch.
         learning_rate: of Adam at the first step; it falls to zero along a cosine.
+        keep_detail: whether the network is trained for results that add only its change to the content, or for the
+            network's own motion, as in the paper.
         held_out: share of the contents' clips that the loss is measured on and that training does not see.
         seed: of initialisation and shuffling.
         steps_per_dispatch: steps that are compiled into one call, and between two reports of the loss.
@@ -156,6 +158,7 @@ class TransformationTrainingConfig:
     epochs: int = 100
     batch_size: int = 8
     learning_rate: float = 1e-3
+    keep_detail: bool = True
     held_out: float = 0.1
     seed: int = 0
     steps_per_dispatch: int = 25

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from math import comb
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +20,9 @@ from flax import struct
 from pfnn_jax.models.convolution import POOLING
 from pfnn_jax.motion.features.normaliser import Statistics
 from pfnn_jax.transfer.autoencoder import MotionAutoencoder
+from pfnn_jax.transfer.clip_rows import FEET
 from pfnn_jax.transfer.config import LossWeights, OptimisationConfig
-from pfnn_jax.transfer.layout import ClipLayout
+from pfnn_jax.transfer.layout import LAYOUT_FPS, ClipLayout
 from pfnn_jax.transfer.losses import (
     Constraints,
     bone_loss,
@@ -28,6 +30,7 @@ from pfnn_jax.transfer.losses import (
     content_loss,
     foot_loss,
     gram,
+    points,
     root_motion,
     style_loss,
     trajectory_loss,
@@ -38,17 +41,21 @@ MARGIN = 26
 """Frames of padding at both ends of a clip: a convolution reads zeros beyond its ends, which are the mean pose, and a
 frame of the result sees 25 frames to either side through encoder and decoder."""
 
-SMOOTHING = (1 / 64, 6 / 64, 15 / 64, 20 / 64, 15 / 64, 6 / 64, 1 / 64)
-"""Binomial weights of 7 frames: a standard deviation of 1.2 frames. They remove what alternates from frame to frame."""
+SMOOTHING = tuple(comb(16, tap) / 2**16 for tap in range(17))
+"""Binomial weights of 17 frames, a Gaussian with a standard deviation of 2: it halves 5 Hz and removes what alternates
+from frame to frame."""
 
 LENGTHS_PER_OCTAVE = 4
 """Lengths that clips are padded to, for each doubling: padding adds at most a quarter."""
 
-SPEED_RATIOS = (0.4, 2.5)
-"""Bounds of the ratio of speeds."""
+SPEED_RATIOS = (0.5, 2.0)
+"""Bounds of the ratio by which a content's velocity is scaled."""
 
 MIN_SPEED = 0.3
-"""Metres per second below which a clip stands, and has no speed to scale."""
+"""Metres per second below which a clip stands."""
+
+MIN_STEPS = 2
+"""Steps below which a clip has no step length."""
 
 
 @struct.dataclass
@@ -132,17 +139,30 @@ def hidden_units(run: TransferRun, rows: np.ndarray) -> jax.Array:
 
 
 def speed_ratio(content_rows: np.ndarray, style_rows: Sequence[np.ndarray], layout: ClipLayout) -> float:
-    """Returns the mean speed of the style over that of the content, within bounds; 1 if either of them stands."""
-    content = mean_speed(content_rows, layout)
-    style = float(np.average([mean_speed(rows, layout) for rows in style_rows], weights=[len(r) for r in style_rows]))
-    if min(content, style) < MIN_SPEED:
+    """Returns the ratio of the style's step length to the content's, within bounds; 1 if either takes no steps.
+
+    The result steps when the content does. At the ratio of speeds, as in the authors' code of 2016, a style of quick
+    steps would get long ones.
+    """
+    content = step_length(content_rows, layout)
+    styles = [length for length in (step_length(rows, layout) for rows in style_rows) if length is not None]
+    if content is None or not styles:
         return 1.0
-    return float(np.clip(style / content, *SPEED_RATIOS))
+    return float(np.clip(np.mean(styles) / content, *SPEED_RATIOS))
 
 
-def mean_speed(rows: np.ndarray, layout: ClipLayout) -> float:
-    """Returns the mean speed of the root of rows [T, D] in metres per second."""
-    return float(np.linalg.norm(root_motion(rows, layout)[0], axis=-1).mean())
+def step_length(rows: np.ndarray, layout: ClipLayout) -> float | None:
+    """Returns the distance in metres that the root travels in a step of rows [T, D], or None without steps.
+
+    A step begins when one ankle passes the other.
+    """
+    speed = np.linalg.norm(root_motion(np.asarray(rows, float), layout)[0], axis=-1)
+    left, _, right, _ = FEET
+    at = points(np.asarray(rows, float), layout)
+    passing = np.flatnonzero(np.diff(np.sign(at[:, left, 2] - at[:, right, 2])))
+    if len(passing) < MIN_STEPS + 1 or speed.mean() < MIN_SPEED:
+        return None
+    return float(speed[passing[0] : passing[-1]].sum() / LAYOUT_FPS / (len(passing) - 1))
 
 
 def padded_length(frames: int) -> int:

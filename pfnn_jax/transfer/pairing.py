@@ -102,4 +102,4 @@ def _matches(
     reason = f"content {clip.content} is not in the style" if clip.content else "no label of its content"
     found = f"paired with the style's {len(members)}" if members else "the style has no such clip, all of it is used"
     notes[f"{clip.name}: {reason}; its speed is that of a {gait}, {found}"] = None
-    return (gait, members) if members else (ALL, tuple(range(len(gaits))))
+    return (f"gait {gait}", members) if members else (ALL, tuple(range(len(gaits))))

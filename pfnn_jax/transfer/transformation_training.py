@@ -112,19 +112,26 @@ def window_losses(
     target: jax.Array,
     frozen: Frozen,
     layout: ClipLayout,
+    keep_detail: bool,
 ) -> dict[str, jax.Array]:
     """Returns the terms of Eq. 10, without weights, of one moved window.
 
     Args:
-        moved, x: [T, D] normalised, result and content.
+        moved, x: [T, D] normalised, what the network makes of a content, and the content.
         constraints: of the content.
         target: [F, F] Gram matrix of the style.
         frozen: loss network and statistics.
         layout: of the rows.
+        keep_detail: whether constraints see the motion that `apply_network` returns, after the projection, or the
+            network's, as in the paper.
     """
-    hidden, rows = frozen.autoencoder.encode(moved), moved * frozen.std[None] + frozen.mean[None]
+    autoencoder = frozen.autoencoder
+    hidden, content = autoencoder.encode(moved), autoencoder.encode(x)
+    if keep_detail:
+        moved = add_change(x, autoencoder.decode(content), autoencoder.decode(hidden))
+    rows = moved * frozen.std[None] + frozen.mean[None]
     return {
-        "content": content_loss(hidden, frozen.autoencoder.encode(x)),
+        "content": content_loss(hidden, content),
         "style": style_loss(hidden, target),
         "foot": foot_loss(rows, constraints, layout),
         "bone": bone_loss(rows, constraints, layout),
@@ -212,12 +219,12 @@ def _frozen(run: TransferRun, styles: Sequence[GaitClip], pairing: Pairing) -> F
 
 
 def _batch_losses(
-    network: TransformationNetwork, batch: Windows, frozen: Frozen, layout: ClipLayout
+    network: TransformationNetwork, batch: Windows, frozen: Frozen, layout: ClipLayout, keep_detail: bool
 ) -> dict[str, jax.Array]:
     """Returns the mean over a minibatch of each term."""
 
     def one(x: jax.Array, constraints: Constraints, group: jax.Array) -> dict[str, jax.Array]:
-        return window_losses(network(x), x, constraints, frozen.grams[group], frozen, layout)
+        return window_losses(network(x), x, constraints, frozen.grams[group], frozen, layout, keep_detail)
 
     terms = jax.vmap(one)(batch.x, batch.constraints, batch.group)
     return {name: jnp.mean(values) for name, values in terms.items()}
@@ -238,7 +245,7 @@ def _measure(
     count, size = len(windows.x), config.batch_size
     if not count:
         return {}
-    measure = jax.jit(partial(_batch_losses, layout=layout))
+    measure = jax.jit(partial(_batch_losses, layout=layout, keep_detail=config.keep_detail))
     found: dict[str, float] = dict.fromkeys(TERMS, 0.0)
     for start in range(0, count, size):
         # The last minibatch begins with its first windows again, so that one program serves all.
@@ -264,7 +271,7 @@ def _train(
 
     def step(state: TrainState, batch: Windows, frozen: Frozen) -> tuple[TrainState, jax.Array]:
         def loss(params: TransformationNetwork) -> jax.Array:
-            return _total(_batch_losses(params, batch, frozen, layout), config.weights)
+            return _total(_batch_losses(params, batch, frozen, layout, config.keep_detail), config.weights)
 
         found, gradient = jax.value_and_grad(loss)(state.params)
         updates, opt_state = tx.update(gradient, state.opt_state)

@@ -30,6 +30,7 @@ from pfnn_jax.transfer.optimisation import (
     optimise,
     padded_length,
     speed_ratio,
+    step_length,
     style_gram,
 )
 from pfnn_jax.transfer.run import TransferRun, TransferRunConfig
@@ -130,13 +131,31 @@ def test_losses_see_the_hidden_units_that_the_clip_is_decoded_from():
     assert list(np.flatnonzero(loss_mask(mask))) == list(range(15 - MARGIN // 4, 25 + MARGIN // 4))
 
 
-def test_speeds_are_scaled_by_their_ratio_within_bounds_and_only_of_clips_that_move():
-    slow, fast, standing = walk(speed=0.8), walk(speed=1.6), np.repeat(walk()[:1], 30, axis=0)
-    standing[:, HOLDEN2017.root_velocity] = 0
-    np.testing.assert_allclose(speed_ratio(fast, [slow], HOLDEN2017), 0.5, rtol=0.02)
-    assert speed_ratio(fast, [standing], HOLDEN2017) == speed_ratio(standing, [fast], HOLDEN2017) == 1.0
-    assert speed_ratio(slow / 3, [4 * fast], HOLDEN2017) == 1.0  # 0.27 m/s is standing
-    assert speed_ratio(slow, [4 * fast], HOLDEN2017) == 2.5
+def test_speed_is_scaled_by_the_ratio_of_step_lengths_within_bounds():
+    slow, fast = walk(speed=0.8), walk(speed=1.6)
+    lengths = [step_length(rows, HOLDEN2017) for rows in (slow, fast)]
+    assert lengths[0] is not None and lengths[1] is not None and 0.2 < lengths[0] < lengths[1] < 1.2
+    np.testing.assert_allclose(speed_ratio(fast, [slow], HOLDEN2017), lengths[0] / lengths[1], rtol=1e-6)
+    assert speed_ratio(fast, [fast[::2]], HOLDEN2017) < 1  # half as many frames at the same velocity
+    assert speed_ratio(slow, [scaled(fast, 9)], HOLDEN2017) == 2.0
+
+
+def test_a_step_is_as_long_at_any_frame_rate_of_steps():
+    rows = walk(frames=240)
+    quick = scaled(rows[::2], 2)  # twice the steps a second at twice the speed
+    np.testing.assert_allclose(step_length(quick, HOLDEN2017), step_length(rows, HOLDEN2017), rtol=0.05)
+
+
+def test_clips_without_steps_keep_their_speed():
+    standing = scaled(walk(), 0)
+    assert step_length(standing, HOLDEN2017) is step_length(walk()[:10], HOLDEN2017) is None
+    assert speed_ratio(walk(), [standing], HOLDEN2017) == speed_ratio(standing, [walk()], HOLDEN2017) == 1.0
+
+
+def scaled(rows: np.ndarray, factor: float) -> np.ndarray:
+    rows = rows.copy()
+    rows[:, HOLDEN2017.root_velocity] *= factor
+    return rows
 
 
 def test_several_style_clips_count_by_their_frames():
@@ -146,10 +165,10 @@ def test_several_style_clips_count_by_their_frames():
 
 
 def test_only_a_smooth_change_is_added():
-    x, change = jnp.zeros((20, 2)), jnp.ones((20, 2))
+    x, change = jnp.zeros((40, 2)), jnp.ones((40, 2))
     np.testing.assert_allclose(add_change(x, x, change), change, atol=1e-6)
-    flicker = jnp.where(jnp.arange(20)[:, None] % 2 == 0, 1.0, -1.0) * change
-    np.testing.assert_allclose(add_change(x, x, flicker)[3:-3], 0.0, atol=1e-6)
+    flicker = jnp.where(jnp.arange(40)[:, None] % 2 == 0, 1.0, -1.0) * change
+    np.testing.assert_allclose(add_change(x, x, flicker)[8:-8], 0.0, atol=1e-6)
 
 
 def test_the_style_clip_as_its_own_content_has_no_style_loss():
