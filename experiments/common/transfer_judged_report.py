@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from experiments.common.markdown import markdown_table
 from experiments.common.transfer_methods import STRENGTHS
-from experiments.common.transfer_pairs import OTHER_CONTENT, SAME_CONTENT, SAME_STYLE, Pair
+from experiments.common.transfer_pairs import OTHER_CONTENT, PEER_FPS, SAME_CONTENT, SAME_STYLE, Pair
 from pfnn_jax.evaluation.report import Section, Table, write_report
 from pfnn_jax.evaluation.transfer_judge import MEASURES, Spread, summarise
 from pfnn_jax.io.files import write_whole
@@ -40,6 +40,9 @@ NOTE = "Mean over pairs, in brackets the 95 % interval by bootstrap over pairs. 
     f"{name}: {text}" for name, text in MEASURES.items() if name in COLUMNS
 )
 
+RELATIVE = ("style recognised", "style probability", "content recognised", "content probability")
+"""Measures that are reported relative to those of the ground truths of the same pairs."""
+
 DRAWN_METHODS = ("content", "ground truth", "optimisation", "fast")
 
 
@@ -64,24 +67,55 @@ def write_results(
         kind: {name: summarise([one for one in own if one["kind"] == kind]) for name, own in records.items()}
         for kind in (OTHER_CONTENT, SAME_CONTENT, SAME_STYLE)
     }
-    real = found["accuracy on real clips"]
-    said = ", ".join(f"{kind} {100 * value:.0f} %" for kind, value in real.items())
-    sections, markdown = [], [f"Recognition of held-out real clips of the same folds: {said}.\n"]
-    for kind, table in found["summary"].items():
-        lines = _lines(table, found["frechet"] if kind == OTHER_CONTENT else {})
-        head = ("method", "pairs", *COLUMNS, "Fréchet")
-        sections.append(Section(f"Pairs: {kind}", f"Recognition of real clips: {said}.", Table(head, lines, note=NOTE)))
-        markdown.append(f"\n{kind}\n\n{markdown_table(head, lines)}")
-    if found["peers"]:
-        head = ("pair", "method", *COLUMNS)
-        lines = [[one["pair"], one["method"], *(one[name] for name in COLUMNS)] for one in found["peers"]]
-        sections.append(Section("Beside released outputs", table=Table(head, lines)))
-        markdown.append(f"\nreleased outputs, at 30 fps\n\n{markdown_table(head, lines)}")
+    found["relative"] = relative(found["summary"][OTHER_CONTENT])
+    sections, markdown = _tables(found), []
+    for section in sections:
+        table = section.table
+        assert table is not None
+        markdown.append(f"{section.title}. {section.text}\n\n{markdown_table(table.columns, table.rows)}\n")
     sections.append(Section("Strength", "Style against content recognition.", figures=_curves(found["summary"])))
     shown = [pair for pair in pairs if pair.kind == OTHER_CONTENT][:drawn]
     sections.append(Section("Pictures", figures=[(pair.name, _picture(pair, results)) for pair in shown]))
     write_report(out, found, sections, title="Style transfer, judged", overwrite=True)
     write_whole(out / "table.md", "".join(markdown))
+
+
+def _tables(found: Mapping[str, Any]) -> list[Section]:
+    """Returns the tables of all kinds of pairs, of recognition relative to real clips, and of released outputs."""
+    real = found["accuracy on real clips"]
+    text = f"Held-out real clips of the same folds: {', '.join(f'{kind} {value:.0%}' for kind, value in real.items())}."
+    sections = []
+    for kind, table in found["summary"].items():
+        lines = _lines(table, found["frechet"] if kind == OTHER_CONTENT else {})
+        sections.append(
+            Section(f"Pairs: {kind}", text, Table(("method", "pairs", *COLUMNS, "Fréchet"), lines, note=NOTE))
+        )
+    lines = [[name, *(own.get(measure) for measure in RELATIVE)] for name, own in found["relative"].items()]
+    text = f"Pairs: {OTHER_CONTENT}. Each measure over that of the ground truths of these pairs."
+    sections.append(Section("Relative to real clips", text, Table(("method", *RELATIVE), lines)))
+    if found["peers"]:
+        lines = [[one["pair"], one["method"], *(one[name] for name in COLUMNS)] for one in found["peers"]]
+        text = f"All clips at {PEER_FPS:g} fps."
+        sections.append(Section("Released outputs", text, Table(("pair", "method", *COLUMNS), lines)))
+    return sections
+
+
+def relative(table: Mapping[str, Mapping[str, Spread]]) -> dict[str, dict[str, float]]:
+    """Returns method -> measure -> mean over that of the ground truth, of recognition; empty without ground truths.
+
+    Args:
+        table: method -> measure -> spread, of one kind of pairs.
+    """
+    real = table.get("ground truth", {})
+    return {
+        name: {
+            measure: spreads[measure].mean / real[measure].mean
+            for measure in RELATIVE
+            if measure in spreads and measure in real and real[measure].mean > 0
+        }
+        for name, spreads in table.items()
+        if real
+    }
 
 
 def _lines(table: Mapping[str, Mapping[str, Spread]], frechet: Mapping[str, float | None]) -> list[list[Any]]:

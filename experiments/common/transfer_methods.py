@@ -46,20 +46,20 @@ FINISHES = {
     "optimisation, no constraints": Finish("optimisation, no constraints"),
     "optimisation, no IK": Finish("optimisation", foot_ik=False),
     "optimisation, neither": Finish("optimisation, no constraints", foot_ik=False),
-    "optimisation, paper's weights": Finish("optimisation, paper's weights"),
+    "optimisation, whole motion": Finish("optimisation, whole motion"),
     "optimisation, 0.5": Finish("optimisation", strength=0.5),
     "optimisation, 1.5": Finish("optimisation", strength=1.5),
     "fast": Finish("fast"),
+    "fast, whole motion": Finish("fast, whole motion"),
     "fast, no projection": Finish("fast, no projection"),
     "fast, no constraints": Finish("fast, no constraints"),
     "fast, no IK": Finish("fast", foot_ik=False),
     "fast, 0.5": Finish("fast", strength=0.5),
     "fast, 1.5": Finish("fast", strength=1.5),
 }
-"""Methods that make clips. "No constraints" leaves out the losses of feet, bones and the trajectory."""
-
-PAPER = LossWeights(content=1.0, style=0.01)
-"""Weights of Holden et al. 2017; those of the constraints, which the paper leaves open, are the defaults."""
+"""Methods that make clips. "No constraints" leaves out the losses of feet, bones and the trajectory. "Whole motion" is
+the form of the papers, in which all of the result passes the autoencoder, and not the change to the content alone; "no
+projection" is the output of the same network itself."""
 
 
 def without_constraints(weights: LossWeights) -> LossWeights:
@@ -78,7 +78,7 @@ class Methods:
         optimisation: settings.
         training: settings of fast networks.
         seed: of noise and training.
-        networks: fast networks that have been trained, by style, content that was left out, and weights.
+        networks: fast networks that have been trained, by style, content that was left out, and settings.
         rows: rows that have been made, by method and pair.
     """
 
@@ -113,8 +113,8 @@ class Methods:
         config = self.optimisation
         if name.endswith("no constraints"):
             config = replace(config, weights=without_constraints(config.weights), constraint_iterations=0)
-        if name.endswith("paper's weights"):
-            config = replace(config, weights=PAPER)
+        if name.endswith("whole motion"):
+            config = replace(config, keep_detail=False)
         content, style = self.encoded(pair.content), self.encoded(pair.style)
         return optimise(self.run, content, [style], config, key=jax.random.key(self.seed))
 
@@ -122,11 +122,13 @@ class Methods:
         config = self.training
         if name.endswith("no constraints"):
             config = replace(config, weights=without_constraints(config.weights))
-        key = pair.style.style, pair.content.content, config.weights
+        if name.endswith(("whole motion", "no projection")):
+            config = replace(config, keep_detail=False)
+        key = pair.style.style, pair.content.content, config
         if key not in self.networks:
             self.networks[key] = self._train(pair, config)
-        rows = self.encoded(pair.content)
-        return apply_network(self.run, self.networks[key], rows, project=not name.endswith("no projection"))
+        project, rows = not name.endswith("no projection"), self.encoded(pair.content)
+        return apply_network(self.run, self.networks[key], rows, project=project, keep_detail=config.keep_detail)
 
     def _train(self, pair: Pair, config: TransformationTrainingConfig) -> TransformationNetwork:
         """Trains a network of the pair's style that has seen no clip of the pair's content in xia-test."""

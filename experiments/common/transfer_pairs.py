@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
 
-from pfnn_jax.evaluation.clip_classifier import ClipClassifier, WindowConfig, clip_accuracy, train_clip_classifier
+from pfnn_jax.evaluation.clip_classifier import (
+    ClipClassifier,
+    WindowConfig,
+    clip_accuracy,
+    train_on_windows,
+    training_windows,
+)
 from pfnn_jax.evaluation.style_classifier import ClassifierConfig
 from pfnn_jax.evaluation.transfer_judge import Recognisers
 from pfnn_jax.motion.clip import MotionClip, resample
@@ -157,8 +163,13 @@ class Folds:
         return {kind: float(np.mean(values)) for kind, values in found.items()}
 
     def _train(self, clips: list[MotionClip], label: str) -> ClipClassifier:
-        labels = [getattr(clip, label) for clip in clips]
-        return train_clip_classifier(clips, labels, windows=WINDOWS, config=self.config, networks=self.networks)
+        parts = [self._windows[_label(clip)] for clip in clips]
+        labels, skeleton = [getattr(clip, label) for clip in clips], self.clips[0].skeleton
+        return train_on_windows(parts, labels, skeleton, WINDOWS, config=self.config, networks=self.networks)
+
+    @cached_property
+    def _windows(self) -> dict[str, np.ndarray]:
+        return {_label(clip): training_windows(clip, self.clips[0].skeleton, WINDOWS) for clip in self.clips}
 
 
 def load_peers(folder: Path, clips: Sequence[MotionClip]) -> list[PeerPair]:

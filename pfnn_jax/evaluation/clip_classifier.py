@@ -91,9 +91,30 @@ def train_clip_classifier(
         config: of each network; its seed is that of the first.
         networks: number of networks, with consecutive seeds.
     """
-    windows, config = windows or WindowConfig(), config or ClassifierConfig()
-    known, skeleton = tuple(sorted(set(labels))), clips[0].skeleton
-    parts = [_varied(clip, skeleton, windows) for clip in clips]
+    windows, skeleton = windows or WindowConfig(), clips[0].skeleton
+    parts = [training_windows(clip, skeleton, windows) for clip in clips]
+    return train_on_windows(parts, labels, skeleton, windows, config=config, networks=networks)
+
+
+def train_on_windows(
+    parts: Sequence[np.ndarray],
+    labels: Sequence[str],
+    skeleton: Skeleton,
+    windows: WindowConfig,
+    *,
+    config: ClassifierConfig | None = None,
+    networks: int = 1,
+) -> ClipClassifier:
+    """Trains as `train_clip_classifier`, on windows that have been cut: where many classifiers share clips.
+
+    Args:
+        parts: windows of each clip, as `training_windows` returns them.
+        labels: of each clip.
+        skeleton, windows: that the windows were cut with.
+        config: of each network; its seed is that of the first.
+        networks: number of networks, with consecutive seeds.
+    """
+    config, known = config or ClassifierConfig(), tuple(sorted(set(labels)))
     rows = np.concatenate(parts)
     targets = np.repeat([known.index(label) for label in labels], [len(part) for part in parts])
     trained = [
@@ -108,8 +129,8 @@ def clip_accuracy(classifier: ClipClassifier, clips: Sequence[MotionClip], label
     return float(np.mean([classifier.label(clip) == label for clip, label in zip(clips, labels, strict=True)]))
 
 
-def _varied(clip: MotionClip, skeleton: Skeleton, windows: WindowConfig) -> np.ndarray:
-    """Returns the windows of a clip, of its mirror image, and of both at other speeds."""
+def training_windows(clip: MotionClip, skeleton: Skeleton, windows: WindowConfig) -> np.ndarray:
+    """Returns the windows [N, frames, 126] of a clip, of its mirror image, and of both at other speeds."""
     images = (clip, mirror_clip(clip)) if windows.mirror else (clip,)
     played = [replace(image, fps=image.fps * scale) for image in images for scale in windows.time_scales]
     return np.concatenate([_cut(one, skeleton, windows) for one in played])

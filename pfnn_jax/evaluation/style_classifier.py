@@ -274,7 +274,7 @@ def _compiled(config: ClassifierConfig) -> Callable:
         trained = optax.apply_updates(trained, jax.tree.map(lambda leaf: -rate * leaf, updates))
         return (trained, moments, taken + 1), value
 
-    def read(data, draw):
+    def read(data: Any, draw: Any) -> Any:
         (windows, labels), (rows, key) = data, draw
         return windows[rows], labels[rows], key
 

@@ -42,7 +42,7 @@ def content_consistency(result: np.ndarray, content: np.ndarray, *, warp: bool =
         warp: as in `pose_distance`.
 
     Source: Kim et al. 2024 (MoST), section 4. Its numbers are sums over 21 joints in units of 5.6444 cm: this mean in
-    metres times 372.0.
+    metres times 372.
     """
     return pose_distance(result, content, warp=warp)
 
@@ -132,7 +132,8 @@ def trajectory_distance(result: np.ndarray, content: np.ndarray, *, fit_speed: b
             faster than the content, and Holden et al. 2016 scale the trajectory by the ratio of speeds. Two paths that
             lead apart are fitted by no positive factor, and the result's path by 0.
 
-    Source: trajectory similarity index (TSI) of MCM-LDM (Song et al. 2024), section 4.
+    Source: after the trajectory similarity index (TSI) of MCM-LDM (Song et al. 2024), a mean distance of root paths from
+    a common start; that the speed may be fitted is added here.
     """
     shorter = min(len(result), len(content))
     a, b = result[:shorter] - result[0], content[:shorter] - content[0]

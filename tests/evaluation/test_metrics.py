@@ -111,6 +111,29 @@ def test_contact_sliding_counts_only_frames_in_contact():
     assert metrics.contact_sliding(feet, contacts, FPS) == pytest.approx(0.5, abs=1e-9)
 
 
+@pytest.mark.parametrize(("height", "expected"), [(0.0, 1.0), (0.0125, 2 - 2**0.5), (-0.0125, 2 - 2**0.5)])
+def test_skating_near_the_ground_is_not_lowered_by_feet_in_the_air(height, expected):
+    feet = np.concatenate([moving_foot(1.0, height), moving_foot(3.0, 0.2)], axis=1)
+    assert metrics.near_ground_skating(feet, FPS) == pytest.approx(expected, abs=1e-9)
+    assert metrics.near_ground_skating(feet + [0.0, 0.5, 0.0], FPS, ground=0.5) == pytest.approx(expected, abs=1e-9)
+    assert metrics.near_ground_skating(feet + [0.0, 0.5, 0.0], FPS) == 0.0
+
+
+def test_skating_near_the_ground_counts_vertical_motion_and_leaves_out_weights_of_zero():
+    foot = np.zeros((4, 1, 3))
+    foot[:, 0, 1] = [0.0, 0.025, 0.0, 0.0]  # steps up to a weight of 0, down to 1, and none
+    assert metrics.near_ground_skating(foot, 1.0) == pytest.approx(0.025 / 2, abs=EXACT)
+
+
+def test_sliding_over_travel_is_one_for_a_toe_that_is_dragged_along_and_zero_for_a_planted_one():
+    root = moving_foot(1.3, 0.9)[:, 0]
+    assert metrics.sliding_over_travel(moving_foot(1.3, 0.4), root) == pytest.approx(1.0, abs=1e-9)
+    assert metrics.sliding_over_travel(moving_foot(0.0, -0.2), root) == 0.0
+    both = np.concatenate([moving_foot(0.65, 0.0), moving_foot(5.0, 0.011)], axis=1)  # the second is above 1 cm
+    assert metrics.sliding_over_travel(both, root) == pytest.approx(0.5, abs=1e-9)
+    assert np.isnan(metrics.sliding_over_travel(both, 0 * root))
+
+
 def test_jitter_of_a_cubic_is_its_third_derivative():
     time = np.arange(30) / FPS
     positions = np.stack([time**3, 2 * time**2 + 1, 0 * time], axis=-1)[:, None]
