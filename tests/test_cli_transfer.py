@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -16,7 +17,7 @@ from pfnn_jax.motion.bvh import read_bvh, read_whole, write_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
 from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.run_config import check_finished
-from pfnn_jax.transfer.config import OptimisationConfig
+from pfnn_jax.transfer.config import OptimisationConfig, TransformationTrainingConfig
 from pfnn_jax.transfer.finish import MAX_STRENGTH
 from pfnn_jax.transfer.run import list_transformations, load_transfer_run
 from pfnn_jax.workflows import transfer as workflow
@@ -122,8 +123,8 @@ def test_only_the_chosen_parts_change(made, folder):
     np.testing.assert_allclose(same, 1.0, atol=DECIMALS)
 
 
-def test_equal_seeds_give_equal_files(made, folder):
-    words = ("transfer", made / "walk.bvh", "--style", made / "old.bvh", "--run", made / "run", "--seed", 3)
+def test_the_same_command_writes_the_same_file(made, folder):
+    words = ("transfer", made / "walk.bvh", "--style", made / "old.bvh", "--run", made / "run")
     run(*words, "--out", "a.bvh")
     run(*words, "--out", "b.bvh")
     assert (folder / "a.bvh").read_bytes() == (folder / "b.bvh").read_bytes()
@@ -143,8 +144,6 @@ def test_several_style_clips_are_taken(made, folder):
 
 
 def test_a_run_takes_a_second_style_and_keeps_the_first(made, folder):
-    import shutil
-
     shutil.copytree(made / "run", "run")
     run("train-transfer", made / "clips", "--style", "neutral", "--out", "run", *QUICK)
     assert list_transformations("run") == ("neutral", "old")
@@ -271,9 +270,9 @@ def test_a_long_clip_is_done_in_pieces_of_bounded_size(made, monkeypatch):
     lengths: list[int] = []
     applied = workflow.apply_network
 
-    def apply(run, network, rows):
+    def apply(run, network, rows, **options):
         lengths.append(len(rows))
-        return applied(run, network, rows)
+        return applied(run, network, rows, **options)
 
     monkeypatch.setattr(workflow, "apply_network", apply)
     walk = read_bvh(made / "walk.bvh")
@@ -284,3 +283,44 @@ def test_a_long_clip_is_done_in_pieces_of_bounded_size(made, monkeypatch):
     result = transfer_clip(long, run=made / "run").clip
     assert result.num_frames == long.num_frames and max(lengths) == PIECE and len(lengths) == 2
     assert np.isfinite(result.root_positions).all()
+
+
+def test_style_clips_are_paired_by_gait_and_this_is_said(made, tmp_path):
+    walk = read_bvh(made / "walk.bvh")
+    old, dash = read_bvh(made / "old.bvh"), read_bvh(make_walk(tmp_path / "dash.bvh", speed=4.0))
+    quick = partial(transfer_clip, walk, run=made / "run")
+    alone, both = quick(old), quick([old, dash])
+    assert alone.notes == () and len(both.notes) == 1 and "walk.bvh: no label" in both.notes[0]
+    np.testing.assert_array_equal(alone.clip.rotations, both.clip.rotations)  # the dash is left out
+    (note,) = quick(dash).notes
+    assert "is that of a walk" in note and "all of it is used" in note
+
+
+def test_a_labelled_content_takes_the_clips_of_its_label(made):
+    walk, old = (replace(read_bvh(made / name), content="walk") for name in ("walk.bvh", "old.bvh"))
+    other = replace(read_bvh(made / "clips" / "old" / "walk.bvh"), content="limp")
+    quick = partial(transfer_clip, walk, run=made / "run")
+    both = quick([old, other])
+    assert both.notes == ()
+    np.testing.assert_array_equal(both.clip.rotations, quick(old).clip.rotations)
+
+
+def test_short_clips_of_the_data_are_left_out_and_named(made, tmp_path):
+    shutil.copytree(made / "clips", tmp_path / "clips")
+    walk = read_bvh(made / "walk.bvh")
+    for name in ("a", "b"):
+        write_bvh(tmp_path / "clips" / "neutral" / f"{name}.bvh", cut(walk, 0, SHORTEST - 1))
+    quick = TransformationTrainingConfig(epochs=1, batch_size=4)
+    info = train_transfer(tmp_path / "clips", "old", tmp_path / "run", quick, autoencoder=made / "bare")
+    (note,) = [note for note in info["notes"] if "shorter" in note]
+    assert "a.bvh (and 1 more): shorter than a filter" in note and info["contents"] == 1
+    assert list_transformations(tmp_path / "run") == ("old",)
+
+
+def test_a_damaged_note_of_a_style_is_refused(made, tmp_path):
+    shutil.copytree(made / "run", tmp_path / "run")
+    file = tmp_path / "run" / "styles" / "old" / "style.json"
+    note = json.loads(file.read_text())
+    del note["info"]["config"]
+    file.write_text(json.dumps(note))
+    assert_refused(lambda: transfer_clip(made / "walk.bvh", run=tmp_path / "run"), file="style.json", place="config")

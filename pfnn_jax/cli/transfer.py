@@ -30,7 +30,6 @@ class Transfer(Command):
         parts: of the body that take the style: all, upper, lower, or arms. The others stay as they are.
         foot_ik: feet are held in place while those of the content are in contact; `--no-foot-ik` leaves them as the
             network makes them.
-        seed: of what is random.
         roles: JSON file that names the joints' roles.
         reading: what is known about the files, where it is not found or wrong.
         overwrite: replace an existing file.
@@ -43,7 +42,6 @@ class Transfer(Command):
     strength: float = 1.0
     parts: Literal["all", "upper", "lower", "arms"] = "all"
     foot_ik: bool = True
-    seed: int = 0
     roles: Path | None = None
     reading: Reading = ReadOptions()
     overwrite: bool = False
@@ -63,7 +61,6 @@ class Transfer(Command):
                 strength=self.strength,
                 parts=self.parts,
                 foot_ik=self.foot_ik,
-                seed=self.seed,
                 reading=self.reading,
                 roles_file=self.roles,
                 progress_callback=lambda share, what: stage(what),

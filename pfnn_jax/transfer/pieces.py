@@ -14,7 +14,8 @@ OVERLAP = 240
 
 MARGIN = 64
 """Frames at both ends of an overlap that are taken from the piece in which they lie further inside. A transformation
-network and the projection see 61 frames to each side, so that their result in pieces is that of the whole clip."""
+network, the projection and the smoothing of the change see 64 frames to each side, so that their result in pieces is
+that of the whole clip."""
 
 
 def in_pieces(

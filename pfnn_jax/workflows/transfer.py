@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ from pfnn_jax.transfer.run import (
     save_transformation,
     transformation_note,
 )
-from pfnn_jax.transfer.transformation import TransformationNetwork, init_transformation
+from pfnn_jax.transfer.transformation import init_transformation
 from pfnn_jax.transfer.transformation_training import apply_network, train_transformation
 
 SAME = 1e-4
@@ -47,6 +48,9 @@ SAME = 1e-4
 
 Clip = MotionClip | str | Path
 """A clip, or the path of a BVH file."""
+
+Method = Callable[[np.ndarray], np.ndarray]
+"""From the rows of a content to those of the result, [T, D] in layout units."""
 
 Progress = Callable[[float, str], Any]
 """Called with the share that is done, 0 to 1, and what is being done."""
@@ -125,21 +129,18 @@ def transfer_clip(
     given = _as_clips(style)
     if style is not None and not given:
         raise InputError("transfer_clip", "style", "no clips", "pass at least one, or the name of a style of the run")
-    network = _load_network(run, _chosen_style(run, style_name)) if style is None else None
+    method = _load_method(run, _chosen_style(run, style_name)) if style is None else None
     progress_callback(0.0, "reading")
     clip, *styles = [_read(each, reading, roles_file) for each in (content, *given)]
     notes = [f"{each.source or 'clip'}: {note}" for each in (clip, *styles) for note in each.notes]
     rows, *style_rows = [rows_for_run(each, run) for each in (clip, *styles)]
     _refuse_same(clip, rows, styles, style_rows)
     progress_callback(0.1, "transferring the style")
-    if network is not None:
-        moved = in_pieces(rows, lambda piece: apply_network(run, network, piece))
-    else:
+    if method is None:
         paired, said = _pair(clip, rows, styles, style_rows, run)
         notes += said
-        settings = OptimisationConfig() if config is None else config
-        key = jax.random.key(seed)
-        moved = in_pieces(rows, lambda piece: optimise(run, piece, paired, settings, key=key))
+        method = partial(_optimised, run, paired, OptimisationConfig() if config is None else config, seed)
+    moved = in_pieces(rows, method)
     progress_callback(0.9, "finishing")
     result = finish_clip(moved, clip, run.skeleton, run.layout, strength=strength, parts=parts, foot_ik=foot_ik)
     progress_callback(1.0, "done")
@@ -264,6 +265,12 @@ def _check_finite(clip: MotionClip) -> None:
             raise InputError(clip.source or "clip", f"frame {frame}", f"{what} not finite", "must be finite numbers")
 
 
+def _optimised(
+    run: TransferRun, style_rows: list[np.ndarray], config: OptimisationConfig, seed: int, rows: np.ndarray
+) -> np.ndarray:
+    return optimise(run, rows, style_rows, config, key=jax.random.key(seed))
+
+
 def _pair(
     clip: MotionClip, rows: np.ndarray, styles: Sequence[MotionClip], style_rows: Sequence[np.ndarray], run: TransferRun
 ) -> tuple[list[np.ndarray], list[str]]:
@@ -282,20 +289,24 @@ def _pair(
     return pieces, [] if obvious else list(pairing.notes)
 
 
-def _load_network(run: TransferRun, style: str) -> TransformationNetwork:
-    """Loads the network of one of a run's styles.
+def _load_method(run: TransferRun, style: str) -> Method:
+    """Loads the network of one of a run's styles, as the function that it was trained to be.
 
     Raises:
-        InputError: as `load_transformation`, and for a note without the network's sizes.
+        InputError: as `load_transformation`, and for a note without the network's settings.
     """
     note = transformation_note(run.path, style)
     try:
-        sizes = TransformationConfig(**note["info"]["config"]["network"])
+        config = note["info"]["config"]
+        sizes, keep_detail = TransformationConfig(**config["network"]), bool(config["keep_detail"])
     except (KeyError, TypeError, ValueError) as error:
         file = run.path / "styles" / style / "style.json"
-        raise InputError(file, "network", error, "must be the sizes of a transformation network") from error
+        raise InputError(
+            file, "config", error, "must hold `network` and `keep_detail`: train the style again"
+        ) from error
     abstract = jax.eval_shape(lambda: init_transformation(sizes, run.layout.size, key=jax.random.key(0)))
-    return load_transformation(run, style, abstract)
+    network = load_transformation(run, style, abstract)
+    return lambda rows: apply_network(run, network, rows, keep_detail=keep_detail)
 
 
 def _run_to_train(

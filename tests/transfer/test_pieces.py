@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 
+from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.transfer.config import TransformationConfig
 from pfnn_jax.transfer.pieces import MARGIN, OVERLAP, PIECE, in_pieces
+from pfnn_jax.transfer.transformation import init_transformation
+from pfnn_jax.transfer.transformation_training import apply_network
+from pfnn_jax.workflows.transfer import rows_for_run
+from tests.transfer_runs import make_transfer_run, make_walk
 
+FLOAT = 1e-4  # standard deviations: float32 over six convolutions, in programs of other sizes
 EXACT = 1e-12  # float64, a weighted mean of two equal numbers
-WIDTH = 2 * (MARGIN - 3) + 1  # frames that a transformation network and the projection see
+WIDTH = 2 * MARGIN + 1  # frames
 
 
 def smooth(rows: np.ndarray) -> np.ndarray:
@@ -49,3 +57,15 @@ def test_pieces_that_differ_are_cross_faded():
     done = in_pieces(np.zeros((PIECE + 100, 1)), lambda piece: np.full(piece.shape, next(made)))
     assert done[0] == 0.0 and done[-1] == 1.0
     assert np.diff(done[:, 0]).max() <= 1.0 / (OVERLAP - 2 * MARGIN) + EXACT and (np.diff(done[:, 0]) >= 0).all()
+
+
+def test_a_network_in_pieces_equals_the_whole(tmp_path):
+    run = make_transfer_run(tmp_path)
+    network = init_transformation(TransformationConfig(hidden=8), run.layout.size, key=jax.random.key(1))
+    rows = rows_for_run(read_bvh(make_walk(tmp_path / "long.bvh", seconds=12.0)), run)
+
+    def apply(piece: np.ndarray) -> np.ndarray:
+        return apply_network(run, network, piece)
+
+    apart = (in_pieces(rows, apply, size=400) - apply(rows)) / run.statistics.std
+    assert np.abs(apart).max() < FLOAT
