@@ -6,7 +6,7 @@ Question  what do both take on this machine, and does the time grow as slowly wi
           paper?
 Measure   medians of interleaved repetitions, after compilation, from normalised rows to normalised rows: the fast
           network with its projection (of the paper's sizes), and 250 + 100 iterations of the optimisation; reading,
-          retargeting and foot locking are not in them, as they are not in the paper's. The fast network is also
+          retargeting and holding feet are not in them, as they are not in the paper's. The fast network is also
           measured as `transfer` applies it, which projects the content as well.
 Expect    see docs/results_appendix.md.
 Run       python -m experiments.table1_transfer --out runs/table1_transfer

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.benchmarks.timing import Figure, Work, figure, interleave
-from pfnn_jax.control.ik.fix_feet import fix_feet
 from pfnn_jax.errors import check_at_least
 from pfnn_jax.models.convolution import Convolution
 from pfnn_jax.motion.clip import MotionClip
@@ -32,7 +31,7 @@ from pfnn_jax.transfer.config import (
     TransformationConfig,
     TransformationTrainingConfig,
 )
-from pfnn_jax.transfer.finish import finish_clip
+from pfnn_jax.transfer.finish import finish_clip, hold_feet
 from pfnn_jax.transfer.layout import HOLDEN2017, LAYOUT_FPS, WINDOW_FRAMES
 from pfnn_jax.transfer.optimisation import optimise
 from pfnn_jax.transfer.pairing import GaitClip, pair_by_gait
@@ -261,7 +260,7 @@ def training_figures(sizes: TransferSizes) -> list[Figure]:
 
 
 def command_figures(sizes: TransferSizes, repetitions: int) -> list[Figure]:
-    """Measures what a command does before and after the network: the clip to rows, rows to the clip, foot locking."""
+    """Measures what a command does before and after the network: the clip to rows, rows to the clip, planted feet."""
     num_frames = sizes.frames[0]
     section, skeleton = f"style transfer, clip of {num_frames} frames", synthetic_skeleton()
     clip = walking_clip(num_frames)
@@ -269,7 +268,7 @@ def command_figures(sizes: TransferSizes, repetitions: int) -> list[Figure]:
     works: dict[str, Work] = {
         "retarget and encode": lambda: encode_clip(prepare_clip(clip, skeleton), HOLDEN2017),
         "decode and fit rotations": lambda: finish_clip(rows, clip, skeleton, HOLDEN2017, foot_ik=False).rotations,
-        "lock feet": lambda: fix_feet(clip).rotations,
+        "hold feet": lambda: hold_feet(clip, clip).rotations,
     }
     seconds = interleave(works, repetitions)
     return [figure(section, name, 1e3 * value, "ms") for name, value in seconds.items()]
