@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from experiments import few_shot_dropout, table1_adapters
+from experiments import few_shot_dropout, table1_adapters, table1_transfer
 from pfnn_jax.benchmarks.runtime import random_predictor
+from pfnn_jax.benchmarks.transfer import TransferSizes
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from tests.raising import assert_refused
 
@@ -43,6 +44,15 @@ def test_table1_adapters(tmp_path):
     assert all(row["exact, ms"] > 0 for row in result["rows"].values())
     table = (tmp_path / "table1_adapters.md").read_text().splitlines()
     assert len(table) == 2 + 5 + 3 and all(line.count("|") == 8 for line in table)
+
+
+def test_table1_transfer(tmp_path):
+    sizes = TransferSizes((60,), filters=4, hidden=4, width=5, iterations=2, constraint_iterations=2)
+    result = table1_transfer.main(table1_transfer.Config(tmp_path, sizes, repetitions=2))
+    assert {"fast network", "optimisation"} < set(result["rows"])
+    assert all(row["median"] > 0 for by_frames in result["rows"].values() for row in by_frames.values())
+    table = (tmp_path / "table1_transfer.md").read_text().splitlines()
+    assert len(table) == 2 + 5 and all(line.count("|") == 8 for line in table)
 
 
 def test_few_shot_dropout(tmp_path):

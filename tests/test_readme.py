@@ -55,8 +55,22 @@ def test_the_first_commands_in_the_readme_run(tmp_path: Path, monkeypatch: pytes
     assert "zombie" in {style.name for style in (run / "styles").iterdir()}
 
 
+def test_the_transfer_in_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from pfnn_jax.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    [code] = [code for _, code in blocks("sh", [ROOT / "README.md"]) if "sample" in code and "transfer" in code]
+    for line in code.splitlines():
+        program, *words = line.split()
+        assert program == "pfnn-jax"
+        main(words)
+    assert (tmp_path / "restyled.bvh").exists()
+    assert (tmp_path / "restyled.html").stat().st_size > 50_000
+
+
 def test_commands_are_shown():
-    assert {command[1] for command in commands()} >= {"prepare", "pretrain", "few-shot", "generate", "label-phase"}
+    shown = {command[1] for command in commands()}
+    assert shown >= {"prepare", "pretrain", "few-shot", "generate", "label-phase", "transfer", "train-transfer"}
 
 
 @pytest.mark.parametrize("command", sorted(set(commands())), ids=" ".join)

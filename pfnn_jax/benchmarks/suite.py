@@ -1,4 +1,4 @@
-"""The benchmark of both papers' systems: medians of repetitions, compared within one run."""
+"""The benchmark of all systems: medians of repetitions, compared within one run."""
 
 from __future__ import annotations
 
@@ -26,6 +26,13 @@ from pfnn_jax.benchmarks.preparation import preparation_figures
 from pfnn_jax.benchmarks.runtime import character_figures
 from pfnn_jax.benchmarks.timing import Figure, machine, versions
 from pfnn_jax.benchmarks.training import few_shot_figures, rate_figures, step_figures
+from pfnn_jax.benchmarks.transfer import (
+    TransferSizes,
+    command_figures,
+    fast_figures,
+    optimisation_figures,
+    training_figures,
+)
 from pfnn_jax.errors import check_at_least
 from pfnn_jax.models.config import NetworkConfig
 
@@ -53,6 +60,7 @@ class BenchmarkConfig:
         generator_filters, generator_hidden: sizes of the FiLM generator.
         clips: clips that the generator reads at once.
         seconds_per_style: seconds of procedural motion to prepare for each of 8 styles.
+        transfer: sizes of style transfer.
         repetitions: measurements of every short figure; long ones are measured a third as often.
         mocap: folder with real motion capture (`bandai-namco-2`, `pfnn`) to prepare; from PFNN_JAX_MOCAP by default.
     """
@@ -71,6 +79,7 @@ class BenchmarkConfig:
     generator_hidden: int = 2048
     clips: int = 8
     seconds_per_style: float = 30.0
+    transfer: TransferSizes = TransferSizes()
     repetitions: int = 9
     mocap: Path | None = field(default_factory=_mocap)
 
@@ -88,7 +97,7 @@ class BenchmarkConfig:
 def run_benchmark(
     config: BenchmarkConfig | None = None, *, on_section: Callable[[str], None] = lambda name: None
 ) -> dict[str, Any]:
-    """Measures training steps, few-shot learning, run time and preparation, of both papers' systems.
+    """Measures training steps, few-shot learning, run time, preparation and style transfer.
 
     Args:
         config: sizes.
@@ -121,6 +130,7 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
     few = max(1, repetitions // 3)
     sections["crowds"] = lambda: crowd_figures(config.hidden, config.characters, few)
     sections |= _sections_2022(config)
+    sections |= _sections_transfer(config)
     sections["preparation"] = lambda: preparation_figures(config.mocap, config.seconds_per_style, few)
     # Last, because it clears the caches of compiled functions.
     sections["few-shot learning"] = lambda: few_shot_figures(
@@ -144,6 +154,17 @@ def _sections_2022(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figur
     sections["local phases"] = lambda: local_phase_figures(config.seconds_per_style, few)
     sections["preparation for an LPN"] = lambda: lpn_preparation_figures(config.mocap, config.seconds_per_style, few)
     return sections
+
+
+def _sections_transfer(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
+    """Returns the sections of the system of Holden 2017, and of the optimisation of 2016."""
+    sizes, repetitions = config.transfer, config.repetitions
+    return {
+        "style transfer by the fast network": lambda: fast_figures(sizes, repetitions),
+        "style transfer by optimisation": lambda: optimisation_figures(sizes, max(1, repetitions // 3)),
+        "training of style transfer": lambda: training_figures(sizes),
+        "style transfer of a clip": lambda: command_figures(sizes, repetitions),
+    }
 
 
 def print_benchmark(result: dict[str, Any], console: Console | None = None) -> None:

@@ -10,7 +10,7 @@ from pfnn_jax.cli.command import Command
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark(Command):
-    """Time training, few-shot learning, one frame, crowds and preparation on this machine, next to naive versions."""
+    """Time training, learning, one frame, crowds, preparation and style transfer here, next to naive versions."""
 
     def run(self) -> Any:
         from pfnn_jax.benchmarks.suite import print_benchmark, run_benchmark

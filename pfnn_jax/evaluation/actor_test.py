@@ -120,30 +120,39 @@ def make_actor(labelled: LabelledClip, run: Run) -> Actor:
 
 
 def follow_actor(controller: Controller, weights: np.ndarray, run: Run, actor: Actor) -> ActorWalk:
-    """Returns what a character does along an actor's path at the actor's speed.
+    """Returns what a character does along an actor's path at the actor's speed; arguments as of `follow_clip`."""
+    return follow_clip(controller, weights, run, actor.on_run, actor.skeleton, actor.scale)
+
+
+def follow_clip(
+    controller: Controller, weights: np.ndarray, run: Run, clip: MotionClip, skeleton: Skeleton, scale: float
+) -> ActorWalk:
+    """Returns what a character does along the path of a clip at the clip's speed, put onto another skeleton.
 
     Args:
         controller: of the run.
         weights: [C] of the style.
         run: the run.
-        actor: a take of at most `MOST_SECONDS`.
+        clip: on the run's skeleton, of at most `MOST_SECONDS`.
+        skeleton: of the result.
+        scale: leg length of the run's skeleton over that of `skeleton`.
 
     Raises:
-        InputError: if the motion is not finite, or the character does not get to the actor's path.
+        InputError: if the motion is not finite, or the character does not get to the clip's path.
     """
-    path, begin, end, speed = path_of(world_motion(actor.on_run))
+    path, begin, end, speed = path_of(world_motion(clip))
     seconds = LEAD_SECONDS + MOST_SECONDS + 1.0
-    clip = track_path(controller, weights, path, run, speed=speed, seconds=seconds).clip
-    roots = world_motion(clip).positions[:, run.skeleton.roles.hips if run.skeleton.roles else 0][:, [0, 2]]
+    walk = track_path(controller, weights, path, run, speed=speed, seconds=seconds).clip
+    roots = world_motion(walk).positions[:, run.skeleton.roles.hips if run.skeleton.roles else 0][:, [0, 2]]
     along = path.spacing * progress_along(roots, path)
     there = np.flatnonzero(along >= begin)
-    first = int(there[0]) if len(there) else clip.num_frames
-    last = min(first + round((end - begin) / speed * clip.fps), clip.num_frames - 1)
-    if last - first < clip.fps:
+    first = int(there[0]) if len(there) else walk.num_frames
+    last = min(first + round((end - begin) / speed * walk.fps), walk.num_frames - 1)
+    if last - first < walk.fps:
         raise InputError(run.path, "motion", "does not get to the path", "the network cannot walk in this style")
-    moved = (along[last] - along[first]) * clip.fps / (last - first)
-    back = retarget(cut(clip, first, last + 1), actor.skeleton).clip
-    return ActorWalk(back, float(moved / speed), path_error(roots[first:last], path.points).mean / actor.scale)
+    moved = (along[last] - along[first]) * walk.fps / (last - first)
+    back = retarget(cut(walk, first, last + 1), skeleton).clip
+    return ActorWalk(back, float(moved / speed), path_error(roots[first:last], path.points).mean / scale)
 
 
 def path_of(world: WorldMotion) -> tuple[Path, float, float, float]:

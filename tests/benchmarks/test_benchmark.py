@@ -18,6 +18,7 @@ from pfnn_jax.benchmarks.runtime import NumpyTable, random_predictor
 from pfnn_jax.benchmarks.suite import BenchmarkConfig, print_benchmark, run_benchmark
 from pfnn_jax.benchmarks.timing import figure, interleave
 from pfnn_jax.benchmarks.training import flops, fresh_state, per_sample_outputs, products, random_frames, stepper
+from pfnn_jax.benchmarks.transfer import TransferSizes, fast_works
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.network import Dropout, init_network
@@ -44,6 +45,9 @@ TINY = BenchmarkConfig(
     clips=2,
     frames=2,
     seconds_per_style=5.0,
+    transfer=TransferSizes(
+        frames=(60,), filters=4, hidden=4, width=5, iterations=2, constraint_iterations=2, minutes=0.6
+    ),
     repetitions=2,
     mocap=None,
 )
@@ -89,6 +93,13 @@ def test_numpy_table_computes_the_same_as_the_lookup():
         np.testing.assert_allclose(
             table(x, phase), evaluate_lookup(lookup, jnp.asarray(x), phase), rtol=FLOAT32, atol=FLOAT32
         )
+
+
+def test_all_forms_of_the_fast_transfer_compute_the_same():
+    for works in fast_works(TransferSizes(frames=(60, 100), filters=6, hidden=5, width=7)).values():
+        results = {name: np.asarray(work()) for name, work in works.items()}
+        for result in results.values():
+            np.testing.assert_allclose(result, results["ours"], rtol=FLOAT32, atol=FLOAT32)
 
 
 def test_prepared_rows_include_mirror_images(tmp_path):
