@@ -212,8 +212,8 @@ The motion autoencoder with which `pfnn-jax transfer` compares and reconstructs 
   differently. Copies of {100 * config.gestures:g} % of these clips have random movement of arms, legs and trunk and
   jumps added.
 - **Network**: layout `holden2017`, {sizes.filters} filters of width {sizes.width}, tied decoder.
-- **Training**: {training.steps:,} steps of {training.batch_size} windows at a learning rate of {training.learning_rate:g}, by
-  `experiments/base_autoencoder.py`.
+- **Training**: {training.steps:,} steps of {training.batch_size} windows at a learning rate of
+  {training.learning_rate:g}, by `experiments/base_autoencoder.py`.
 - **Licence**: CC BY 4.0, as its captured motion: "The 100STYLE Dataset – Ian Mason",
   <https://doi.org/10.5281/zenodo.8127870>, under <https://creativecommons.org/licenses/by/4.0/>; changed by
   retargeting, mirroring, change of speed and added movement. The procedural walkers carry no third-party licence.
