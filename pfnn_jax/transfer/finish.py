@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pfnn_jax.control.ik.fix_feet import fix_feet
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.blending import Parts, blend_clips, part_weights
 from pfnn_jax.motion.body_points import find_body_points
-from pfnn_jax.motion.clip import MotionClip, resample
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.filters import gaussian_filter
+from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.interpolation import interpolate, interpolate_rotations
 from pfnn_jax.motion.joint_rotations import rotations_from_positions
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -20,15 +22,26 @@ from pfnn_jax.motion.kinematics import (
     quat_rotate,
 )
 from pfnn_jax.motion.labels.contacts import foot_contacts, foot_joints
+from pfnn_jax.motion.planted_feet import plant_feet
 from pfnn_jax.motion.retargeting.body import humanoid_of
-from pfnn_jax.motion.retargeting.retarget import retarget
+from pfnn_jax.motion.retargeting.retarget import part_turns
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 from pfnn_jax.motion.trajectory import Root
-from pfnn_jax.transfer.clip_rows import clip_root, decode_rows, floor_height, prepare_clip
-from pfnn_jax.transfer.layout import ClipLayout
+from pfnn_jax.transfer.clip_rows import clip_root, decode_rows, encode_clip, floor_height, prepare_clip
+from pfnn_jax.transfer.layout import LAYOUT_FPS, ClipLayout
+
+HELD_SPEED = 0.3
+"""Leg lengths per second below which a foot of the content is held. Holding it for as long as contacts are labelled
+would pull at legs that are straight when they leave the ground, and lower the hips by a centimetre."""
 
 MAX_STRENGTH = 1.5
 """Largest strength: half as much again as the result."""
+
+SMOOTH_SECONDS = (0.0, 1 / 30, 0.05, 0.0625, 0.08, 0.1)
+"""Standard deviations of the Gaussians that smooth what rows change, tried in turn."""
+
+MAX_JITTER = 1.1
+"""Mean jerk of a result over that of its content from which on its change is smoothed more."""
 
 
 def finish_clip(
@@ -66,10 +79,35 @@ def finish_clip(
     weights, root_weight = part_weights(content.skeleton, parts, source)
     if strength == 0.0:
         return content
-    result = clip_from_rows(rows, prepare_clip(content, skeleton), layout)
-    moved = carry_over(content, prepare_clip(content, skeleton), result)
-    blended = blend_clips(content, moved, strength * weights, strength * root_weight)
+    moved = smooth_result(rows, content, prepare_clip(content, skeleton), layout)
+    blended = blend_clips(content, moved, strength * weights, min(strength, 1.0) * root_weight)
     return hold_feet(blended, content) if foot_ik and root_weight else blended
+
+
+def smooth_result(rows: np.ndarray, content: MotionClip, before: MotionClip, layout: ClipLayout) -> MotionClip:
+    """Returns the content moved as rows say, with as little smoothing as it takes to be as smooth as the content.
+
+    Only the change is smoothed: quick movements of the content remain.
+
+    Args:
+        rows: [T', D] in layout units.
+        content: T frames on its own skeleton.
+        before: the content as `prepare_clip` returns it, of at most T' frames.
+        layout: of the rows.
+
+    Raises:
+        InputError: as `clip_from_rows`.
+    """
+    _check_rows(rows, before, layout)
+    own = encode_clip(before, layout)
+    change, limit = rows[: len(own)] - own, MAX_JITTER * _jerk(content)
+    moved = content
+    for seconds in SMOOTH_SECONDS:
+        smoothed = gaussian_filter(change, seconds * LAYOUT_FPS) if seconds else change
+        moved = carry_over(content, before, clip_from_rows(own + smoothed, before, layout))
+        if _jerk(moved) <= limit:
+            break
+    return moved
 
 
 def clip_from_rows(rows: np.ndarray, content: MotionClip, layout: ClipLayout) -> MotionClip:
@@ -83,39 +121,60 @@ def clip_from_rows(rows: np.ndarray, content: MotionClip, layout: ClipLayout) ->
     Raises:
         InputError: if there are fewer rows than frames, or a value is not finite.
     """
-    source, count = content.source or "clip", content.num_frames
-    if rows.ndim != 2 or len(rows) < count or rows.shape[1] != layout.size:
-        raise InputError(source, "rows", f"shape {rows.shape}", f"must be at least {count} of {layout.size} numbers")
-    if not np.isfinite(rows).all():
-        raise InputError(source, "rows", "not finite", "must be finite numbers; the transfer diverged")
+    _check_rows(rows, content, layout)
     before = clip_root(content)
-    positions, root = decode_rows(np.asarray(rows[:count], float), layout, before)
+    positions, root = decode_rows(np.asarray(rows[: content.num_frames], float), layout, before)
     positions[..., 1] += floor_height(content)
     initial = _follow_root(content, before, root)
-    points = find_body_points(content.skeleton, source)
+    points = find_body_points(content.skeleton, content.source or "clip")
     return rotations_from_positions(content.skeleton, points, positions, initial)
 
 
 def carry_over(content: MotionClip, before: MotionClip, after: MotionClip) -> MotionClip:
-    """Applies what changed between two motions on another skeleton to the content.
+    """Applies what changed between two motions on another skeleton to the content, part by part.
 
     Args:
         content: T frames on its own skeleton, at its own frame rate.
         before: the content on the other skeleton, at another frame rate.
         after: what became of it there.
     """
-    old, new = (_as_content(clip, content) for clip in (before, after))
-    hips = humanoid_of(content.skeleton).hips
-    (old_joints, old_world), (new_joints, new_world), (joints, world) = (
-        forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations) for clip in (old, new, content)
+    source, own = (humanoid_of(clip.skeleton, content.source or "clip") for clip in (before, content))
+    (old_joints, old), (new_joints, new) = (
+        forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations) for clip in (before, after)
     )
-    turned = quat_multiply(quat_multiply(new_world, quat_conjugate(old_world)), world)
-    local = turned.copy()
-    local[:, 1:] = quat_multiply(quat_conjugate(turned[:, content.skeleton.parents[1:]]), turned[:, 1:])
-    local = np.where(np.sum(local * content.rotations, axis=-1, keepdims=True) < 0, -local, local)
+    scale = leg_length_of(content.skeleton, own) / leg_length_of(before.skeleton, source)
+    times = np.minimum(np.arange(content.num_frames) * (before.fps / content.fps), before.num_frames - 1)
+    shift = interpolate(scale * (new_joints - old_joints)[:, source.hips], times)
+    changes = interpolate_rotations(quat_multiply(new, quat_conjugate(old)), times)
+    turns = part_turns(changes, source, own)
+    joints, world = forward_kinematics(content.skeleton, content.root_positions, content.rotations)
+    local = _turn_joints(content, world, turns, own.hips)
     at_origin, _ = forward_kinematics(content.skeleton, np.zeros_like(content.root_positions), local)
-    place = joints[:, hips] + new_joints[:, hips] - old_joints[:, hips]
-    return replace(content, root_positions=place - at_origin[:, hips], rotations=local)
+    return replace(content, root_positions=joints[:, own.hips] + shift - at_origin[:, own.hips], rotations=local)
+
+
+def _turn_joints(content: MotionClip, world: np.ndarray, turns: dict[int, np.ndarray], hips: int) -> np.ndarray:
+    """Returns the local rotations [T, J, 4] of a clip whose joints are turned in the world, each before its own.
+
+    Joints without a turn keep their local rotation, except that a root above the hips turns with them.
+
+    Args:
+        content: T frames.
+        world: [T, J, 4] its world rotations.
+        turns: joint -> [T, 4] of the parts.
+        hips: index of the hips.
+    """
+    turned, local = world.copy(), content.rotations.copy()
+    for joint, parent in enumerate(content.skeleton.parents.tolist()):
+        if joint in turns or parent < 0:
+            turned[:, joint] = quat_multiply(turns.get(joint, turns[hips]), world[:, joint])
+            above = turned[:, parent] if parent >= 0 else None
+            local[:, joint] = (
+                turned[:, joint] if above is None else quat_multiply(quat_conjugate(above), turned[:, joint])
+            )
+        else:
+            turned[:, joint] = quat_multiply(turned[:, parent], local[:, joint])
+    return np.where(np.sum(local * content.rotations, axis=-1, keepdims=True) < 0, -local, local)
 
 
 def hold_feet(clip: MotionClip, content: MotionClip) -> MotionClip:
@@ -127,10 +186,23 @@ def hold_feet(clip: MotionClip, content: MotionClip) -> MotionClip:
     """
     roles = need_roles(content.skeleton, content.source or "clip")
     positions, _ = forward_kinematics(content.skeleton, content.root_positions, content.rotations)
-    contacts = foot_contacts(positions, roles, content.fps)
-    floor = np.array([0.0, positions[:, foot_joints(roles), 1].min(), 0.0])
-    held = fix_feet(replace(clip, root_positions=clip.root_positions - floor), contacts)
-    return replace(held, root_positions=held.root_positions + floor)
+    contacts = foot_contacts(positions, roles, content.fps, max_speed=HELD_SPEED)
+    return plant_feet(clip, contacts, positions[:, foot_joints(roles), 1])
+
+
+def _check_rows(rows: np.ndarray, content: MotionClip, layout: ClipLayout) -> None:
+    source, count = content.source or "clip", content.num_frames
+    if rows.ndim != 2 or len(rows) < count or rows.shape[1] != layout.size:
+        raise InputError(source, "rows", f"shape {rows.shape}", f"must be at least {count} of {layout.size} numbers")
+    if not np.isfinite(rows).all():
+        raise InputError(source, "rows", "not finite", "must be finite numbers; the transfer diverged")
+
+
+def _jerk(clip: MotionClip) -> float:
+    """Returns the mean length of the third difference of joint positions, in metres; 0 for fewer than four frames."""
+    positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
+    jerks = np.linalg.norm(np.diff(positions, n=3, axis=0), axis=-1)
+    return float(jerks.mean()) if jerks.size else 0.0
 
 
 def _follow_root(clip: MotionClip, before: Root, after: Root) -> MotionClip:
@@ -143,10 +215,3 @@ def _follow_root(clip: MotionClip, before: Root, after: Root) -> MotionClip:
     positions = quat_rotate(turn, offset)
     positions[:, [0, 2]] += after.positions
     return replace(clip, root_positions=positions, rotations=rotations)
-
-
-def _as_content(clip: MotionClip, content: MotionClip) -> MotionClip:
-    """Returns a clip on the content's skeleton, at its frame rate and with as many frames; the last one is repeated."""
-    moved = resample(retarget(clip, content.skeleton).clip, content.fps)
-    frames = np.minimum(np.arange(content.num_frames), moved.num_frames - 1)
-    return replace(moved, root_positions=moved.root_positions[frames], rotations=moved.rotations[frames])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pfnn_jax.motion.humanoid.map import HumanoidMap
@@ -21,6 +23,9 @@ KICK = 0.5
 
 MOST_BACKWARD = np.radians(5.0)
 """Angle by which a knee may be bent backwards, as knees in captured motion are."""
+
+Legs = Sequence[tuple[np.ndarray, ...]]
+"""Positions [T, 3] in metres of hip joint, knee and ankle of the left and the right leg."""
 
 
 def leg_extension(positions: np.ndarray, body: HumanoidMap) -> np.ndarray:
@@ -56,8 +61,8 @@ def place_legs(
     Returns:
         Positions [T, 3] of the hips.
     """
-    hips = hips + _match_extension(body, skeleton, hips, world, targets, extension)[:, None] * UP
-    hips = hips - _excess_height(body, skeleton, hips, world, targets)[:, None] * UP
+    hips = hips + match_extension(_legs(body, skeleton, hips, world), targets, extension)[:, None] * UP
+    hips = hips - excess_height(_legs(body, skeleton, hips, world), targets)[:, None] * UP
     for number, side in enumerate(SIDES):
         thigh, shin, _ = _joints(body, side)
         _limit_backward_bend(body, skeleton, hips, world, side, left)
@@ -83,21 +88,18 @@ def _limit_backward_bend(
     world[:, shin] = quat_multiply(quat_from_axis_angle(hinge, back), world[:, shin])
 
 
-def _match_extension(
-    body: HumanoidMap,
-    skeleton: Skeleton,
-    hips: np.ndarray,
-    world: np.ndarray,
-    targets: np.ndarray,
-    extension: np.ndarray,
-) -> np.ndarray:
+def match_extension(legs: Legs, targets: np.ndarray, extension: np.ndarray) -> np.ndarray:
     """Returns how far the hips must rise [T] in metres for the straighter leg to be as straight as the source's.
 
     Without this a straight leg would bend by ten degrees where both legs of one skeleton differ by a centimetre.
+
+    Args:
+        legs: left and right.
+        targets: [T, 2, 3] metres of the left and the right ankle.
+        extension: [T, 2] of the source's legs, as `leg_extension` returns it.
     """
     rises = []
-    for number, side in enumerate(SIDES):
-        top, knee, ankle = _leg(body, skeleton, hips, world, side)
+    for number, (top, knee, ankle) in enumerate(legs):
         longest = np.linalg.norm(knee - top, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
         above = top - targets[:, number]
         across = above[:, 0] ** 2 + above[:, 2] ** 2
@@ -110,16 +112,17 @@ def _match_extension(
     return left * rises[0] + (1.0 - left) * rises[1]
 
 
-def _excess_height(
-    body: HumanoidMap, skeleton: Skeleton, hips: np.ndarray, world: np.ndarray, targets: np.ndarray
-) -> np.ndarray:
+def excess_height(legs: Legs, targets: np.ndarray) -> np.ndarray:
     """Returns how far the hips must sink [T] in metres for both ankles to reach their targets.
 
     A leg may be as straight as its rotations make it, or as `two_bone.SOFT` allows.
+
+    Args:
+        legs: left and right.
+        targets: [T, 2, 3] metres of the left and the right ankle.
     """
-    sink = np.zeros(len(hips))
-    for number, side in enumerate(SIDES):
-        top, knee, ankle = _leg(body, skeleton, hips, world, side)
+    sink = np.zeros(len(targets))
+    for number, (top, knee, ankle) in enumerate(legs):
         longest = np.linalg.norm(knee - top, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
         reach = np.maximum(SOFT * longest, np.linalg.norm(ankle - top, axis=-1))
         above = top - targets[:, number]
@@ -137,6 +140,10 @@ def _joints(body: HumanoidMap, side: str) -> tuple[int, int, int]:
 def _extension(top: np.ndarray, knee: np.ndarray, ankle: np.ndarray) -> np.ndarray:
     longest = np.linalg.norm(knee - top, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
     return np.linalg.norm(ankle - top, axis=-1) / np.maximum(longest, 1e-12)
+
+
+def _legs(body: HumanoidMap, skeleton: Skeleton, hips: np.ndarray, world: np.ndarray) -> Legs:
+    return [_leg(body, skeleton, hips, world, side) for side in SIDES]
 
 
 def _leg(

@@ -131,7 +131,7 @@ def _retarget(
     source = clip.skeleton
     positions, world = forward_kinematics(source, clip.root_positions, clip.rotations)
     references = _source_reference(clip, source_map), reference_pose(target, target_map)
-    turns = _part_turns(world, references[0], source_map, target_map)
+    turns = part_turns(quat_multiply(world, quat_conjugate(references[0])), source_map, target_map)
     moved = np.empty((clip.num_frames, target.num_joints, 4))
     for joint, turn in turns.items():
         moved[:, joint] = quat_multiply(turn, references[1][joint])
@@ -205,17 +205,13 @@ def _middle_of_legs(skeleton: Skeleton, body: HumanoidMap) -> np.ndarray:
     return (rest[body.left_thigh] + rest[body.right_thigh]) / 2 - rest[body.hips]
 
 
-def _part_turns(
-    world: np.ndarray, reference: np.ndarray, source: HumanoidMap, target: HumanoidMap
-) -> dict[int, np.ndarray]:
-    """Returns the world rotation [T, 4] from the reference pose for each of the target's joints that is a part.
+def part_turns(every: np.ndarray, source: HumanoidMap, target: HumanoidMap) -> dict[int, np.ndarray]:
+    """Returns world rotations [T, 4] for each of the target's joints that is a part of the body.
 
     Args:
-        world: [T, J, 4] world rotations of the source.
-        reference: [J, 4] its reference pose.
+        every: [T, J, 4] world rotations of the source's joints from some common pose.
         source, target: the humanoid maps.
     """
-    every = quat_multiply(world, quat_conjugate(reference))
     turns = {target.hips: every[:, source.hips]}
     torso, neck = torso_chain(source), neck_chain(source)
     chest = torso[-1]

@@ -1,0 +1,38 @@
+"""Smooth interpolation between frames: cubic splines, whose acceleration is continuous."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pfnn_jax.motion.kinematics import quat_normalise
+
+
+def interpolate(values: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Returns values [T, ...] at other times [N] by cubic spline; at whole frames they are the given ones.
+
+    Where linear interpolation to a higher frame rate would kink at every frame, and jerk, this does not.
+
+    Args:
+        values: T frames.
+        times: frames, in [0, T - 1].
+    """
+    from scipy.ndimage import spline_filter1d
+
+    whole = np.rint(times).astype(int)
+    if len(values) < 2 or np.abs(times - whole).max() < 1e-6:
+        return values[whole]
+    knots = spline_filter1d(values, order=3, axis=0, mode="mirror")
+    before = np.minimum(times.astype(int), len(values) - 2)
+    s = (times - before).reshape((-1,) + (1,) * (values.ndim - 1))
+    weights = (1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, -3 * s**3 + 3 * s**2 + 3 * s + 1, s**3
+    last = len(values) - 1
+    taps = (last - np.abs(last - np.abs(before + shift)) for shift in (-1, 0, 1, 2))
+    return sum(weight / 6 * knots[tap] for weight, tap in zip(weights, taps, strict=True))
+
+
+def interpolate_rotations(rotations: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Returns rotations [T, J, 4] at other times [N], as `interpolate` does; neighbouring frames must be near."""
+    dots = np.sum(rotations[1:] * rotations[:-1], axis=-1)
+    signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
+    aligned = np.concatenate([rotations[:1], rotations[1:] * signs[..., None]])
+    return quat_normalise(interpolate(aligned, times))
