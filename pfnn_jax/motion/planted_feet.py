@@ -47,7 +47,7 @@ MAX_OFFSET = 0.15
 SMOOTH_SECONDS = 1 / 60
 """Standard deviation of the Gaussian that smooths the corrections: a foot comes to rest, and does not stop dead."""
 
-HIPS_SECONDS = 0.05
+HIPS_SECONDS = 0.1
 """Standard deviation of the Gaussian that smooths the height of the hips."""
 
 KNEE_SECONDS = 1 / 30
