@@ -17,7 +17,14 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter, moving_minimum
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_between, quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import (
+    forward_kinematics,
+    quat_between,
+    quat_conjugate,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+)
 from pfnn_jax.motion.retargeting.body import SIDES, UP, humanoid_of, limb
 from pfnn_jax.motion.retargeting.legs import Legs, excess_height, leg_extension, match_extension
 from pfnn_jax.motion.two_bone import bend
@@ -37,11 +44,17 @@ MAX_SPEED = 0.5
 MAX_OFFSET = 0.15
 """Leg lengths by which a foot in contact may be moved; a foot farther from its place is let go."""
 
-SMOOTH_SECONDS = 1 / 40
+CLEARANCE = 0.1
+"""Share of the largest offset (1.3 cm) by which a foot that swings is kept above the ground, if it was meant to be."""
+
+SMOOTH_SECONDS = 1 / 60
 """Standard deviation of the Gaussian that smooths the corrections: a foot comes to rest, and does not stop dead."""
 
-HIPS_SECONDS = 0.15
+HIPS_SECONDS = 0.1
 """Standard deviation of the Gaussian that smooths the height of the hips."""
+
+KNEE_SECONDS = 1 / 30
+"""Standard deviation of the Gaussian that smooths the rotations of thighs and shins."""
 
 LIFT_SECONDS = 0.05
 """Time before and after a foot would enter the ground in which it is raised."""
@@ -53,8 +66,9 @@ def plant_feet(clip: MotionClip, contacts: np.ndarray, heights: np.ndarray) -> M
     Args:
         clip: T frames of a humanoid with ankles.
         contacts: [T, 4] bool, left heel, left toe, right heel, right toe; the heel is the ankle joint.
-        heights: [T, 4] metres above y = 0 of these joints while they are in contact. The pitch of a foot remains:
-            that joint which would be lower comes to its height, the other stays above.
+        heights: [T, 4] metres above y = 0 of these joints in the motion that the contacts are of. In contact that joint
+            which would be lower comes to its height, so that the foot keeps its pitch; in between a foot is raised
+            where it would scuff.
 
     Returns:
         A clip that differs in the rotations of thighs, shins and feet and in the height of its root.
@@ -84,6 +98,8 @@ def plant_feet(clip: MotionClip, contacts: np.ndarray, heights: np.ndarray) -> M
     for number, (thigh, shin, heel, _) in enumerate(joints):
         top, knee, ankle = (raised[:, joint] for joint in (thigh, shin, heel))
         over, under, _ = bend(top, knee, ankle, targets[:, number], np.cross(knee - top, left))
+        # a leg that is almost straight bends by degrees for millimetres, and passes through straight in no time
+        over, under = (quat_normalise(gaussian_filter(delta, KNEE_SECONDS * clip.fps)) for delta in (over, under))
         foot = quat_multiply(quat_conjugate(quat_multiply(over, under)), turns[number])
         for joint, delta in ((thigh, over), (shin, under), (heel, foot)):
             above = world[:, clip.skeleton.parents[joint]]
@@ -109,7 +125,7 @@ def foot_offsets(
     Args:
         foot: [T, 2, 3] metres, heel and toe.
         contacts: [T, 2] bool.
-        heights: [T, 2] metres, of each while it is in contact.
+        heights: [T, 2] metres, as in `plant_feet`.
         fps: frames per second.
         furthest: metres that one may be moved in contact; beyond, it is let go.
     """
@@ -253,7 +269,8 @@ def _place_foot(
     the heel. Arguments are those of `foot_offsets`.
     """
     moved = foot + gaussian_filter(foot_offsets(foot, contacts, heights, fps, furthest), SMOOTH_SECONDS * fps)
-    below = np.maximum(heights.min(axis=0) - moved[..., 1], 0.0).max(axis=1)
+    lowest = np.minimum(heights, heights.min(axis=0) + CLEARANCE * furthest)
+    below = np.maximum(lowest - moved[..., 1], 0.0).max(axis=1)
     moved[..., 1] += _envelope(below, LIFT_SECONDS * fps)[:, None]
     along, bone = moved[:, 1] - moved[:, 0], foot[:, 1] - foot[:, 0]
     turn = quat_between(bone, along)
