@@ -17,7 +17,14 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter, moving_minimum
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_between, quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import (
+    forward_kinematics,
+    quat_between,
+    quat_conjugate,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+)
 from pfnn_jax.motion.retargeting.body import SIDES, UP, humanoid_of, limb
 from pfnn_jax.motion.retargeting.legs import Legs, excess_height, leg_extension, match_extension
 from pfnn_jax.motion.two_bone import bend
@@ -37,11 +44,14 @@ MAX_SPEED = 0.5
 MAX_OFFSET = 0.15
 """Leg lengths by which a foot in contact may be moved; a foot farther from its place is let go."""
 
-SMOOTH_SECONDS = 1 / 40
+SMOOTH_SECONDS = 1 / 60
 """Standard deviation of the Gaussian that smooths the corrections: a foot comes to rest, and does not stop dead."""
 
-HIPS_SECONDS = 0.15
+HIPS_SECONDS = 0.1
 """Standard deviation of the Gaussian that smooths the height of the hips."""
+
+KNEE_SECONDS = 1 / 30
+"""Standard deviation of the Gaussian that smooths the rotations of thighs and shins."""
 
 LIFT_SECONDS = 0.05
 """Time before and after a foot would enter the ground in which it is raised."""
@@ -84,6 +94,8 @@ def plant_feet(clip: MotionClip, contacts: np.ndarray, heights: np.ndarray) -> M
     for number, (thigh, shin, heel, _) in enumerate(joints):
         top, knee, ankle = (raised[:, joint] for joint in (thigh, shin, heel))
         over, under, _ = bend(top, knee, ankle, targets[:, number], np.cross(knee - top, left))
+        # a leg that is almost straight bends by degrees for millimetres, and passes through straight in no time
+        over, under = (quat_normalise(gaussian_filter(delta, KNEE_SECONDS * clip.fps)) for delta in (over, under))
         foot = quat_multiply(quat_conjugate(quat_multiply(over, under)), turns[number])
         for joint, delta in ((thigh, over), (shin, under), (heel, foot)):
             above = world[:, clip.skeleton.parents[joint]]

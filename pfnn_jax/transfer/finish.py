@@ -30,6 +30,10 @@ from pfnn_jax.motion.trajectory import Root
 from pfnn_jax.transfer.clip_rows import clip_root, decode_rows, encode_clip, floor_height, prepare_clip
 from pfnn_jax.transfer.layout import LAYOUT_FPS, ClipLayout
 
+HELD_SPEED = 0.3
+"""Leg lengths per second below which a foot of the content is held. Holding it for as long as contacts are labelled
+would pull at legs that are straight when they leave the ground, and lower the hips by a centimetre."""
+
 MAX_STRENGTH = 1.5
 """Largest strength: half as much again as the result."""
 
@@ -182,7 +186,7 @@ def hold_feet(clip: MotionClip, content: MotionClip) -> MotionClip:
     """
     roles = need_roles(content.skeleton, content.source or "clip")
     positions, _ = forward_kinematics(content.skeleton, content.root_positions, content.rotations)
-    contacts = foot_contacts(positions, roles, content.fps)
+    contacts = foot_contacts(positions, roles, content.fps, max_speed=HELD_SPEED)
     return plant_feet(clip, contacts, positions[:, foot_joints(roles), 1])
 
 
