@@ -64,7 +64,7 @@ class Config:
     held_out: tuple[Path, ...] = ()
     random_styles: int = 32
     variants: int = 2
-    gestures: float = 0.5
+    gestures: float = 1.0
     seconds: float = 20.0
     training: AutoencoderTrainingConfig = field(default_factory=AutoencoderTrainingConfig)
     seed: int = 0

@@ -42,8 +42,11 @@ class Convolution:
 def convolve(frames: jax.Array, filters: jax.Array, before: int | None = None) -> jax.Array:
     """Returns Σ_w frames[t + w - before] filters[w] for every frame t, with zeros beyond the ends.
 
-    It is one matrix product of all windows with all filters. On CPUs the gradients of XLA's own convolution take up to
-    three times as long, and far longer inside compiled loops.
+    Even and odd frames are computed from three convolutions of even and odd frames with half as many taps, instead of
+    four: the fast FIR algorithm of two phases (Parhi 1999, *VLSI Digital Signal Processing Systems*, §9.2). Each is one
+    matrix product of all windows with all filters. For the networks of style transfer on two CPU cores this takes about
+    0.6 of the time of a product of whole windows, and 0.8 in gradients. XLA's own convolution is about as fast forward,
+    and takes about twice as long in gradients.
 
     Args:
         frames: [T, I].
@@ -53,11 +56,25 @@ def convolve(frames: jax.Array, filters: jax.Array, before: int | None = None) -
     Returns:
         [T, O].
     """
-    width, inputs, outputs = filters.shape
+    (num_frames, _), (width, _, outputs) = frames.shape, filters.shape
     before = width // 2 if before is None else before
-    num_frames = frames.shape[0]
-    padded = jnp.pad(frames, ((before, width - 1 - before), (0, 0)))
-    windows = jnp.concatenate([padded[w : w + num_frames] for w in range(width)], axis=1)
+    pairs, taps = -(-num_frames // 2), -(-width // 2)  # of even and odd frames, and of even and odd taps
+    padded = jnp.pad(frames, ((before, 2 * (pairs + taps) - num_frames - before), (0, 0)))
+    filters = jnp.pad(filters, ((0, 2 * taps - width), (0, 0), (0, 0)))
+    even, odd, later = padded[0:-2:2], padded[1:-2:2], padded[2::2]
+    first, second = filters[0::2], filters[1::2]
+    # even frame: even * first + odd * second; odd frame: odd * first + later * second
+    shared = _windows_times(odd, second - first)
+    at_even = _windows_times(even + odd, first) + shared
+    at_odd = _windows_times(odd + later, second) - shared
+    return jnp.stack([at_even, at_odd], axis=1).reshape(2 * pairs, outputs)[:num_frames]
+
+
+def _windows_times(frames: jax.Array, filters: jax.Array) -> jax.Array:
+    """Returns the product [T - W + 1, O] of all windows of frames [T, I] with filters [W, I, O]."""
+    width, inputs, outputs = filters.shape
+    count = frames.shape[0] - width + 1
+    windows = jnp.concatenate([frames[w : w + count] for w in range(width)], axis=1)
     return windows @ filters.reshape(width * inputs, outputs)
 
 

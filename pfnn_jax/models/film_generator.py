@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from pfnn_jax.models.config import POOLING, GeneratorConfig
+from pfnn_jax.models.convolution import max_pool
 from pfnn_jax.models.dropout import drop, need_key
 from pfnn_jax.models.layers.film import FiLMStyle
 
@@ -80,18 +81,9 @@ class FiLMGenerator:
         """
         chex.assert_shape(clip, (self.clip_frames, self.conv1.kernel.shape[1]))
         need_key(dropout, key)
-        value = _pool(jax.nn.relu(self.conv1.convolve(clip)))
-        value = _pool(jax.nn.relu(self.conv2.convolve(value)))
+        value = max_pool(jax.nn.relu(self.conv1.convolve(clip)))
+        value = max_pool(jax.nn.relu(self.conv2.convolve(value)))
         value = jax.nn.relu(self.dense1(value.reshape(-1)))
         if dropout is not None and key is not None:
             value = drop(key, dropout, value)
         return FiLMStyle.from_vector(self.dense2(value))
-
-
-def _pool(value: jax.Array) -> jax.Array:
-    """Returns the larger of every two frames: [T, C] -> [T / 2, C].
-
-    Written as a maximum of two slices: XLA's CPU compiler merges a reduction with the dense layer after it into one
-    kernel, which takes six times as long for a few clips.
-    """
-    return jnp.maximum(value[0::2], value[1::2])

@@ -69,7 +69,7 @@ def train_autoencoder(
     if windows.ndim != 3 or not len(windows) or windows.shape[1] % 2:
         raise ValueError(f"`windows` must be [N, T, D], at least one, T even, got {windows.shape}.")
     tx = optax.adam(_schedule(config))
-    params = init_autoencoder(config.autoencoder, windows.shape[-1], key=jax.random.key(config.seed))
+    params: Any = init_autoencoder(config.autoencoder, windows.shape[-1], key=jax.random.key(config.seed))
     state = TrainState(params=params, opt_state=tx.init(params), step=jnp.zeros((), jnp.int32))
     scan = scan_steps(_make_step(config, tx), lambda data, rows: data[rows])
     order, data = draw_order(len(windows), config), jnp.asarray(windows, jnp.float32)

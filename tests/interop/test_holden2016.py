@@ -56,7 +56,7 @@ def test_the_released_autoencoder_answers_the_golden_clips(released: TransferRun
 
 @pytest.mark.parametrize("name", CLIPS)
 def test_it_answers_them_in_single_precision_too(released: TransferRun, golden: dict, name: str):
-    """As the network runs in style transfer; measured differences are at most 4.1e-6."""
+    """As the network runs in style transfer; measured differences are at most 4.7e-6."""
     statistics, autoencoder = released.statistics, released.autoencoder
     x = jnp.asarray((golden[f"{name}_x"] - statistics.mean) / statistics.std, jnp.float32)
     hidden = autoencoder.encode(x)

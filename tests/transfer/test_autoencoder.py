@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -144,7 +145,7 @@ def test_odd_clips_and_rows_of_another_width_are_refused():
 
 
 @pytest.mark.parametrize("wrong", [{"filters": 0}, {"width": 0}, {"width": 24}])
-def test_impossible_sizes_are_refused(wrong: dict[str, int]):
+def test_impossible_sizes_are_refused(wrong: dict[str, Any]):
     with pytest.raises(ValueError, match=f"AutoencoderConfig.{next(iter(wrong))} must"):
         AutoencoderConfig(**wrong)
 
