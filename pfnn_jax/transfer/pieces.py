@@ -12,9 +12,9 @@ PIECE = 1920
 OVERLAP = 240
 """Frames that neighbouring pieces share."""
 
-MARGIN = 64
+MARGIN = 72
 """Frames at both ends of an overlap that are taken from the piece in which they lie further inside. A transformation
-network, the projection and the smoothing of the change see 64 frames to each side, so that their result in pieces is
+network, the projection and the smoothing of the change see 69 frames to each side, so that their result in pieces is
 that of the whole clip."""
 
 
