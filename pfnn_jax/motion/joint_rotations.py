@@ -89,37 +89,44 @@ class _Body:
 
     def aim(self, joint: int, aimed: Points, positions: np.ndarray) -> None:
         """Turns a joint so that these points lie in the directions that positions [T, 21, 3] give them."""
-        carried = self.world[:, joint] if self._is_level(joint) else self.turned[:, joint]
-        bones = [self.bone(joint, point) for point in aimed]
-        have = [quat_rotate(carried, bone) for bone in bones]
-        want = [self._wanted(joint, point, positions) for point in aimed]
-        turned = quat_multiply(best_rotation(np.stack(have, axis=1), np.stack(want, axis=1)), carried)
+        world = self.world[:, joint]
+        change = quat_multiply(self.turned[:, joint], quat_conjugate(world))
+        if self._is_level(joint):
+            change = np.broadcast_to((1.0, 0.0, 0.0, 0.0), world.shape)
+        have = quat_rotate(change[:, None], self.own[:, list(aimed)] - self.joints[:, [joint]])
+        want = np.stack([self._wanted(joint, point, positions) for point in aimed], axis=1)
+        change = quat_multiply(best_rotation(have, want), change)
         for limb in LIMBS.values():
             if aimed == (limb[1],) and self.points.joints[limb[0]] == joint:
-                turned = quat_multiply(self._roll(joint, limb, turned, positions), turned)
-        self.turned[:, joint] = turned
-
-    def bone(self, joint: int, point: int) -> np.ndarray:
-        """Returns a point [T, 3] in the frame of a joint above it, in the initial motion."""
-        return quat_rotate(quat_conjugate(self.world[:, joint]), self.own[:, point] - self.joints[:, joint])
+                change = quat_multiply(self._roll(joint, limb, change, positions), change)
+        self.turned[:, joint] = quat_multiply(change, world)
 
     def _wanted(self, joint: int, point: int, positions: np.ndarray) -> np.ndarray:
         """Returns the vector [T, 3] from a joint, where it is now, to a point."""
         above = POINT_PARENTS[point]
-        carrier = int(self.points.joints[above])
-        start = self.places[:, carrier] + quat_rotate(self.turned[:, carrier], self.points.offsets[above])
+        carrier, offset = int(self.points.joints[above]), self.points.offsets[above]
+        start = self.places[:, carrier]
+        if offset.any():
+            start = start + quat_rotate(self.turned[:, carrier], offset)
         return positions[:, point] - positions[:, above] - (self.places[:, joint] - start)
 
-    def _roll(self, joint: int, limb: Points, turned: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Returns the rotations [T, 4] about a limb's first bone into the plane in which the limb bends."""
+    def _roll(self, joint: int, limb: Points, change: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Returns the rotations [T, 4] about a limb's first bone into the plane in which the limb bends.
+
+        Args:
+            joint: at the root of the limb.
+            limb: its points.
+            change: [T, 4] by which the joint has been turned in the world.
+            positions: [T, 21, 3] metres.
+        """
         root, middle, end = limb
-        upper, lower = self.bone(joint, middle), self.bone(joint, end) - self.bone(joint, middle)
-        along = _unit(quat_rotate(turned, upper))
-        own, bent = _plane(quat_rotate(turned, upper), quat_rotate(turned, lower))
+        bones = np.stack([self.own[:, middle] - self.joints[:, joint], self.own[:, end] - self.own[:, middle]], axis=1)
+        upper, lower = quat_rotate(change[:, None], bones).swapaxes(0, 1)
+        own, bent = _plane(upper, lower)
         plane, wanted = _plane(positions[:, middle] - positions[:, root], positions[:, end] - positions[:, middle])
         share = np.clip((np.minimum(bent, wanted) - STRAIGHT) / (BENT - STRAIGHT), 0.0, 1.0)[:, None]
         share = share * share * (3.0 - 2.0 * share)
-        into = share * plane + (1.0 - share) * own
+        into, along = share * plane + (1.0 - share) * own, _unit(upper)
         angle = np.arctan2(np.sum(np.cross(own, into) * along, axis=-1), np.sum(own * into, axis=-1))
         return quat_from_axis_angle(along, angle)
 
@@ -189,7 +196,7 @@ def best_rotation(have: np.ndarray, want: np.ndarray) -> np.ndarray:
     """
     if have.shape[1] == 1:
         return quat_between(have[:, 0], want[:, 0])
-    left, _, right = np.linalg.svd(np.einsum("tni,tnj->tij", want, have))
+    left, _, right = np.linalg.svd(want.swapaxes(1, 2) @ have)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return quat_from_matrix(left @ right)
 

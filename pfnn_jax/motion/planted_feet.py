@@ -44,6 +44,9 @@ MAX_SPEED = 0.5
 MAX_OFFSET = 0.15
 """Leg lengths by which a foot in contact may be moved; a foot farther from its place is let go."""
 
+CLEARANCE = 0.1
+"""Share of the largest offset (1.3 cm) by which a foot that swings is kept above the ground, if it was meant to be."""
+
 SMOOTH_SECONDS = 1 / 60
 """Standard deviation of the Gaussian that smooths the corrections: a foot comes to rest, and does not stop dead."""
 
@@ -63,8 +66,9 @@ def plant_feet(clip: MotionClip, contacts: np.ndarray, heights: np.ndarray) -> M
     Args:
         clip: T frames of a humanoid with ankles.
         contacts: [T, 4] bool, left heel, left toe, right heel, right toe; the heel is the ankle joint.
-        heights: [T, 4] metres above y = 0 of these joints while they are in contact. The pitch of a foot remains:
-            that joint which would be lower comes to its height, the other stays above.
+        heights: [T, 4] metres above y = 0 of these joints in the motion that the contacts are of. In contact that joint
+            which would be lower comes to its height, so that the foot keeps its pitch; in between a foot is raised
+            where it would scuff.
 
     Returns:
         A clip that differs in the rotations of thighs, shins and feet and in the height of its root.
@@ -121,7 +125,7 @@ def foot_offsets(
     Args:
         foot: [T, 2, 3] metres, heel and toe.
         contacts: [T, 2] bool.
-        heights: [T, 2] metres, of each while it is in contact.
+        heights: [T, 2] metres, as in `plant_feet`.
         fps: frames per second.
         furthest: metres that one may be moved in contact; beyond, it is let go.
     """
@@ -265,7 +269,8 @@ def _place_foot(
     the heel. Arguments are those of `foot_offsets`.
     """
     moved = foot + gaussian_filter(foot_offsets(foot, contacts, heights, fps, furthest), SMOOTH_SECONDS * fps)
-    below = np.maximum(heights.min(axis=0) - moved[..., 1], 0.0).max(axis=1)
+    lowest = np.minimum(heights, heights.min(axis=0) + CLEARANCE * furthest)
+    below = np.maximum(lowest - moved[..., 1], 0.0).max(axis=1)
     moved[..., 1] += _envelope(below, LIFT_SECONDS * fps)[:, None]
     along, bone = moved[:, 1] - moved[:, 0], foot[:, 1] - foot[:, 0]
     turn = quat_between(bone, along)
