@@ -209,8 +209,8 @@ The motion autoencoder with which `pfnn-jax transfer` compares and reconstructs 
   eight procedural walkers of `pfnn_jax.motion.synthetic`, {config.random_styles} walkers of random styles, and
   100STYLE ({", ".join(takes)}), retargeted: as captured, played at
   {SPEEDS[0]:g} and {SPEEDS[1]:g} times the speed, and in {config.variants} variants whose upper bodies are posed
-  differently. To a share of {config.gestures:g} of all clips, random movement of arms, legs and trunk and jumps were
-  added in a copy.
+  differently. Copies of {100 * config.gestures:g} % of these clips have random movement of arms, legs and trunk and
+  jumps added.
 - **Network**: layout `holden2017`, {sizes.filters} filters of width {sizes.width}, tied decoder.
 - **Training**: {training.steps:,} steps of {training.batch_size} windows at a learning rate of
   {training.learning_rate:g}, by `experiments/base_autoencoder.py`.

@@ -186,8 +186,12 @@ def save_transformation(
         The style's folder.
 
     Raises:
-        InputError: if the name cannot be a folder's, the style exists, the run cannot be written, or the disk is full.
+        InputError: if the name cannot be a folder's, the style exists, the run cannot be written or is that of the
+            package, or the disk is full.
     """
+    if run.path.resolve() == BASE_AUTOENCODER:
+        rule = "must be a run of your own: updates of the package would remove the style"
+        raise InputError(run.path, "run", "is part of the package", rule)
     folder = check_new_style(run.path, name, overwrite)
     note = {"name": name, "autoencoder": run.fingerprint, "info": info}
     save_record(folder, parameters, STYLE_NOTE, note)

@@ -23,6 +23,7 @@ from pfnn_jax.transfer.autoencoder import init_autoencoder
 from pfnn_jax.transfer.config import AutoencoderConfig
 from pfnn_jax.transfer.layout import HOLDEN2016, HOLDEN2017, ClipLayout
 from pfnn_jax.transfer.run import (
+    BASE_AUTOENCODER,
     TransferRun,
     create_transfer_run,
     list_transformations,
@@ -117,6 +118,15 @@ def test_a_style_of_other_shapes_is_refused(tmp_path: Path):
         place="parameter network.filters",
         value="float32 [5, 2, 4]",
     )
+
+
+def test_the_run_in_the_package_is_never_written_to():
+    run = load_transfer_run(BASE_AUTOENCODER)
+    before = sorted(BASE_AUTOENCODER.rglob("*"))
+    assert_refused(
+        lambda: save_transformation(run, "angry", make_style(), {}), place="run", value="is part of the package"
+    )
+    assert sorted(BASE_AUTOENCODER.rglob("*")) == before
 
 
 def test_an_unknown_style_lists_the_known_ones(tmp_path: Path):
