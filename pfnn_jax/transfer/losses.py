@@ -73,7 +73,7 @@ def gram(hidden: Array, mask: Array | None = None) -> jax.Array:
     """
     weight = jnp.ones(len(hidden), hidden.dtype) if mask is None else mask
     share = weight * (WINDOW_FRAMES // POOLING / jnp.sum(weight))
-    return (hidden * share[:, None]).T @ hidden
+    return jnp.asarray(hidden * share[:, None]).T @ hidden
 
 
 def content_loss(hidden: Array, content: Array, mask: Array | None = None) -> jax.Array:

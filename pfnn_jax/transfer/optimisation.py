@@ -129,7 +129,7 @@ def style_gram(run: TransferRun, style_rows: Sequence[np.ndarray]) -> jax.Array:
     grams = [
         gram(hidden_units(run, rows), loss_mask(clip_mask(len(rows), padded_length(len(rows))))) for rows in style_rows
     ]
-    return sum(one * (count / sum(frames)) for one, count in zip(grams, frames, strict=True))
+    return jnp.stack([one * (count / sum(frames)) for one, count in zip(grams, frames, strict=True)]).sum(axis=0)
 
 
 def hidden_units(run: TransferRun, rows: np.ndarray) -> jax.Array:
@@ -177,7 +177,8 @@ def pad_edges(rows: np.ndarray, size: int) -> np.ndarray:
 
     The root moves on as in the clip's first and last frame: standing still would add frames of another gait.
     """
-    return np.pad(rows, ((MARGIN, size - MARGIN - len(rows)), (0, 0)), mode="edge")
+    frames = np.clip(np.arange(size) - MARGIN, 0, len(rows) - 1)
+    return rows[frames]
 
 
 def clip_mask(frames: int, size: int) -> np.ndarray:
@@ -233,7 +234,8 @@ def _optimise(
     def constraint_loss(hidden: jax.Array) -> jax.Array:
         rows = decode(hidden)
         losses = {"foot": foot_loss, "bone": bone_loss, "trajectory": trajectory_loss}
-        return sum(weights[name] * loss(rows, task.constraints, layout, task.mask) for name, loss in losses.items())
+        terms = [weights[name] * loss(rows, task.constraints, layout, task.mask) for name, loss in losses.items()]
+        return jnp.stack(terms).sum()
 
     hidden = task.content
     if config.start == "noise":

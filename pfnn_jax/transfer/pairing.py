@@ -65,7 +65,7 @@ def pair_by_gait(contents: Sequence[GaitClip], styles: Sequence[GaitClip], layou
     if not styles:
         raise InputError("pair_by_gait", "styles", "none", "must be at least one clip of the style")
     labels = [clip.content for clip in styles]
-    gaits = [measure_gait(clip.rows, layout) for clip in styles]
+    gaits: list[Gait] = [measure_gait(clip.rows, layout) for clip in styles]
     groups, group_of, notes = {}, [], {}
     for clip in contents:
         name, members = _matches(clip, labels, gaits, layout, notes)

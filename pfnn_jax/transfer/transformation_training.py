@@ -197,7 +197,7 @@ def _windows(
 ) -> Windows:
     """Returns the windows of the contents that `which` [N] selects."""
     layout, x, constraints, groups = run.layout, [], [], []
-    for index in np.flatnonzero(which):
+    for index in np.flatnonzero(which).tolist():
         rows, group = contents[index].rows, int(pairing.group_of[index])
         ratio = speed_ratio(rows, [styles[member].rows for member in pairing.members[group]], layout)
         for window in cut_windows(rows, layout):
@@ -257,7 +257,7 @@ def _measure(
 
 
 def _train(
-    params: TransformationNetwork,
+    params: Any,
     windows: Windows,
     frozen: Frozen,
     layout: ClipLayout,

@@ -142,7 +142,7 @@ def test_speed_is_scaled_by_the_ratio_of_step_lengths_within_bounds():
 def test_a_step_is_as_long_at_any_frame_rate_of_steps():
     rows = walk(frames=240)
     quick = scaled(rows[::2], 2)  # twice the steps a second at twice the speed
-    np.testing.assert_allclose(step_length(quick, HOLDEN2017), step_length(rows, HOLDEN2017), rtol=0.05)
+    assert step_length(quick, HOLDEN2017) == pytest.approx(step_length(rows, HOLDEN2017), rel=0.05)
 
 
 def test_clips_without_steps_keep_their_speed():
