@@ -27,7 +27,7 @@ def interpolate(values: np.ndarray, times: np.ndarray) -> np.ndarray:
     weights = (1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, -3 * s**3 + 3 * s**2 + 3 * s + 1, s**3
     last = len(values) - 1
     taps = (last - np.abs(last - np.abs(before + shift)) for shift in (-1, 0, 1, 2))
-    return sum(weight / 6 * knots[tap] for weight, tap in zip(weights, taps, strict=True))
+    return np.sum([weight / 6 * knots[tap] for weight, tap in zip(weights, taps, strict=True)], axis=0)
 
 
 def interpolate_rotations(rotations: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ CLEARANCE = 0.1
 SMOOTH_SECONDS = 1 / 60
 """Standard deviation of the Gaussian that smooths the corrections: a foot comes to rest, and does not stop dead."""
 
-HIPS_SECONDS = 0.1
+HIPS_SECONDS = 0.15
 """Standard deviation of the Gaussian that smooths the height of the hips."""
 
 KNEE_SECONDS = 1 / 30

@@ -12,6 +12,7 @@ from pfnn_jax.motion.body_points import find_body_points
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.interpolation import interpolate, interpolate_rotations
 from pfnn_jax.motion.joint_rotations import rotations_from_positions
 from pfnn_jax.motion.kinematics import (
@@ -23,9 +24,9 @@ from pfnn_jax.motion.kinematics import (
 )
 from pfnn_jax.motion.labels.contacts import foot_contacts, foot_joints
 from pfnn_jax.motion.planted_feet import plant_feet
-from pfnn_jax.motion.retargeting.body import humanoid_of
+from pfnn_jax.motion.retargeting.body import SIDES, humanoid_of, limb
 from pfnn_jax.motion.retargeting.retarget import part_turns
-from pfnn_jax.motion.skeleton import Skeleton, need_roles
+from pfnn_jax.motion.skeleton import Roles, Skeleton
 from pfnn_jax.motion.trajectory import Root
 from pfnn_jax.transfer.clip_rows import clip_root, decode_rows, encode_clip, floor_height, prepare_clip
 from pfnn_jax.transfer.layout import LAYOUT_FPS, ClipLayout
@@ -37,10 +38,11 @@ would pull at legs that are straight when they leave the ground, and lower the h
 MAX_STRENGTH = 1.5
 """Largest strength: half as much again as the result."""
 
-SMOOTH_SECONDS = (0.0, 1 / 30, 0.05, 0.0625, 0.08, 0.1)
-"""Standard deviations of the Gaussians that smooth what rows change, tried in turn."""
+SMOOTH_SECONDS = (0.0, 1 / 30, 0.05, 0.0625, 0.08)
+"""Standard deviations of the Gaussians that smooth what rows change, tried in turn. The last halves
+2.3 Hz; more would take a quarter of what varies in a style and make its result hardly smoother."""
 
-MAX_JITTER = 1.1
+MAX_JITTER = 1.15
 """Mean jerk of a result over that of its content from which on its change is smoothed more."""
 
 
@@ -184,7 +186,7 @@ def hold_feet(clip: MotionClip, content: MotionClip) -> MotionClip:
         clip: T frames.
         content: T frames on the same skeleton.
     """
-    roles = need_roles(content.skeleton, content.source or "clip")
+    roles = content.skeleton.roles or _roles_of_legs(humanoid_of(content.skeleton, content.source or "clip"))
     positions, _ = forward_kinematics(content.skeleton, content.root_positions, content.rotations)
     contacts = foot_contacts(positions, roles, content.fps, max_speed=HELD_SPEED)
     return plant_feet(clip, contacts, positions[:, foot_joints(roles), 1])
@@ -203,6 +205,14 @@ def _jerk(clip: MotionClip) -> float:
     positions, _ = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
     jerks = np.linalg.norm(np.diff(positions, n=3, axis=0), axis=-1)
     return float(jerks.mean()) if jerks.size else 0.0
+
+
+def _roles_of_legs(body: HumanoidMap) -> Roles:
+    """Returns roles of a body without arms or head, which contacts do not need; the hips stand in for these."""
+    feet = [limb(body, side, "foot", "toe") for side in SIDES]
+    left, right = ((ankle, ankle if toe is None else toe) for ankle, toe in feet)
+    other = body.hips
+    return Roles(other, body.left_thigh, body.right_thigh, other, other, left, right, other, other, other)
 
 
 def _follow_root(clip: MotionClip, before: Root, after: Root) -> MotionClip:

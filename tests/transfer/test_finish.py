@@ -170,6 +170,18 @@ def test_rows_of_the_released_layout_finish_alike(content: MotionClip):
     assert np.abs(world(finished)[0] - world(content)[0]).max() < EXACT
 
 
+def test_a_body_without_arms_is_finished(mocap: Path):
+    clip = read_bvh(mocap / "field" / "slimevr_head_root.bvh")
+    finished = finish(restyled(clip), clip)
+    assert np.isfinite(finished.rotations).all() and finished.num_frames == clip.num_frames
+
+
+@pytest.mark.parametrize("frames", [2, 3, 5])
+def test_the_shortest_clips_are_finished(content: MotionClip, frames: int):
+    clip = cut(content, 0, frames)
+    assert np.isfinite(finish(restyled(clip), clip).rotations).all()
+
+
 def test_bad_input_is_refused(content: MotionClip):
     rows = rows_of(content)
     assert_refused(lambda: finish(rows, content, strength=1.6), place="strength", value=1.6)
