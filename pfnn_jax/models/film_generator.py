@@ -29,6 +29,8 @@ class Kernel:
 
     def convolve(self, frames: jax.Array) -> jax.Array:
         """Returns the convolution [T, O] of frames [T, I], with zeros beyond the ends."""
+        # By XLA and not by `models.convolution.convolve`: for four clips of 372 columns that takes 1.3 times as long
+        # forward and 1.15 times in gradients on two CPU cores.
         layout = ("NWC", "WIO", "NWC")
         value = jax.lax.conv_general_dilated(frames[None], self.kernel, (1,), "SAME", dimension_numbers=layout)[0]
         return value + self.bias[None]
