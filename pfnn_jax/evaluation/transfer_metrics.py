@@ -132,8 +132,8 @@ def trajectory_distance(result: np.ndarray, content: np.ndarray, *, fit_speed: b
             faster than the content, and Holden et al. 2016 scale the trajectory by the ratio of speeds. Two paths that
             lead apart are fitted by no positive factor, and the result's path by 0.
 
-    Source: after the trajectory similarity index (TSI) of MCM-LDM (Song et al. 2024), a mean distance of root paths from
-    a common start; that the speed may be fitted is added here.
+    Source: after the trajectory similarity index (TSI) of MCM-LDM (Song et al. 2024), a mean distance of root paths
+    from a common start; that the speed may be fitted is added here.
     """
     shorter = min(len(result), len(content))
     a, b = result[:shorter] - result[0], content[:shorter] - content[0]

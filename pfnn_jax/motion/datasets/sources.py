@@ -43,7 +43,8 @@ ASYMMETRIC = frozenset(
 
 BANDAI = re.compile(r"(dataset-\d+)_([a-z-]+)_([a-z]+)_(\d+)", re.IGNORECASE)
 XIA = re.compile(r"([a-z]+)_(\d\d)_(\d{3})", re.IGNORECASE)
-XIA_CONTENTS = {"01": "walk", "13": "run", "16": "jump", "18": "punch", "22": "kick"}  # other numbers are kept as the content
+# other numbers are kept as the content
+XIA_CONTENTS = {"01": "walk", "13": "run", "16": "jump", "18": "punch", "22": "kick"}
 
 # These turn the other way than their names say, by the net change of the hips' heading (right_normal_004 turns twice).
 BANDAI_MISLABELLED = {
