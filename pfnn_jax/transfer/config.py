@@ -126,13 +126,10 @@ class TransformationConfig:
     Attributes:
         hidden: units of both hidden layers.
         width: W frames that a filter spans, odd.
-        residual: whether the network computes the change of a clip, which it learns in fewer steps, or the whole moved
-            clip, as in the paper.
     """
 
     hidden: int = 128
     width: int = 25
-    residual: bool = True
 
     def __post_init__(self):
         check_at_least(self, "hidden", "width")
