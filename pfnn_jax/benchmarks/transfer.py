@@ -87,9 +87,7 @@ class FastTransfer(NamedTuple):
 def random_transfer(sizes: TransferSizes) -> FastTransfer:
     """Returns random parameters of the layout of the paper."""
     keys, columns = jax.random.split(jax.random.key(0)), HOLDEN2017.size
-    # Not residual, since a residual network begins with zeros: what its last layer computes could not be compared.
-    config = TransformationConfig(sizes.hidden, sizes.width, residual=False)
-    network = init_transformation(config, columns, key=keys[0])
+    network = init_transformation(TransformationConfig(sizes.hidden, sizes.width), columns, key=keys[0])
     return FastTransfer(network, init_autoencoder(AutoencoderConfig(sizes.filters, sizes.width), columns, key=keys[1]))
 
 
