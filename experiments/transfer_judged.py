@@ -13,7 +13,7 @@ Seen      by the optimisation: the pair, and what the run's autoencoder was trai
           style and tested content: clips of xia-test of all other contents, the style's own as style, those of the
           other styles as content, and contents of Bandai-Namco-2 if asked for; no clip of the tested content. By the
           classifiers: `Folds.recognisers`. Recognition is relative to that of real clips of the same folds.
-Expect    see docs/results.md.
+Expect    see docs/results_appendix.md.
 Run       python -m experiments.transfer_judged --out runs/transfer_judged --limit 40
           Results are kept as BVH files in the folder `clips`, and are not made again: delete those of a method to
           make them again.
