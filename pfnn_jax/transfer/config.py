@@ -72,6 +72,9 @@ class AutoencoderTrainingConfig:
 class LossWeights:
     """Weights of the losses of a moved clip (Holden et al. 2017, Eq. 4 to 9).
 
+    Content and style are the paper's. It gives no others: those of the constraints come from
+    `experiments/transfer_weights.py`.
+
     Attributes:
         content: c, of the hidden units' mean squared difference from the content's.
         style: s, of the Gram matrix' mean squared difference from the style's.
@@ -99,8 +102,9 @@ class OptimisationConfig:
         iterations: steps of the first loop.
         constraint_iterations: steps of the second.
         learning_rate: of Adam in both.
-        start: begin at the content's hidden units, or at noise, as the authors' code.
-        scale_speed: whether the result follows the content's path at the style's speed, or at its own.
+        start: begin at the content's hidden units, or at noise, as the authors' code, which takes more iterations.
+        scale_speed: whether the speed along the content's path is scaled by the style's step length over the
+            content's, or kept.
         keep_detail: whether only the change that the style makes passes the autoencoder, and is added to the content,
             or the whole motion, as in the paper.
     """
@@ -126,13 +130,10 @@ class TransformationConfig:
     Attributes:
         hidden: units of both hidden layers.
         width: W frames that a filter spans, odd.
-        residual: whether the network computes the change of a clip, which it learns in fewer steps, or the whole moved
-            clip, as in the paper.
     """
 
     hidden: int = 128
     width: int = 25
-    residual: bool = True
 
     def __post_init__(self):
         check_at_least(self, "hidden", "width")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import chex
 import jax
-import jax.numpy as jnp
 from flax import struct
 
 from pfnn_jax.models.convolution import Convolution
@@ -16,14 +15,9 @@ class TransformationNetwork:
     """Three convolutions over the frames of a clip, with ReLU on all but the last.
 
     There is one network for each style. It is a pure function of one clip of any length; `jax.vmap` adds a batch.
-
-    Attributes:
-        layers: the convolutions.
-        residual: whether they compute the change of a clip, or the whole moved clip, as in the paper.
     """
 
     layers: tuple[Convolution, Convolution, Convolution]
-    residual: bool = struct.field(pytree_node=False, default=True)
 
     def __call__(self, x: jax.Array, mask: jax.Array | None = None) -> jax.Array:
         """Returns the moved clip [T, D] of a clip x [T, D], both normalised.
@@ -37,8 +31,7 @@ class TransformationNetwork:
         within = 1.0 if mask is None else mask[:, None]
         first, second, last = self.layers
         value = jax.nn.relu(first(x * within)) * within
-        moved = last(jax.nn.relu(second(value)) * within)
-        return (x + moved if self.residual else moved) * within
+        return last(jax.nn.relu(second(value)) * within) * within
 
     @property
     def receptive_field(self) -> int:
@@ -47,15 +40,11 @@ class TransformationNetwork:
 
 
 def init_transformation(config: TransformationConfig, size: int, *, key: jax.Array) -> TransformationNetwork:
-    """Returns a freshly initialised network for rows of `size` numbers.
-
-    A residual network begins as the identity: its last layer is zero.
-    """
+    """Returns a freshly initialised network for rows of `size` numbers."""
     widths = (size, config.hidden, config.hidden, size)
     keys = jax.random.split(key, 3)
     layers = [
         Convolution.init(config.width, inputs, outputs, key=key)
         for inputs, outputs, key in zip(widths[:-1], widths[1:], keys, strict=True)
     ]
-    last = jax.tree.map(jnp.zeros_like, layers[2]) if config.residual else layers[2]
-    return TransformationNetwork(layers=(layers[0], layers[1], last), residual=config.residual)
+    return TransformationNetwork(layers=(layers[0], layers[1], layers[2]))
