@@ -11,7 +11,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES
-from pfnn_jax.motion.kinematics import quat_slerp
+from pfnn_jax.motion.kinematics import quat_conjugate, quat_exp, quat_multiply
 from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.roles import chain_up
 from pfnn_jax.motion.skeleton import Skeleton
@@ -25,7 +25,8 @@ def blend_clips(content: MotionClip, result: MotionClip, weights: np.ndarray, ro
     """Returns the content with the rotations of each joint moved towards those of a result.
 
     At weight 0 a joint keeps the content's rotation, at 1 it takes the result's, both to the last bit. Between them and
-    beyond 1 the rotation from one to the other is scaled, the shorter way round.
+    beyond 1 the rotation from one to the other is scaled: the shorter way round where both are nearest, and without a
+    jump from frame to frame in the others, also where that is more than half a turn.
 
     Args:
         content: T frames on J joints.
@@ -43,13 +44,29 @@ def blend_clips(content: MotionClip, result: MotionClip, weights: np.ndarray, ro
     rotations[:, weights == 1.0] = result.rotations[:, weights == 1.0]
     partly = np.flatnonzero((weights != 0.0) & (weights != 1.0))
     if len(partly):
-        turned = quat_slerp(content.rotations[:, partly], result.rotations[:, partly], weights[partly])
-        rotations[:, partly] = turned
+        between = continuous_turns(content.rotations[:, partly], result.rotations[:, partly])
+        rotations[:, partly] = quat_multiply(rotations[:, partly], quat_exp(weights[partly, None] * between))
     if root_weight == 1.0:
         positions = result.root_positions
     elif root_weight != 0.0:
         positions = positions + root_weight * (result.root_positions - positions)
     return replace(content, root_positions=positions, rotations=rotations)
+
+
+def continuous_turns(rotations: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Returns half-angle vectors [T, J, 3] of the rotations from some [T, J, 4] to others, continuous over time.
+
+    The shorter way round changes sides where the angle passes half a turn, and a part of it would jump there.
+    """
+    between = quat_multiply(quat_conjugate(rotations), others)
+    same = np.where(np.sum(between[1:] * between[:-1], axis=-1) < 0, -1.0, 1.0)
+    between = between * np.concatenate([np.ones_like(between[:1, :, 0]), np.cumprod(same, axis=0)])[..., None]
+    nearest = np.abs(between[..., 0]).argmax(axis=0)
+    between = np.where(between[nearest, np.arange(between.shape[1]), :1] < 0, -between, between)
+    sine = np.linalg.norm(between[..., 1:], axis=-1, keepdims=True)
+    return between[..., 1:] * np.where(
+        sine > 0, np.arctan2(sine, between[..., :1]) / np.where(sine > 0, sine, 1.0), 1.0
+    )
 
 
 def part_weights(skeleton: Skeleton, parts: Parts, source: str | Path = "skeleton") -> tuple[np.ndarray, float]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from pfnn_jax.motion.body_points import POINT_NAMES, POINT_PARENTS, BodyPoints
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -33,6 +34,12 @@ PELVIS = [POINT_NAMES.index(name) for name in ("hips", "left_thigh", "right_thig
 
 STRAIGHT, BENT = 0.17, 0.5
 """Sine of a limb's bend (10 and 30 degrees) up to which its plane says nothing, and from which on it decides."""
+
+MOST_ROLL = np.deg2rad(120.0)
+"""Radians by which a limb turns about itself; no shoulder or hip does so by more."""
+
+ROLL_SECONDS = 0.05
+"""Standard deviation of the Gaussian over that turn: the plane of a limb that is hardly bent is uncertain."""
 
 FLEXIBLE = ("spine", "chest", "neck", "left_upper_arm", "right_upper_arm")
 """Points that a joint between them and the one above, such as a clavicle, may move; thighs are rigid in the pelvis."""
@@ -64,6 +71,7 @@ class _Body:
         local, world: [T, J, 4] rotations of the initial motion.
         joints: [T, J, 3] its joints in metres.
         own: [T, 21, 3] its points.
+        fps: its frames per second.
         turned: [T, J, 4] new world rotations.
         places: [T, J, 3] new positions in metres, relative to joint 0.
     """
@@ -74,6 +82,7 @@ class _Body:
     world: np.ndarray
     joints: np.ndarray
     own: np.ndarray
+    fps: float
     turned: np.ndarray
     places: np.ndarray
 
@@ -124,11 +133,11 @@ class _Body:
         upper, lower = quat_rotate(change[:, None], bones).swapaxes(0, 1)
         own, bent = _plane(upper, lower)
         plane, wanted = _plane(positions[:, middle] - positions[:, root], positions[:, end] - positions[:, middle])
-        share = np.clip((np.minimum(bent, wanted) - STRAIGHT) / (BENT - STRAIGHT), 0.0, 1.0)[:, None]
+        share = np.clip((np.minimum(bent, wanted) - STRAIGHT) / (BENT - STRAIGHT), 0.0, 1.0)
         share = share * share * (3.0 - 2.0 * share)
-        into, along = share * plane + (1.0 - share) * own, _unit(upper)
-        angle = np.arctan2(np.sum(np.cross(own, into) * along, axis=-1), np.sum(own * into, axis=-1))
-        return quat_from_axis_angle(along, angle)
+        along = _unit(upper)
+        angle = np.arctan2(np.sum(np.cross(own, plane) * along, axis=-1), np.sum(own * plane, axis=-1))
+        return quat_from_axis_angle(along, gaussian_filter(share * limit_roll(angle), ROLL_SECONDS * self.fps))
 
     def _is_level(self, joint: int) -> bool:
         return any(self.points.joints[POINT_NAMES.index(name)] == joint for name in LEVEL)
@@ -149,7 +158,9 @@ def rotations_from_positions(
     """
     joints, world = forward_kinematics(skeleton, initial.root_positions, initial.rotations)
     own = points.positions(joints, world)
-    body = _Body(skeleton, points, initial.rotations, world, joints, own, world.copy(), joints - joints[:, :1])
+    body = _Body(
+        skeleton, points, initial.rotations, world, joints, own, initial.fps, world.copy(), joints - joints[:, :1]
+    )
     positions, aims = bend_knees_forward(positions, own), _aims(skeleton, points)
     for joint in range(skeleton.num_joints):
         body.carry(joint)
@@ -161,6 +172,15 @@ def rotations_from_positions(
     local[:, 1:] = quat_multiply(quat_conjugate(body.turned[:, skeleton.parents[1:]]), body.turned[:, 1:])
     local = np.where(np.sum(local * initial.rotations, axis=-1, keepdims=True) < 0, -local, local)
     return replace(initial, root_positions=positions[:, PELVIS].mean(axis=1) - pelvis, rotations=local)
+
+
+def limit_roll(angle: np.ndarray) -> np.ndarray:
+    """Returns angles [T] in radians about a limb, reduced beyond `MOST_ROLL` to reach 0 at half a turn.
+
+    A limb that seems to bend to the other side, as an elbow that a network has overstretched, does not turn about
+    itself for that; and as half a turn to the left is one to the right, any other rule would jump there.
+    """
+    return np.sign(angle) * np.minimum(np.abs(angle), MOST_ROLL * (np.pi - np.abs(angle)) / (np.pi - MOST_ROLL))
 
 
 def bend_knees_forward(positions: np.ndarray, own: np.ndarray) -> np.ndarray:

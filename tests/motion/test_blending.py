@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from pfnn_jax.motion.blending import PARTS, Parts, blend_clips, part_weights
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.kinematics import quat_normalise
+from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_axis_angle, quat_multiply, quat_normalise
 from pfnn_jax.motion.synthetic.walks import synthesise
 from tests.motion.retargeting import SOURCES, angles, example
 from tests.raising import assert_refused
@@ -51,6 +51,16 @@ def test_the_rotation_between_both_is_scaled_by_the_weight(strength: float):
     blended = blend_clips(content, result, strength * weights, strength * root)
     whole, part = angles(content.rotations, result.rotations), angles(content.rotations, blended.rotations)
     assert np.abs(part - strength * whole).max() < ANGLE
+
+
+def test_a_part_of_a_growing_rotation_does_not_jump_at_half_a_turn():
+    content, _ = pair()
+    turn = np.deg2rad(np.linspace(0.0, 300.0, content.num_frames))
+    turned = quat_multiply(content.rotations, quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), turn)[:, None])
+    half = blend_clips(content, replace(content, rotations=turned), np.full(content.skeleton.num_joints, 0.5), 0.0)
+    between = quat_multiply(quat_conjugate(content.rotations), half.rotations)
+    expected = quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), turn / 2)[:, None]
+    assert angles(between, np.broadcast_to(expected, between.shape)).max() < ANGLE
 
 
 def test_the_sign_of_a_quaternion_does_not_matter():

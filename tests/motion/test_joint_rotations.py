@@ -26,6 +26,8 @@ SAME_ROTATION = 1e-4
 FROM_T_POSE = 0.03
 """Metres by which a walk's points are missed from a T-pose: where neither clavicles nor necks show their share."""
 NOISE = 0.02  # metres
+OVERSTRETCHED_STEP = 20.0
+"""Degrees that a joint turns in a frame while an elbow bends to one side and then to the other within half a second."""
 LARGEST_STEP = 75.0
 """Degrees that a joint turns in a frame of positions with `NOISE`, which turn short bones by 30. A flip turns 180."""
 
@@ -42,12 +44,16 @@ def walk(frames: int = 60, style: str = "neutral") -> MotionClip:
     return synthesise(style, np.full(frames, 0.3), np.full(frames, 1.3))[0]
 
 
+def yaw_of_facing(clip: MotionClip) -> np.ndarray:
+    motion = world_motion(clip)
+    return root_motion(motion.positions, motion.roles, clip.fps).yaw
+
+
 def in_t_pose(clip: MotionClip) -> MotionClip:
     """Returns a clip of a T-pose that faces as the clip does."""
-    motion = world_motion(clip)
     rotations = np.zeros_like(clip.rotations)
     rotations[..., 0] = 1.0
-    rotations[:, 0] = quat_from_yaw(root_motion(motion.positions, motion.roles, clip.fps).yaw)
+    rotations[:, 0] = quat_from_yaw(yaw_of_facing(clip))
     return replace(clip, rotations=rotations)
 
 
@@ -109,6 +115,20 @@ def test_a_knee_bent_backwards_is_bent_forwards():
     positions[:, knee] = middle - 0.15 * forward
     solved = points_of(solve(clip, positions))
     assert (np.sum((solved[:, knee] - (solved[:, hip] + solved[:, ankle]) / 2) * forward, axis=-1) > 0.05).all()
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_an_elbow_that_bends_to_either_side_does_not_flip_its_arm(side: str):
+    clip = walk(60)
+    positions = points_of(clip)
+    shoulder, elbow, hand = (POINT_NAMES.index(f"{side}_{part}") for part in ("upper_arm", "lower_arm", "hand"))
+    forward = quat_rotate(quat_from_yaw(yaw_of_facing(clip)), np.array([0.0, 0.0, 1.0]))
+    bend = 0.15 * np.cos(2 * np.pi * np.arange(60) / 60)[:, None] * np.array([0.0, 1.0, 0.0])
+    positions[:, elbow] = positions[:, shoulder] + 0.28 * forward
+    positions[:, hand] = positions[:, elbow] + 0.24 * forward + bend
+    positions[:, hand + 1] = positions[:, hand] + 0.1 * forward
+    solved = solve(clip, positions)
+    assert angles(solved.rotations[1:], solved.rotations[:-1]).max() < OVERSTRETCHED_STEP
 
 
 def test_joints_without_points_keep_their_rotation(mocap: Path):
