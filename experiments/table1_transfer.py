@@ -25,7 +25,7 @@ import tyro
 
 from experiments.common.markdown import markdown_table
 from pfnn_jax.benchmarks.timing import interleave, machine, versions
-from pfnn_jax.benchmarks.transfer import TransferSizes, applied_works, fast_works, optimisation_works
+from pfnn_jax.benchmarks.transfer import TransferSizes, applied_works, fast_works, optimisation_works, time_forms
 from pfnn_jax.io.files import write_json, write_whole
 
 PAPER = {
@@ -59,7 +59,7 @@ def measure(config: Config) -> dict[str, dict[int, np.ndarray]]:
     applied = applied_works(config.sizes)
     for num_frames, works in fast_works(config.sizes).items():
         works = {**works, "as `transfer` applies it": applied[num_frames]}
-        for name, seconds in interleave(works, config.repetitions).items():
+        for name, seconds in time_forms(works, config.repetitions).items():
             title = "fast network" if name == OURS else f"fast network, {name}"
             found.setdefault(title, {})[num_frames] = seconds
     works = {str(num_frames): work for num_frames, work in optimisation_works(config.sizes).items()}
