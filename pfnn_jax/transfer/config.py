@@ -70,7 +70,7 @@ class AutoencoderTrainingConfig:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of the losses of a moved clip (Holden et al. 2017, Eq. 4 to 9).
+    """Weights of the losses of a result (Holden et al. 2017, Eq. 4 to 9).
 
     Content and style are the paper's. It gives no others: those of the constraints come from
     `experiments/transfer_weights.py`.
@@ -95,7 +95,7 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class OptimisationConfig:
-    """How a clip is moved by optimisation over its hidden units (Holden et al. 2016).
+    """How a clip is transferred by optimisation over its hidden units (Holden et al. 2016).
 
     Attributes:
         weights: of the losses; content and style act in the first loop, the constraints in the second.

@@ -30,8 +30,8 @@ from pfnn_jax.transfer.losses import (
     content_loss,
     foot_loss,
     gram,
-    points,
-    root_motion,
+    root_rates,
+    row_points,
     style_loss,
     trajectory_loss,
 )
@@ -60,7 +60,7 @@ MIN_STEPS = 2
 
 @struct.dataclass
 class Task:
-    """One clip to move, padded to [P, D]; all arrays on the device.
+    """One clip to transfer, padded to [P, D]; all arrays on the device.
 
     Attributes:
         x: [P, D] the content, normalised.
@@ -107,7 +107,7 @@ def optimise(
 def make_task(
     run: TransferRun, content_rows: np.ndarray, style_rows: Sequence[np.ndarray], *, scale_speed: bool = True
 ) -> Task:
-    """Returns the task of moving a content [T, D] into the style of some clips [S, D], in layout units."""
+    """Returns the task of transferring a content [T, D] into the style of some clips [S, D], in layout units."""
     frames, ratio = len(content_rows), 1.0
     if scale_speed:
         ratio = speed_ratio(content_rows, style_rows, run.layout)
@@ -156,9 +156,9 @@ def step_length(rows: np.ndarray, layout: ClipLayout) -> float | None:
 
     A step begins when one ankle passes the other.
     """
-    speed = np.linalg.norm(root_motion(np.asarray(rows, float), layout)[0], axis=-1)
+    speed = np.linalg.norm(root_rates(np.asarray(rows, float), layout)[0], axis=-1)
     left, _, right, _ = FEET
-    at = points(np.asarray(rows, float), layout)
+    at = row_points(np.asarray(rows, float), layout)
     passing = np.flatnonzero(np.diff(np.sign(at[:, left, 2] - at[:, right, 2])))
     if len(passing) < MIN_STEPS + 1 or speed.mean() < MIN_SPEED:
         return None
@@ -222,10 +222,10 @@ def _optimise(
     counts = loss_mask(task.mask)
 
     def decode(hidden: jax.Array) -> jax.Array:
-        moved = autoencoder.decode(hidden)
+        result = autoencoder.decode(hidden)
         if config.keep_detail:
-            moved = add_change(task.x, autoencoder.decode(task.content), moved)
-        return moved * std[None] + mean[None]
+            result = add_change(task.x, autoencoder.decode(task.content), result)
+        return result * std[None] + mean[None]
 
     def transfer_loss(hidden: jax.Array) -> jax.Array:
         own = weights["content"] * content_loss(hidden, task.content, counts)
@@ -246,11 +246,16 @@ def _optimise(
 
 
 def add_change(x: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
-    """Returns x [T, D] with the smoothed change between its projection and a moved clip's, all normalised.
+    """Returns x [T, D] plus the smoothed change from its projection to that of the result, all normalised.
 
     An autoencoder loses detail, and depooling adds steps of two frames: what it makes of a clip jerks four times as
     much. Both cancel where only the change is taken from it. The change of a style is slow, so that smoothing it costs
     nothing.
+
+    Args:
+        x: [T, D] the content.
+        before: [T, D] its projection.
+        after: [T, D] the projection of the result.
     """
     half = len(SMOOTHING) // 2
     change = jnp.pad(after - before, ((half, half), (0, 0)), mode="edge")
