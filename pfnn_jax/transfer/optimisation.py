@@ -1,6 +1,6 @@
 """Style transfer by optimisation over hidden units (Holden et al. 2016, the method that the paper of 2017 replaces).
 
-A first loop moves hidden units from the content's until their Gram matrix is the style's, a second one until the motion
+A first loop moves hidden units from the content's towards the Gram matrix of the style, a second one until the motion
 obeys the content's constraints. Both are compiled into one program, for clips padded to a few lengths.
 """
 
@@ -96,6 +96,7 @@ def optimise(
     """
     config, frames = config or OptimisationConfig(), len(content_rows)
     task = make_task(run, content_rows, style_rows, scale_speed=config.scale_speed)
+    # Weights and learning rate are arguments of the compiled program, so that others do not compile it again.
     weights = jax.tree.map(jnp.float32, vars(config.weights))
     rows, _ = _optimise(
         run.autoencoder, _arrays(run.statistics), task, weights, jnp.float32(config.learning_rate), key,
@@ -248,8 +249,8 @@ def _optimise(
 def add_change(x: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
     """Returns x [T, D] plus the smoothed change from its projection to that of the result, all normalised.
 
-    An autoencoder loses detail, and depooling adds steps of two frames: what it makes of a clip jerks four times as
-    much. Both cancel where only the change is taken from it. The change of a style is slow, so that smoothing it costs
+    An autoencoder loses detail, and depooling adds steps of two frames: what it makes of a clip jerks several
+    times as much. Both cancel where only the change is taken from it. The change of a style is slow, so that smoothing it costs
     nothing.
 
     Args:
