@@ -18,13 +18,13 @@ from pfnn_jax.motion.features.layout import LAYOUTS
 STATE_NOTE = "train_state.json"
 
 CONTROLLER, TRANSFER = "controller", "transfer"
-"""Kinds of run: of a character's network, and of style transfer. Older configurations of the first name no kind."""
+"""Kinds of run: of a controller, and of style transfer. A configuration that names no kind is a controller's."""
 
 READERS = {
     CONTROLLER: "is the run of a controller, which `few-shot`, `generate` and `play` read",
     TRANSFER: "is a run of style transfer, which `transfer --run` reads",
 }
-"""What to do with a run of another kind than the one expected."""
+"""What a run of each kind is, and which commands read it, for messages."""
 
 RUN_RULE = "must be a run directory, as `pfnn-jax pretrain` or `pfnn-jax import-released` writes it"
 
@@ -165,7 +165,7 @@ def check_new_run(path: str | Path, overwrite: bool = False, kind: str = CONTROL
 
 
 def kind_at(path: Path, otherwise: str = CONTROLLER) -> str:
-    """Returns the kind of the run in a folder, or `otherwise` where its configuration cannot be read."""
+    """Returns the kind of the run in a folder (`CONTROLLER` or `TRANSFER`), or `otherwise` if it cannot be read."""
     try:
         return str(read_json((locate(path) or path) / "config.json", RUN_RULE).get("kind", CONTROLLER))
     except InputError:

@@ -98,7 +98,7 @@ def optimise(
     task = make_task(run, content_rows, style_rows, scale_speed=config.scale_speed)
     # Weights and learning rate are arguments of the compiled program, so that others do not compile it again.
     weights = jax.tree.map(jnp.float32, vars(config.weights))
-    rows, _ = _optimise(
+    rows = _optimise(
         run.autoencoder, _arrays(run.statistics), task, weights, jnp.float32(config.learning_rate), key,
         layout=run.layout, config=replace(config, weights=LossWeights(), learning_rate=1.0),
     )  # fmt: skip
@@ -217,8 +217,8 @@ def _optimise(
     *,
     layout: ClipLayout,
     config: OptimisationConfig,
-) -> tuple[jax.Array, jax.Array]:
-    """Returns the rows [P, D] in layout units, and the loss [n] of every iteration of the first loop."""
+) -> jax.Array:
+    """Returns the rows [P, D] of the result in layout units."""
     mean, std = statistics
     counts = loss_mask(task.mask)
 
@@ -238,19 +238,22 @@ def _optimise(
         terms = [weights[name] * loss(rows, task.constraints, layout, task.mask) for name, loss in losses.items()]
         return jnp.stack(terms).sum()
 
-    hidden = task.content
-    if config.start == "noise":
-        hidden = jnp.sqrt(jnp.diagonal(task.target))[None] * jnp.abs(jax.random.normal(key, hidden.shape))
-    hidden, losses = descend(transfer_loss, hidden, learning_rate, config.iterations)
+    hidden = task.content if config.start == "content" else _noise(task, key)
+    hidden, _ = descend(transfer_loss, hidden, learning_rate, config.iterations)
     hidden, _ = descend(constraint_loss, hidden, learning_rate, config.constraint_iterations)
-    return decode(hidden), losses
+    return decode(hidden)
+
+
+def _noise(task: Task, key: jax.Array) -> jax.Array:
+    """Returns random hidden units [P / 2, F], at least 0, in the proportions of the style's."""
+    return jnp.sqrt(jnp.diagonal(task.target))[None] * jnp.abs(jax.random.normal(key, task.content.shape))
 
 
 def add_change(x: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
     """Returns x [T, D] plus the smoothed change from its projection to that of the result, all normalised.
 
-    An autoencoder loses detail, and depooling adds steps of two frames: what it makes of a clip jerks several
-    times as much. Both cancel where only the change is taken from it. The change of a style is slow, so that smoothing it costs
+    An autoencoder loses detail, and depooling adds steps of two frames: what it makes of a clip jerks several times as
+    much. Both cancel where only the change is taken from it. The change of a style is slow, so that smoothing it costs
     nothing.
 
     Args:

@@ -52,7 +52,7 @@ class TransferRunConfig:
         skeleton: as `skeleton_to_json` returns it.
         training: settings and results of the autoencoder's training, or where its parameters came from.
         versions: of pfnn_jax and jax at the time of writing.
-        kind: of run.
+        kind: of the run, see `run_config.read_kind`.
     """
 
     layout: str
@@ -104,7 +104,7 @@ def create_transfer_run(
     """Writes a run directory with an autoencoder and no styles, complete or not at all.
 
     Args:
-        path: the directory.
+        path: the run directory.
         layout: of the rows.
         skeleton: of the training data.
         statistics: by which rows were normalised.

@@ -39,7 +39,7 @@ TERMS = ("content", "style", "foot", "bone", "trajectory")
 
 @struct.dataclass
 class Windows:
-    """Windows of contents, and what each must become.
+    """Windows of contents, and what their results must satisfy.
 
     Attributes:
         x: [N, T, D] normalised.
@@ -54,7 +54,13 @@ class Windows:
 
 @struct.dataclass
 class Frozen:
-    """What training reads and does not change: the loss network, statistics [D], Gram matrices [G, F, F]."""
+    """What training reads and does not change.
+
+    Attributes:
+        autoencoder: the loss network.
+        mean, std: [D] statistics of the run.
+        grams: [G, F, F] Gram matrix of the style's clips in each group of the pairing.
+    """
 
     autoencoder: MotionAutoencoder
     mean: jax.Array

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.blending import PARTS, Parts
+from pfnn_jax.motion.blending import Parts, check_parts
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, resample
 from pfnn_jax.motion.length_unit import CENTIMETRE
@@ -21,7 +21,7 @@ from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.training.loop import no_progress
 from pfnn_jax.transfer.clip_rows import encode_clip, prepare_clip
 from pfnn_jax.transfer.config import OptimisationConfig, TransformationConfig
-from pfnn_jax.transfer.finish import MAX_STRENGTH, finish_clip
+from pfnn_jax.transfer.finish import check_strength, finish_clip
 from pfnn_jax.transfer.layout import LAYOUT_FPS
 from pfnn_jax.transfer.optimisation import optimise
 from pfnn_jax.transfer.pairing import ALL, GaitClip, pair_by_gait
@@ -116,7 +116,7 @@ def transfer_clip(
     """
     started = time.perf_counter()
     check_strength(strength)
-    check_parts(parts)
+    check_parts(parts, "transfer")
     run = as_run(BASE_AUTOENCODER if run is None else run)
     given = _style_clips(style, style_name)
     method = _load_method(run, _chosen_style(run, style_name)) if style is None else None
@@ -130,31 +130,11 @@ def transfer_clip(
         paired, said = _pair(clip, rows, styles, style_rows, run)
         notes += said
         method = partial(_optimised, run, paired, OptimisationConfig() if config is None else config, seed)
-    moved = in_pieces(rows, method)
+    transferred = in_pieces(rows, method)
     progress_callback(0.9, "finishing")
-    result = finish_clip(moved, clip, run.skeleton, run.layout, strength=strength, parts=parts, foot_ik=foot_ik)
+    result = finish_clip(transferred, clip, run.skeleton, run.layout, strength=strength, parts=parts, foot_ik=foot_ik)
     progress_callback(1.0, "done")
     return TransferResult(result, clip, tuple(styles), tuple(notes), time.perf_counter() - started)
-
-
-def check_strength(strength: float) -> None:
-    """Checks the strength of a transfer.
-
-    Raises:
-        InputError: unless it is from 0 to `MAX_STRENGTH`.
-    """
-    if not 0.0 <= strength <= MAX_STRENGTH:  # also where it is not a number
-        raise InputError("transfer", "strength", strength, f"must be from 0 (the content) over 1 to {MAX_STRENGTH:g}")
-
-
-def check_parts(parts: str) -> None:
-    """Checks which parts of the body take the style.
-
-    Raises:
-        InputError: for parts that there are not.
-    """
-    if parts not in PARTS:
-        raise InputError("transfer", "parts", parts, f"must be one of {', '.join(PARTS)}")
 
 
 def rows_for_run(clip: MotionClip, run: TransferRun) -> np.ndarray:
