@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.rows import read_arrays
 from pfnn_jax.interop.released.holden2017 import JOINTS
+from pfnn_jax.io.npz import read_arrays
 from pfnn_jax.models.convolution import Convolution
 from pfnn_jax.motion.features.normaliser import Statistics
 from pfnn_jax.motion.roles import assign_roles
