@@ -96,12 +96,12 @@ def transfer_clip(
     style is applied (Holden et al. 2017). Clips longer than `transfer.pieces.PIECE` frames are done in pieces.
 
     Args:
-        content: what is done: a clip, or a BVH file.
-        style: how it is to be done: one clip or several of one style.
+        content: the clip to transfer, or its BVH file.
+        style: the style clip, or several of one style.
         run: a run of style transfer, or its directory; by default the autoencoder of the package.
         style_name: one of the run's styles; may be left out if it has one only.
         strength: 0 is the content, 1 the result; up to 1.5, the difference is extrapolated.
-        parts: of the body that take the style; the others stay those of the content.
+        parts: of the body that take the style; the others keep the content's motion.
         foot_ik: hold feet in place while those of the content are in contact.
         config: settings of the optimisation.
         seed: of the noise from which the optimisation may start.
@@ -127,8 +127,8 @@ def transfer_clip(
     _refuse_same(clip, rows, styles, style_rows)
     progress_callback(0.1, "transferring the style")
     if method is None:
-        paired, said = _pair(clip, rows, styles, style_rows, run)
-        notes += said
+        paired, more = _pair(clip, rows, styles, style_rows, run)
+        notes += more
         method = partial(_optimised, run, paired, OptimisationConfig() if config is None else config, seed)
     transferred = in_pieces(rows, method)
     progress_callback(0.9, "finishing")
@@ -175,9 +175,9 @@ def _optimised(
 def _pair(
     clip: MotionClip, rows: np.ndarray, styles: Sequence[MotionClip], style_rows: Sequence[np.ndarray], run: TransferRun
 ) -> tuple[list[np.ndarray], list[str]]:
-    """Returns the rows of the style's clips of the content's gait, long ones in pieces, and what is to be said of it.
+    """Returns the rows of the style's clips of the content's gait, long ones in pieces, and notes on the choice.
 
-    Nothing is said of a single style clip of the same gait, as there was no choice.
+    There is no note for a single style clip of the same gait, as there was no choice.
     """
     content, *others = (
         GaitClip(each, of.content, of.source or "clip")
