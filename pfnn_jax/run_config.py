@@ -192,8 +192,13 @@ def list_styles(path: str | Path) -> tuple[str, ...]:
     return saved_names(Path(path) / "styles")
 
 
-def style_note(path: str | Path, name: str) -> dict[str, Any]:
-    """Reads style.json: `name`, `shared` (fingerprint), `adapter` (kind and rank) and `info`.
+def style_note(path: str | Path, name: str, command: str = "few-shot") -> dict[str, Any]:
+    """Reads style.json; of a controller's style `name`, `shared` (fingerprint), `adapter` (kind and rank) and `info`.
+
+    Args:
+        path: the run directory.
+        name: of the style.
+        command: that saves such styles, for messages.
 
     Raises:
         InputError: for an unknown style, listing the known ones.
@@ -201,7 +206,7 @@ def style_note(path: str | Path, name: str) -> dict[str, Any]:
     names = list_styles(path)
     if name not in names:
         raise InputError(path, "style", name, f"must be one of {', '.join(names) or '(this run has no styles yet)'}")
-    return read_note(Path(path) / "styles" / name, "style.json", "must be a style saved by `pfnn-jax few-shot`")
+    return read_note(Path(path) / "styles" / name, "style.json", f"must be a style saved by `pfnn-jax {command}`")
 
 
 def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) -> None:
