@@ -16,7 +16,6 @@ import numpy as np
 from pfnn_jax.motion.body_points import POINT_NAMES, POINT_PARENTS, BodyPoints
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter
-from pfnn_jax.motion.humanoid.map import SIDES
 from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -45,9 +44,10 @@ ROLL_SECONDS = 0.05
 FLEXIBLE = ("spine", "chest", "neck", "left_upper_arm", "right_upper_arm")
 """Points that a joint between them and the one above, such as a clavicle, may move; thighs are rigid in the pelvis."""
 
+_SIDES = ("left", "right")
 LIMBS = {
     f"{side}_{first}": tuple(POINT_NAMES.index(f"{side}_{part}") for part in (first, *others))
-    for side in SIDES
+    for side in _SIDES
     for first, *others in (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 }
 """Points (root, middle, end) of each limb that bends in a plane, by the name of its root."""
