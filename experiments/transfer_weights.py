@@ -109,7 +109,7 @@ class Config:
         out: folder of results.
         run: run of style transfer.
         neutral: style of the contents.
-        contents: takes of each kind of content; every content is moved into `styles` styles in turn.
+        contents: takes of each kind of content; every content is transferred into `styles` styles in turn.
         styles: styles for each content.
         frames: of a content or style clip at 60 fps, from its middle.
         epochs: of the classifiers.

@@ -18,13 +18,13 @@ from pfnn_jax.motion.features.layout import LAYOUTS
 STATE_NOTE = "train_state.json"
 
 CONTROLLER, TRANSFER = "controller", "transfer"
-"""Kinds of run: of a character's network, and of style transfer. Older configurations of the first name no kind."""
+"""Kinds of run: of a controller, and of style transfer. A configuration that names no kind is a controller's."""
 
 READERS = {
     CONTROLLER: "is the run of a controller, which `few-shot`, `generate` and `play` read",
     TRANSFER: "is a run of style transfer, which `transfer --run` reads",
 }
-"""What to do with a run of another kind than the one expected."""
+"""What a run of each kind is, and which commands read it, for messages."""
 
 RUN_RULE = "must be a run directory, as `pfnn-jax pretrain` or `pfnn-jax import-released` writes it"
 
@@ -165,7 +165,7 @@ def check_new_run(path: str | Path, overwrite: bool = False, kind: str = CONTROL
 
 
 def kind_at(path: Path, otherwise: str = CONTROLLER) -> str:
-    """Returns the kind of the run in a folder, or `otherwise` where its configuration cannot be read."""
+    """Returns the kind of the run in a folder (`CONTROLLER` or `TRANSFER`), or `otherwise` if it cannot be read."""
     try:
         return str(read_json((locate(path) or path) / "config.json", RUN_RULE).get("kind", CONTROLLER))
     except InputError:
@@ -192,8 +192,13 @@ def list_styles(path: str | Path) -> tuple[str, ...]:
     return saved_names(Path(path) / "styles")
 
 
-def style_note(path: str | Path, name: str) -> dict[str, Any]:
-    """Reads style.json: `name`, `shared` (fingerprint), `adapter` (kind and rank) and `info`.
+def style_note(path: str | Path, name: str, command: str = "few-shot") -> dict[str, Any]:
+    """Reads style.json; of a controller's style `name`, `shared` (fingerprint), `adapter` (kind and rank) and `info`.
+
+    Args:
+        path: the run directory.
+        name: of the style.
+        command: that saves such styles, for messages.
 
     Raises:
         InputError: for an unknown style, listing the known ones.
@@ -201,7 +206,7 @@ def style_note(path: str | Path, name: str) -> dict[str, Any]:
     names = list_styles(path)
     if name not in names:
         raise InputError(path, "style", name, f"must be one of {', '.join(names) or '(this run has no styles yet)'}")
-    return read_note(Path(path) / "styles" / name, "style.json", "must be a style saved by `pfnn-jax few-shot`")
+    return read_note(Path(path) / "styles" / name, "style.json", f"must be a style saved by `pfnn-jax {command}`")
 
 
 def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) -> None:

@@ -22,7 +22,8 @@ from pfnn_jax.transfer.finish import MAX_STRENGTH
 from pfnn_jax.transfer.run import list_transformations, load_transfer_run
 from pfnn_jax.workflows import transfer as workflow
 from pfnn_jax.workflows.samples import sample_clips
-from pfnn_jax.workflows.transfer import train_transfer, transfer_clip
+from pfnn_jax.workflows.transfer import transfer_clip
+from pfnn_jax.workflows.transfer_training import train_transfer
 from tests.raising import assert_refused
 from tests.trained import made_once
 from tests.transfer_runs import make_transfer_run, make_walk

@@ -98,7 +98,7 @@ class Methods:
         finish = FINISHES[name]
         key = finish.rows, pair.name
         if key not in self.rows:
-            made = self._optimised if finish.rows.startswith("optimisation") else self._moved
+            made = self._optimised if finish.rows.startswith("optimisation") else self._by_network
             self.rows[key] = made(finish.rows, pair)
         run = self.run
         return finish_clip(
@@ -118,7 +118,7 @@ class Methods:
         content, style = self.encoded(pair.content), self.encoded(pair.style)
         return optimise(self.run, content, [style], config, key=jax.random.key(self.seed))
 
-    def _moved(self, name: str, pair: Pair) -> np.ndarray:
+    def _by_network(self, name: str, pair: Pair) -> np.ndarray:
         config = self.training
         if name.endswith("no constraints"):
             config = replace(config, weights=without_constraints(config.weights))

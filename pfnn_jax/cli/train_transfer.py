@@ -48,7 +48,7 @@ class TrainTransfer(Command):
 
         clips = list_clips(self.data, self.kind, self.reading)
         select_styles(clips, [self.style], self.data)
-        from pfnn_jax.workflows.transfer import train_transfer
+        from pfnn_jax.workflows.transfer_training import train_transfer
 
         with progress("training") as report:
             info = train_transfer(

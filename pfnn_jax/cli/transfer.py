@@ -21,13 +21,13 @@ class Transfer(Command):
     The result is on the clip's own skeleton, at its own frame rate and in its own unit, with Y up.
 
     Attributes:
-        content: BVH file: what is done.
-        style: how it is to be done: one BVH file or several of one style; or, with --run, the name of a style of the
+        content: BVH file of the clip to transfer.
+        style: the style clip, one BVH file or several of one style; or, with --run, the name of a style of the
             run, which may be left out if it has one only. BVH files need no training.
         run_path: a run of `train-transfer`, for its styles; or, with BVH files as style, for its autoencoder.
         out: the BVH file to write.
-        strength: 0 is the content, 1 the result, up to 1.5 more than that.
-        parts: of the body that take the style: all, upper, lower, or arms. The others stay as they are.
+        strength: 0 is the content, 1 the result; up to 1.5, the style is exaggerated.
+        parts: of the body that take the style: all, upper, lower, or arms. The others keep the content's motion.
         foot_ik: feet are held in place while those of the content are in contact; `--no-foot-ik` leaves them as the
             network makes them.
         roles: JSON file that names the joints' roles.

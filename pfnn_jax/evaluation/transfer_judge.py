@@ -96,8 +96,8 @@ def judge_transfer(
     """
     recognisers, target = recognisers or Recognisers(), content.skeleton
     clips = [_on(clip, target, fps) for clip in (content, style, result)]
-    source, example, moved = (world_motion(clip) for clip in clips)
-    poses = facing_poses(moved)
+    source, example, judged = (world_motion(clip) for clip in clips)
+    poses = facing_poses(judged)
     real = None if truth is None else [facing_poses(world_motion(_on(truth, target, fps)))]
     own = jitter(source.positions, fps)
     return {
@@ -108,11 +108,11 @@ def judge_transfer(
         "CC, cm": 100 * content_consistency(poses, facing_poses(source)),
         "CC warped, cm": 100 * content_consistency(poses, facing_poses(source), warp=True),
         "to style warped, cm": 100 * pose_distance(poses, facing_poses(example), warp=True),
-        **_feet(moved),
-        "jitter, m/s³": jitter(moved.positions, fps),
-        "jitter ratio": jitter(moved.positions, fps) / own if own > 0 else None,
+        **_feet(judged),
+        "jitter, m/s³": jitter(judged.positions, fps),
+        "jitter ratio": jitter(judged.positions, fps) / own if own > 0 else None,
         "bone error, cm": _bone_error(content, result),
-        **_trajectory(moved, source),
+        **_trajectory(judged, source),
     }
 
 
@@ -124,14 +124,14 @@ def _recognition(kind: str, classifier: ClipClassifier | None, clip: MotionClip,
     return {f"{kind} recognised": float(likely.argmax() == place), f"{kind} probability": float(likely[place])}
 
 
-def _feet(moved: WorldMotion) -> Record:
+def _feet(judged: WorldMotion) -> Record:
     """Returns the measures of feet, whose ground is where they rest in the same motion."""
-    roles = moved.roles
-    feet = moved.positions[:, [*roles.left_foot, *roles.right_foot]]
-    sliding = sliding_over_travel(feet[:, [1, 3]], moved.positions[:, roles.hips])
+    roles = judged.roles
+    feet = judged.positions[:, [*roles.left_foot, *roles.right_foot]]
+    sliding = sliding_over_travel(feet[:, [1, 3]], judged.positions[:, roles.hips])
     return {
         "sliding": sliding if np.isfinite(sliding) else None,
-        "skating, cm/s": 100 * near_ground_skating(feet, moved.fps, planted_heights(feet)),
+        "skating, cm/s": 100 * near_ground_skating(feet, judged.fps, planted_heights(feet)),
     }
 
 
@@ -143,8 +143,8 @@ def _bone_error(content: MotionClip, result: MotionClip) -> float | None:
     return 100 * bone_length_error(world_motion(result).positions, content.skeleton.parents, lengths)
 
 
-def _trajectory(moved: WorldMotion, source: WorldMotion) -> Record:
-    paths = clip_root(moved).positions, clip_root(source).positions
+def _trajectory(judged: WorldMotion, source: WorldMotion) -> Record:
+    paths = clip_root(judged).positions, clip_root(source).positions
     return {
         "trajectory, m": trajectory_distance(*paths),
         "trajectory shape, m": trajectory_distance(*paths, fit_speed=True),

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.lib.format import MAGIC_PREFIX
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.lookup import table_phase
@@ -21,13 +18,12 @@ from pfnn_jax.inference.mixture import load_bank, mix_rows
 from pfnn_jax.inference.modes import LayerNorm, Mode
 from pfnn_jax.inference.predictor import Predictor, evaluate, make_predictor
 from pfnn_jax.inference.style_choice import StyleChoice, check_weights
-from pfnn_jax.io.files import failure, refuse_existing, replacing
+from pfnn_jax.io.files import refuse_existing, replacing
+from pfnn_jax.io.npz import as_floats, read_arrays
 from pfnn_jax.models.layers.film import FiLMStyle, layer_norm, layer_norm_sample
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.run import Run, load_run
-
-ZIP = b"PK"  # first bytes of an archive
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,42 +92,6 @@ def _read_arrays(file: Path, layout: FrameLayout) -> dict[str, np.ndarray]:
     return found
 
 
-def read_arrays(file: Path, names: Sequence[str], rule: str) -> dict[str, np.ndarray]:
-    """Returns those of the named arrays that a `.npz` file holds.
-
-    Args:
-        file: the archive; nothing in it is unpickled.
-        names: of the arrays.
-        rule: what the file should be, for messages.
-
-    Raises:
-        InputError: if the file cannot be read, or is no archive.
-    """
-    try:
-        with file.open("rb") as stream:  # opened here, because NumPy leaves a damaged file open
-            arrays = _load(stream)
-            if not isinstance(arrays, np.lib.npyio.NpzFile):
-                raise InputError(file, "file", "a single array", rule)
-            return {name: arrays[name] for name in names if name in arrays}
-    except InputError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(file, "file", failure(error), rule) from error
-
-
-def _load(stream: BinaryIO) -> Any:
-    """Loads a NumPy file.
-
-    Raises:
-        ValueError: for any other file, which NumPy would offer to unpickle; nothing is ever unpickled.
-    """
-    begins = stream.read(len(MAGIC_PREFIX))
-    if begins and not begins.startswith((ZIP, MAGIC_PREFIX)):
-        raise ValueError("not a NumPy file")
-    stream.seek(0)
-    return np.load(stream, allow_pickle=False)
-
-
 def _as_indices(file: Path, name: str, values: np.ndarray, shape: tuple[int | None, ...]) -> np.ndarray:
     wanted = tuple(have if want is None else want for want, have in zip(shape, values.shape, strict=False))
     if values.ndim != len(shape) or values.shape != wanted or 0 in values.shape:
@@ -140,18 +100,6 @@ def _as_indices(file: Path, name: str, values: np.ndarray, shape: tuple[int | No
     if values.dtype.kind not in "iu":
         raise InputError(file, f"array {name}", values.dtype, "must hold whole numbers")
     return values.astype(np.int64)
-
-
-def as_floats(file: Path, name: str, values: np.ndarray) -> np.ndarray:
-    """Returns the values in float64 after checking that all are finite in float32."""
-    if values.dtype.kind not in "fiu":
-        raise InputError(file, f"array {name}", values.dtype, "must hold real numbers")
-    floats = values.astype(np.float64)
-    bad = np.argwhere(~(np.abs(floats) <= np.finfo(np.float32).max))
-    if len(bad):
-        place = ", ".join(f"{axis} {i}" for axis, i in zip(("row", "column"), bad[0].tolist(), strict=False))
-        raise InputError(file, f"array {name}, {place}", floats[tuple(bad[0])], "must be a finite float32")
-    return floats
 
 
 NORMS = {"population": layer_norm, "sample": layer_norm_sample}

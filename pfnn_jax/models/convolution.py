@@ -1,4 +1,4 @@
-"""Convolutions over time, max pooling and average depooling: [T, I] frames to [T, O] frames.
+"""Convolves over time, pools by the maximum and depools by the average: frames [T, I] to frames [T, O].
 
 All functions are for one clip without a batch axis; use `jax.vmap` for many.
 """

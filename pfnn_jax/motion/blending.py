@@ -69,6 +69,16 @@ def continuous_turns(rotations: np.ndarray, others: np.ndarray) -> np.ndarray:
     )
 
 
+def check_parts(parts: str, source: str | Path) -> None:
+    """Checks the name of parts of the body.
+
+    Raises:
+        InputError: unless it is one of `PARTS`, naming `source`.
+    """
+    if parts not in PARTS:
+        raise InputError(source, "parts", parts, f"must be one of {', '.join(PARTS)}")
+
+
 def part_weights(skeleton: Skeleton, parts: Parts, source: str | Path = "skeleton") -> tuple[np.ndarray, float]:
     """Returns which joints belong to parts of the body, and whether the root's path does.
 
@@ -86,8 +96,7 @@ def part_weights(skeleton: Skeleton, parts: Parts, source: str | Path = "skeleto
     Raises:
         InputError: if `parts` is unknown, or the skeleton has no humanoid map.
     """
-    if parts not in PARTS:
-        raise InputError(source, "parts", parts, f"must be one of {', '.join(PARTS)}")
+    check_parts(parts, source)
     body = humanoid_of(skeleton, source)
     arms = [joint for side in SIDES for joint in body.limb(side, ARM) if joint is not None]
     legs = [joint for side in SIDES for joint in body.limb(side, LEG) if joint is not None]

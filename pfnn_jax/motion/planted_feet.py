@@ -25,6 +25,7 @@ from pfnn_jax.motion.kinematics import (
     quat_normalise,
     quat_rotate,
 )
+from pfnn_jax.motion.labels.phase import runs_of
 from pfnn_jax.motion.retargeting.body import SIDES, UP, humanoid_of, limb
 from pfnn_jax.motion.retargeting.legs import Legs, excess_height, leg_extension, match_extension
 from pfnn_jax.motion.two_bone import bend
@@ -154,17 +155,11 @@ def clean_contacts(contacts: np.ndarray, fps: float) -> np.ndarray:
     contacts = contacts.copy()
     for values in contacts.T:
         for fill in (True, False):
-            for start, stop in runs(values != fill):
+            for start, stop in runs_of(values != fill):
                 inside = fill is False or (start > 0 and stop < len(values))
                 if inside and stop - start < SHORTEST_SECONDS * fps:
                     values[start:stop] = fill
     return contacts
-
-
-def runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """Returns (start, stop) of every run of true values in flags [T]."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
 def _to_places(foot: np.ndarray, contacts: np.ndarray) -> np.ndarray:
@@ -174,7 +169,7 @@ def _to_places(foot: np.ndarray, contacts: np.ndarray) -> np.ndarray:
     heel and toe are to each other while both are in contact: a foot is rigid.
     """
     level, away = foot[..., [0, 2]], np.zeros(foot.shape[:2] + (2,))
-    open_runs = [(stop - start, start, stop, joint) for joint in (0, 1) for start, stop in runs(contacts[:, joint])]
+    open_runs = [(stop - start, start, stop, joint) for joint in (0, 1) for start, stop in runs_of(contacts[:, joint])]
     open_runs.sort()
     placed: list[tuple[int, int, int, np.ndarray]] = []
     while open_runs:
@@ -205,7 +200,7 @@ def _fade(values: np.ndarray, known: np.ndarray, fps: float) -> np.ndarray:
     """Lets values [T, 3] fade to zero within `FADE_SECONDS` before and after the frames in which they are known."""
     faded = np.where(known[:, None], values, 0.0)
     length = FADE_SECONDS * fps
-    for start, stop in runs(~known):
+    for start, stop in runs_of(~known):
         frames = np.arange(start, stop)
         if start > 0:
             faded[start:stop] += values[start - 1] * _ease((frames - start + 1) / length)[:, None]
@@ -221,7 +216,7 @@ def _bridge(values: np.ndarray, known: np.ndarray, fps: float) -> np.ndarray:
     zero.
     """
     bridged, length, most = np.where(known[:, None], values, 0.0), round(RELEASE_SECONDS * fps), MAX_SPEED / fps
-    for start, stop in runs(~known):
+    for start, stop in runs_of(~known):
         ends = []
         for at, beyond, inside in ((start - 1, start - 2, start > 0), (stop, stop + 1, stop < len(known))):
             if not inside:

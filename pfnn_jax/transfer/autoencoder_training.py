@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -14,10 +13,11 @@ import optax
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.dropout import drop
 from pfnn_jax.motion.features.normaliser import CONSTANT, Statistics
-from pfnn_jax.training.loop import Progress, TrainState, check_finite, chunks, no_progress, scan_steps, train_steps
+from pfnn_jax.training.loop import Progress, no_progress
 from pfnn_jax.transfer.autoencoder import MotionAutoencoder, init_autoencoder
 from pfnn_jax.transfer.config import AutoencoderTrainingConfig
 from pfnn_jax.transfer.layout import ClipLayout
+from pfnn_jax.transfer.window_training import draw_order, train_windows
 
 
 def fit_statistics(rows: np.ndarray, layout: ClipLayout) -> Statistics:
@@ -68,34 +68,22 @@ def train_autoencoder(
     config = config or AutoencoderTrainingConfig()
     if windows.ndim != 3 or not len(windows) or windows.shape[1] % 2:
         raise ValueError(f"`windows` must be [N, T, D], at least one, T even, got {windows.shape}.")
-    tx = optax.adam(_schedule(config))
-    params: Any = init_autoencoder(config.autoencoder, windows.shape[-1], key=jax.random.key(config.seed))
-    state = TrainState(params=params, opt_state=tx.init(params), step=jnp.zeros((), jnp.int32))
-    scan = scan_steps(_make_step(config, tx), lambda data, rows: data[rows])
-    order, data = draw_order(len(windows), config), jnp.asarray(windows, jnp.float32)
-    started = time.perf_counter()
+    params = init_autoencoder(config.autoencoder, windows.shape[-1], key=jax.random.key(config.seed))
 
-    def report(state: TrainState, step: int, losses: Any) -> None:
-        nonlocal started
-        losses = np.asarray(losses)
-        check_finite(losses, step - losses.size, ("all",))
-        rate = losses.size * config.batch_size * windows.shape[1] / (time.perf_counter() - started)
-        progress_callback(Progress(step, config.steps, float(losses.mean()), rate))
-        started = time.perf_counter()
+    def loss(params: MotionAutoencoder, x: jax.Array, frozen: None, step: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return autoencoder_loss(params, x, config, jax.random.fold_in(jax.random.key(config.seed), step))
 
-    plan = chunks(0, config.steps, config.steps_per_dispatch)
-    state = train_steps(
-        state, lambda state, first, count: scan(state, order[first : first + count], data, None), plan, report
+    autoencoder, _ = train_windows(
+        params,
+        np.asarray(windows, np.float32),
+        None,
+        loss,
+        optax.adam(_schedule(config)),
+        draw_order(len(windows), config.steps, config.batch_size, config.seed),
+        steps_per_dispatch=config.steps_per_dispatch,
+        progress_callback=progress_callback,
     )
-    return state.params
-
-
-def draw_order(num_windows: int, config: AutoencoderTrainingConfig) -> np.ndarray:
-    """Returns the windows [steps, B] of every minibatch: each epoch takes all windows once, shuffled again."""
-    needed = config.steps * config.batch_size
-    rng = np.random.default_rng(config.seed)
-    epochs = [rng.permutation(num_windows) for _ in range(-(-needed // num_windows))]
-    return np.concatenate(epochs)[:needed].reshape(config.steps, config.batch_size).astype(np.int32)
+    return autoencoder
 
 
 def autoencoder_loss(
@@ -131,14 +119,3 @@ def _schedule(config: AutoencoderTrainingConfig) -> optax.Schedule:
     Without the rise, Adam's first steps at this rate make the loss larger than at the start.
     """
     return optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, config.steps // 20, config.steps)
-
-
-def _make_step(config: AutoencoderTrainingConfig, tx: optax.GradientTransformation) -> Callable:
-    def step(state: TrainState, x: jax.Array, frozen: None) -> tuple[TrainState, jax.Array]:
-        key = jax.random.fold_in(jax.random.key(config.seed), state.step)
-        (_, error), gradient = jax.value_and_grad(autoencoder_loss, has_aux=True)(state.params, x, config, key)
-        updates, opt_state = tx.update(gradient, state.opt_state)
-        params = optax.apply_updates(state.params, updates)
-        return TrainState(params=params, opt_state=opt_state, step=state.step + 1), error
-
-    return step

@@ -1,4 +1,4 @@
-"""Clips as rows of a layout, rows back to positions in the world, and windows of rows."""
+"""Encodes clips as rows of a layout, decodes rows to positions in the world, and cuts windows of rows."""
 
 from __future__ import annotations
 

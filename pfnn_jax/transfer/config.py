@@ -70,7 +70,7 @@ class AutoencoderTrainingConfig:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of the losses of a moved clip (Holden et al. 2017, Eq. 4 to 9).
+    """Weights of the losses of a result (Holden et al. 2017, Eq. 4 to 9).
 
     Content and style are the paper's. It gives no others: those of the constraints come from
     `experiments/transfer_weights.py`.
@@ -95,17 +95,17 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class OptimisationConfig:
-    """How a clip is moved by optimisation over its hidden units (Holden et al. 2016).
+    """How a clip is transferred by optimisation over its hidden units (Holden et al. 2016).
 
     Attributes:
         weights: of the losses; content and style act in the first loop, the constraints in the second.
         iterations: steps of the first loop.
         constraint_iterations: steps of the second.
         learning_rate: of Adam in both. The authors' code has 0.01; hidden units of the package's autoencoder are two to
-            four times as large as theirs, and have not arrived after 250 steps of 0.01.
-        start: begin at the content's hidden units, or at noise, as the authors' code, which takes more iterations.
-        scale_speed: whether the speed along the content's path is scaled by the style's step length over the
-            content's, or kept.
+            four times as large as theirs, and 250 steps of 0.01 end before the loss has converged.
+        start: where the hidden units begin: at the content's, or at noise, as in the authors' code, which takes more
+            iterations.
+        scale_speed: whether the content's velocity is scaled by the style's step length over the content's, or kept.
         keep_detail: whether only the change that the style makes passes the autoencoder, and is added to the content,
             or the whole motion, as in the paper.
     """
@@ -143,7 +143,7 @@ class TransformationConfig:
 
 @dataclass(frozen=True)
 class TransformationTrainingConfig:
-    """How a transformation network is trained to one style.
+    """How a transformation network is trained for one style.
 
     Attributes:
         network: its sizes.
@@ -151,9 +151,9 @@ class TransformationTrainingConfig:
         epochs: passes over the windows of the contents (100 in the paper).
         batch_size: windows of a minibatch.
         learning_rate: of Adam at the first step; it falls to zero along a cosine.
-        keep_detail: whether the network is trained for results that add only its change to the content, or for the
-            network's own motion, as in the paper.
-        held_out: share of the contents' clips that the loss is measured on and that training does not see.
+        keep_detail: whether constraints act on the result that adds only the network's change to the content, or on
+            the network's own motion, as in the paper.
+        held_out: share of the contents that training does not see, and that the losses are measured on.
         seed: of initialisation and shuffling.
         steps_per_dispatch: steps that are compiled into one call, and between two reports of the loss.
     """

@@ -1,8 +1,9 @@
-"""From the rows that a method returns to a clip on the content's own skeleton, blended with the content, feet held."""
+"""Turns the rows of a result into a clip on the content's own skeleton, blended with the content, with planted feet."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -36,7 +37,7 @@ HELD_SPEED = 0.3
 would pull at legs that are straight when they leave the ground, and lower the hips by a centimetre."""
 
 MAX_STRENGTH = 1.5
-"""Largest strength: half as much again as the result."""
+"""Largest strength: the difference between content and result is extrapolated by half."""
 
 SMOOTH_SECONDS = (0.0, 1 / 30, 0.05, 0.0625, 0.08)
 """Standard deviations of the Gaussians that smooth what rows change, tried in turn. The last halves
@@ -56,7 +57,7 @@ def finish_clip(
     parts: Parts = "all",
     foot_ik: bool = True,
 ) -> MotionClip:
-    """Returns the content moved as rows say, on its own skeleton, at its own frame rate and with as many frames.
+    """Returns the content with the motion of rows, on its own skeleton, at its own frame rate and with as many frames.
 
     What rows change on the run's skeleton is applied to the content's own rotations, so that what neither rows nor the
     run's skeleton show (fingers, twist, more joints) is kept, and rows of the content give back the content. Feet are
@@ -67,8 +68,8 @@ def finish_clip(
         content: T frames of any humanoid.
         skeleton: of the run that the rows come from.
         layout: of the rows.
-        strength: 0 is the content exactly, 1 the result, up to `MAX_STRENGTH` more than that.
-        parts: of the body that change.
+        strength: 0 is the content exactly, 1 the result; up to `MAX_STRENGTH`, the difference is extrapolated.
+        parts: of the body that take the style.
         foot_ik: whether feet are held.
 
     Raises:
@@ -76,18 +77,27 @@ def finish_clip(
             roles.
     """
     source = content.source or "clip"
-    if not 0.0 <= strength <= MAX_STRENGTH:
-        raise InputError(source, "strength", strength, f"must be from 0 to {MAX_STRENGTH:g}")
+    check_strength(strength, source)
     weights, root_weight = part_weights(content.skeleton, parts, source)
     if strength == 0.0:
         return content
-    moved = smooth_result(rows, content, prepare_clip(content, skeleton), layout)
-    blended = blend_clips(content, moved, strength * weights, min(strength, 1.0) * root_weight)
+    result = smooth_result(rows, content, prepare_clip(content, skeleton), layout)
+    blended = blend_clips(content, result, strength * weights, min(strength, 1.0) * root_weight)
     return hold_feet(blended, content) if foot_ik and root_weight else blended
 
 
+def check_strength(strength: float, source: str | Path = "transfer") -> None:
+    """Checks the strength of a transfer.
+
+    Raises:
+        InputError: unless it is from 0 to `MAX_STRENGTH`, naming `source`.
+    """
+    if not 0.0 <= strength <= MAX_STRENGTH:  # also where it is not a number
+        raise InputError(source, "strength", strength, f"must be from 0 (the content) over 1 to {MAX_STRENGTH:g}")
+
+
 def smooth_result(rows: np.ndarray, content: MotionClip, before: MotionClip, layout: ClipLayout) -> MotionClip:
-    """Returns the content moved as rows say, with as little smoothing as it takes to be as smooth as the content.
+    """Returns the content with the motion of rows, smoothed as little as it takes to be as smooth as the content.
 
     Only the change is smoothed: quick movements of the content remain.
 
@@ -103,13 +113,13 @@ def smooth_result(rows: np.ndarray, content: MotionClip, before: MotionClip, lay
     _check_rows(rows, before, layout)
     own = encode_clip(before, layout)
     change, limit = rows[: len(own)] - own, MAX_JITTER * _jerk(content)
-    moved = content
+    result = content
     for seconds in SMOOTH_SECONDS:
         smoothed = gaussian_filter(change, seconds * LAYOUT_FPS) if seconds else change
-        moved = carry_over(content, before, clip_from_rows(own + smoothed, before, layout))
-        if _jerk(moved) <= limit:
+        result = carry_over(content, before, clip_from_rows(own + smoothed, before, layout))
+        if _jerk(result) <= limit:
             break
-    return moved
+    return result
 
 
 def clip_from_rows(rows: np.ndarray, content: MotionClip, layout: ClipLayout) -> MotionClip:

@@ -1,4 +1,4 @@
-"""The rows of motion that a transfer network reads and writes: points relative to the root, and the root's motion.
+"""The columns of the rows that transfer networks read and write: points relative to the root, and the root's motion.
 
 A row holds one frame at 60 fps. The root lies on the ground under the hips and faces as hips and shoulders do; both are
 smoothed. With p the points of a row in its root's frame, v its root velocity and r its yaw rate, the next root has
@@ -25,7 +25,7 @@ WINDOW_FRAMES = 240
 
 @dataclass(frozen=True)
 class ClipLayout:
-    """The columns of a row.
+    """The columns of a row, which holds one frame of a clip.
 
     Attributes:
         name: of the layout.
@@ -46,7 +46,7 @@ class ClipLayout:
 
     @property
     def has_reference(self) -> bool:
-        """Whether the first point is the reference point."""
+        """Returns whether the first point is the reference point."""
         return self.num_points > len(POINT_NAMES)
 
     @property

@@ -1,4 +1,4 @@
-"""What a moved clip must keep of its content and take from its style (Holden et al. 2017, Eq. 4 to 9).
+"""Losses of a result: what it must keep of its content and take from its style (Holden et al. 2017, Eq. 4 to 9).
 
 Hidden units are those of the motion autoencoder; rows are in layout units. Losses are means, as in the authors' code of
 2016, so that weights mean the same for clips of any length. Those of constraints are in centimetres, metres per second
@@ -60,7 +60,7 @@ def content_constraints(rows: np.ndarray, layout: ClipLayout, speed_ratio: float
     positions, _ = decode_rows(np.asarray(rows, float), layout, start)
     positions[..., 1] -= positions[:, FEET, 1].min()
     lengths = np.linalg.norm(positions[:, ENDS] - positions[:, STARTS], axis=-1)
-    velocity, yaw_rate = root_motion(np.asarray(rows, float), layout)
+    velocity, yaw_rate = root_rates(np.asarray(rows, float), layout)
     made = Constraints(ground_contacts(positions), np.median(lengths, axis=0), speed_ratio * velocity, yaw_rate)
     return jax.tree.map(lambda values: np.asarray(values, np.float32), made)
 
@@ -98,8 +98,8 @@ def foot_loss(rows: Array, constraints: Constraints, layout: ClipLayout, mask: A
         layout: of the rows.
         mask: [T] weights of frames.
     """
-    feet = points(rows, layout)[:, np.array(FEET)]
-    velocity, yaw_rate = root_motion(rows, layout)
+    feet = row_points(rows, layout)[:, np.array(FEET)]
+    velocity, yaw_rate = root_rates(rows, layout)
     step = jnp.stack([velocity[:-1, 0], jnp.zeros_like(velocity[:-1, 0]), velocity[:-1, 1]], axis=-1)
     own = (feet[1:] - turn(feet[:-1], yaw_rate[:-1] / LAYOUT_FPS)) * LAYOUT_FPS
     squared = jnp.sum(jnp.square(own + step[:, None]), axis=-1)
@@ -109,7 +109,7 @@ def foot_loss(rows: Array, constraints: Constraints, layout: ClipLayout, mask: A
 
 def bone_loss(rows: Array, constraints: Constraints, layout: ClipLayout, mask: Array | None = None) -> jax.Array:
     """Returns the mean squared error of the bones' lengths in cm² (Eq. 8); arguments as of `foot_loss`."""
-    at = points(rows, layout)
+    at = row_points(rows, layout)
     squared = jnp.sum(jnp.square(at[:, ENDS] - at[:, STARTS]), axis=-1)
     # A bone without length has a gradient of zero, not of infinity.
     lengths = jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0)
@@ -120,20 +120,20 @@ def bone_loss(rows: Array, constraints: Constraints, layout: ClipLayout, mask: A
 def trajectory_loss(rows: Array, constraints: Constraints, layout: ClipLayout, mask: Array | None = None) -> jax.Array:
     """Returns the mean squared error of the root's velocity in (m/s)² and of its turning in (rad/s)² (Eq. 9).
 
-    Arguments as of `foot_loss`.
+    Arguments are those of `foot_loss`.
     """
-    velocity, yaw_rate = root_motion(rows, layout)
+    velocity, yaw_rate = root_rates(rows, layout)
     error = jnp.sum(jnp.square(velocity - constraints.velocity), axis=-1)
     return _mean(error + jnp.square(yaw_rate - constraints.yaw_rate), mask)
 
 
-def points(rows: Array, layout: ClipLayout) -> Array:
-    """Returns the points [T, 21, 3] of rows, relative to the root, in metres."""
+def row_points(rows: Array, layout: ClipLayout) -> Array:
+    """Returns the points [T, 21, 3] of rows [T, D] in layout units, relative to the root, in metres."""
     return layout.length_unit * rows[:, layout.joint_position].reshape(len(rows), -1, 3)[:, -len(POINT_NAMES) :]
 
 
-def root_motion(rows: Array, layout: ClipLayout) -> tuple[Array, Array]:
-    """Returns the root's velocity [T, 2] in metres per second and its yaw rate [T] in radians per second."""
+def root_rates(rows: Array, layout: ClipLayout) -> tuple[Array, Array]:
+    """Returns the root's velocity [T, 2] in m/s and its yaw rate [T] in rad/s, of rows [T, D] in layout units."""
     velocity = (LAYOUT_FPS * layout.length_unit) * rows[:, layout.root_velocity]
     return velocity, LAYOUT_FPS * rows[:, layout.root_yaw_rate.start]
 

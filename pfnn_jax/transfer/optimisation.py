@@ -1,6 +1,6 @@
 """Style transfer by optimisation over hidden units (Holden et al. 2016, the method that the paper of 2017 replaces).
 
-A first loop moves hidden units from the content's until their Gram matrix is the style's, a second one until the motion
+A first loop moves hidden units from the content's towards the Gram matrix of the style, a second one until the motion
 obeys the content's constraints. Both are compiled into one program, for clips padded to a few lengths.
 """
 
@@ -30,8 +30,8 @@ from pfnn_jax.transfer.losses import (
     content_loss,
     foot_loss,
     gram,
-    points,
-    root_motion,
+    root_rates,
+    row_points,
     style_loss,
     trajectory_loss,
 )
@@ -60,7 +60,7 @@ MIN_STEPS = 2
 
 @struct.dataclass
 class Task:
-    """One clip to move, padded to [P, D]; all arrays on the device.
+    """One clip to transfer, padded to [P, D]; all arrays on the device.
 
     Attributes:
         x: [P, D] the content, normalised.
@@ -96,8 +96,9 @@ def optimise(
     """
     config, frames = config or OptimisationConfig(), len(content_rows)
     task = make_task(run, content_rows, style_rows, scale_speed=config.scale_speed)
+    # Weights and learning rate are arguments of the compiled program, so that others do not compile it again.
     weights = jax.tree.map(jnp.float32, vars(config.weights))
-    rows, _ = _optimise(
+    rows = _optimise(
         run.autoencoder, _arrays(run.statistics), task, weights, jnp.float32(config.learning_rate), key,
         layout=run.layout, config=replace(config, weights=LossWeights(), learning_rate=1.0),
     )  # fmt: skip
@@ -107,7 +108,7 @@ def optimise(
 def make_task(
     run: TransferRun, content_rows: np.ndarray, style_rows: Sequence[np.ndarray], *, scale_speed: bool = True
 ) -> Task:
-    """Returns the task of moving a content [T, D] into the style of some clips [S, D], in layout units."""
+    """Returns the task of transferring a content [T, D] into the style of some clips [S, D], in layout units."""
     frames, ratio = len(content_rows), 1.0
     if scale_speed:
         ratio = speed_ratio(content_rows, style_rows, run.layout)
@@ -156,9 +157,9 @@ def step_length(rows: np.ndarray, layout: ClipLayout) -> float | None:
 
     A step begins when one ankle passes the other.
     """
-    speed = np.linalg.norm(root_motion(np.asarray(rows, float), layout)[0], axis=-1)
+    speed = np.linalg.norm(root_rates(np.asarray(rows, float), layout)[0], axis=-1)
     left, _, right, _ = FEET
-    at = points(np.asarray(rows, float), layout)
+    at = row_points(np.asarray(rows, float), layout)
     passing = np.flatnonzero(np.diff(np.sign(at[:, left, 2] - at[:, right, 2])))
     if len(passing) < MIN_STEPS + 1 or speed.mean() < MIN_SPEED:
         return None
@@ -216,16 +217,16 @@ def _optimise(
     *,
     layout: ClipLayout,
     config: OptimisationConfig,
-) -> tuple[jax.Array, jax.Array]:
-    """Returns the rows [P, D] in layout units, and the loss [n] of every iteration of the first loop."""
+) -> jax.Array:
+    """Returns the rows [P, D] of the result in layout units."""
     mean, std = statistics
     counts = loss_mask(task.mask)
 
     def decode(hidden: jax.Array) -> jax.Array:
-        moved = autoencoder.decode(hidden)
+        result = autoencoder.decode(hidden)
         if config.keep_detail:
-            moved = add_change(task.x, autoencoder.decode(task.content), moved)
-        return moved * std[None] + mean[None]
+            result = add_change(task.x, autoencoder.decode(task.content), result)
+        return result * std[None] + mean[None]
 
     def transfer_loss(hidden: jax.Array) -> jax.Array:
         own = weights["content"] * content_loss(hidden, task.content, counts)
@@ -237,20 +238,28 @@ def _optimise(
         terms = [weights[name] * loss(rows, task.constraints, layout, task.mask) for name, loss in losses.items()]
         return jnp.stack(terms).sum()
 
-    hidden = task.content
-    if config.start == "noise":
-        hidden = jnp.sqrt(jnp.diagonal(task.target))[None] * jnp.abs(jax.random.normal(key, hidden.shape))
-    hidden, losses = descend(transfer_loss, hidden, learning_rate, config.iterations)
+    hidden = task.content if config.start == "content" else _noise(task, key)
+    hidden, _ = descend(transfer_loss, hidden, learning_rate, config.iterations)
     hidden, _ = descend(constraint_loss, hidden, learning_rate, config.constraint_iterations)
-    return decode(hidden), losses
+    return decode(hidden)
+
+
+def _noise(task: Task, key: jax.Array) -> jax.Array:
+    """Returns random hidden units [P / 2, F], at least 0, in the proportions of the style's."""
+    return jnp.sqrt(jnp.diagonal(task.target))[None] * jnp.abs(jax.random.normal(key, task.content.shape))
 
 
 def add_change(x: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
-    """Returns x [T, D] with the smoothed change between its projection and a moved clip's, all normalised.
+    """Returns x [T, D] plus the smoothed change from its projection to that of the result, all normalised.
 
-    An autoencoder loses detail, and depooling adds steps of two frames: what it makes of a clip jerks four times as
+    An autoencoder loses detail, and depooling adds steps of two frames: what it makes of a clip jerks several times as
     much. Both cancel where only the change is taken from it. The change of a style is slow, so that smoothing it costs
     nothing.
+
+    Args:
+        x: [T, D] the content.
+        before: [T, D] its projection.
+        after: [T, D] the projection of the result.
     """
     half = len(SMOOTHING) // 2
     change = jnp.pad(after - before, ((half, half), (0, 0)), mode="edge")

@@ -1,4 +1,4 @@
-"""Pairs contents with clips of a style by gait: the clips whose Gram matrix a content is moved towards.
+"""Pairs contents with clips of a style by gait: the clips whose Gram matrix a content's result must have.
 
 The paper pairs running with the style's run and walking with its walk (Holden et al. 2017, Style). Labels decide where
 both sides have them, else the gait is measured.
@@ -16,7 +16,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.body_points import POINT_NAMES
 from pfnn_jax.motion.labels.contacts import GRAVITY, JOG_SPEED, STAND_SPEED
 from pfnn_jax.transfer.layout import LAYOUT_FPS, ClipLayout
-from pfnn_jax.transfer.losses import points, root_motion
+from pfnn_jax.transfer.losses import root_rates, row_points
 
 Gait = Literal["stand", "walk", "run"]
 
@@ -76,7 +76,7 @@ def pair_by_gait(contents: Sequence[GaitClip], styles: Sequence[GaitClip], layou
 
 def measure_gait(rows: np.ndarray, layout: ClipLayout) -> Gait:
     """Returns the gait of rows [T, D] by speed over leg length, with the limits of `estimate_gait`."""
-    at = points(np.asarray(rows, float), layout)
+    at = row_points(np.asarray(rows, float), layout)
     hip, ankle = (at[:, POINT_NAMES.index(name)] for name in ("left_thigh", "left_foot"))
     leg = float(np.linalg.norm(hip - ankle, axis=-1).max())
     speed = float(np.median(np.linalg.norm(_path_velocity(rows, layout), axis=-1))) / np.sqrt(GRAVITY * leg)
@@ -85,7 +85,7 @@ def measure_gait(rows: np.ndarray, layout: ClipLayout) -> Gait:
 
 def _path_velocity(rows: np.ndarray, layout: ClipLayout) -> np.ndarray:
     """Returns the root's velocity [T, 2], averaged over a third of a second: speed swings within a step."""
-    velocity, _ = root_motion(np.asarray(rows, float), layout)
+    velocity, _ = root_rates(np.asarray(rows, float), layout)
     width = min(int(LAYOUT_FPS) // 3, len(velocity))
     kernel = np.ones(width) / width
     return np.stack([np.convolve(column, kernel, mode="valid") for column in velocity.T], axis=-1)

@@ -1,4 +1,4 @@
-"""Long clips in overlapping pieces, so that a clip of any length takes a bounded amount of memory."""
+"""Transfers long clips in overlapping pieces, so that a clip of any length takes a bounded amount of memory."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.rows import as_floats, read_arrays
 from pfnn_jax.io.files import refuse_existing, replacing
+from pfnn_jax.io.npz import as_floats, read_arrays
 from pfnn_jax.models.convolution import POOLING
 from pfnn_jax.transfer.run import TransferRun, load_transfer_run
 

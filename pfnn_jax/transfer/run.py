@@ -20,10 +20,10 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.checkpoint import fingerprint, load_record, save_record
-from pfnn_jax.io.files import locate, read_note, replacing, saved_names, write_json
+from pfnn_jax.io.files import locate, replacing, write_json
 from pfnn_jax.motion.features.normaliser import Statistics, load_statistics, save_statistics
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json, skeleton_to_json
-from pfnn_jax.run_config import TRANSFER, check_new_run, check_new_style, read_kind
+from pfnn_jax.run_config import TRANSFER, check_new_run, check_new_style, list_styles, read_kind, style_note
 from pfnn_jax.transfer.autoencoder import MotionAutoencoder, config_of, init_autoencoder
 from pfnn_jax.transfer.config import AutoencoderConfig
 from pfnn_jax.transfer.layout import CLIP_LAYOUTS, ClipLayout
@@ -52,7 +52,7 @@ class TransferRunConfig:
         skeleton: as `skeleton_to_json` returns it.
         training: settings and results of the autoencoder's training, or where its parameters came from.
         versions: of pfnn_jax and jax at the time of writing.
-        kind: of run.
+        kind: of the run, see `run_config.read_kind`.
     """
 
     layout: str
@@ -104,7 +104,7 @@ def create_transfer_run(
     """Writes a run directory with an autoencoder and no styles, complete or not at all.
 
     Args:
-        path: the directory.
+        path: the run directory.
         layout: of the rows.
         skeleton: of the training data.
         statistics: by which rows were normalised.
@@ -219,7 +219,7 @@ def load_transformation(run: TransferRun, name: str, abstract: Tree) -> Tree:
 
 def list_transformations(path: str | Path) -> tuple[str, ...]:
     """Returns the names of the run's styles, sorted."""
-    return saved_names(Path(path) / "styles")
+    return list_styles(path)
 
 
 def transformation_note(path: str | Path, name: str) -> dict[str, Any]:
@@ -228,10 +228,7 @@ def transformation_note(path: str | Path, name: str) -> dict[str, Any]:
     Raises:
         InputError: for an unknown style, listing the known ones.
     """
-    names = list_transformations(path)
-    if name not in names:
-        raise InputError(path, "style", name, f"must be one of {', '.join(names) or '(this run has no styles yet)'}")
-    return read_note(Path(path) / "styles" / name, STYLE_NOTE, "must be a style saved by `pfnn-jax train-transfer`")
+    return style_note(path, name, "train-transfer")
 
 
 def _float32(tree: Tree) -> Tree:

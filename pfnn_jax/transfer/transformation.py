@@ -1,4 +1,4 @@
-"""The transformation network: three convolutions over time that move a clip into a style (Holden et al. 2017)."""
+"""The transformation network: three convolutions over time that transfer a clip into a style (Holden et al. 2017)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class TransformationNetwork:
     layers: tuple[Convolution, Convolution, Convolution]
 
     def __call__(self, x: jax.Array, mask: jax.Array | None = None) -> jax.Array:
-        """Returns the moved clip [T, D] of a clip x [T, D], both normalised.
+        """Returns the transferred clip [T, D] of a content x [T, D], both normalised.
 
         Args:
             x: zeros lie beyond its ends.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -15,11 +14,10 @@ from flax import struct
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.convolution import POOLING
-from pfnn_jax.training.loop import Progress, TrainState, check_finite, chunks, no_progress, scan_steps, train_steps
+from pfnn_jax.training.loop import Progress, no_progress
 from pfnn_jax.transfer.autoencoder import MotionAutoencoder
-from pfnn_jax.transfer.autoencoder_training import draw_order
 from pfnn_jax.transfer.clip_rows import cut_windows
-from pfnn_jax.transfer.config import AutoencoderTrainingConfig, LossWeights, TransformationTrainingConfig
+from pfnn_jax.transfer.config import LossWeights, TransformationTrainingConfig
 from pfnn_jax.transfer.layout import ClipLayout
 from pfnn_jax.transfer.losses import (
     Constraints,
@@ -34,13 +32,14 @@ from pfnn_jax.transfer.optimisation import add_change, padded_length, speed_rati
 from pfnn_jax.transfer.pairing import GaitClip, Pairing
 from pfnn_jax.transfer.run import TransferRun
 from pfnn_jax.transfer.transformation import TransformationNetwork, init_transformation
+from pfnn_jax.transfer.window_training import draw_order, train_windows
 
 TERMS = ("content", "style", "foot", "bone", "trajectory")
 
 
 @struct.dataclass
 class Windows:
-    """Windows of contents, and what each must become.
+    """Windows of contents, and what their results must satisfy.
 
     Attributes:
         x: [N, T, D] normalised.
@@ -55,7 +54,13 @@ class Windows:
 
 @struct.dataclass
 class Frozen:
-    """What training reads and does not change: the loss network, statistics [D], Gram matrices [G, F, F]."""
+    """What training reads and does not change.
+
+    Attributes:
+        autoencoder: the loss network.
+        mean, std: [D] statistics of the run.
+        grams: [G, F, F] Gram matrix of the style's clips in each group of the pairing.
+    """
 
     autoencoder: MotionAutoencoder
     mean: jax.Array
@@ -106,7 +111,7 @@ def train_transformation(
 
 
 def window_losses(
-    moved: jax.Array,
+    result: jax.Array,
     x: jax.Array,
     constraints: Constraints,
     target: jax.Array,
@@ -114,10 +119,10 @@ def window_losses(
     layout: ClipLayout,
     keep_detail: bool,
 ) -> dict[str, jax.Array]:
-    """Returns the terms of Eq. 10, without weights, of one moved window.
+    """Returns the terms of Eq. 10, without weights, of the result of one window.
 
     Args:
-        moved, x: [T, D] normalised, what the network makes of a content, and the content.
+        result, x: [T, D] normalised, the output of the network, and its input, the content.
         constraints: of the content.
         target: [F, F] Gram matrix of the style.
         frozen: loss network and statistics.
@@ -126,10 +131,10 @@ def window_losses(
             network's, as in the paper.
     """
     autoencoder = frozen.autoencoder
-    hidden, content = autoencoder.encode(moved), autoencoder.encode(x)
+    hidden, content = autoencoder.encode(result), autoencoder.encode(x)
     if keep_detail:
-        moved = add_change(x, autoencoder.decode(content), autoencoder.decode(hidden))
-    rows = moved * frozen.std[None] + frozen.mean[None]
+        result = add_change(x, autoencoder.decode(content), autoencoder.decode(hidden))
+    rows = result * frozen.std[None] + frozen.mean[None]
     return {
         "content": content_loss(hidden, content),
         "style": style_loss(hidden, target),
@@ -147,7 +152,7 @@ def apply_network(
     project: bool = True,
     keep_detail: bool = True,
 ) -> np.ndarray:
-    """Returns the rows [T, D] of a clip moved by a network, in layout units.
+    """Returns the rows [T, D] of a clip transferred by a network, in layout units.
 
     Args:
         run: its autoencoder, statistics and layout.
@@ -265,35 +270,21 @@ def _train(
     progress_callback: Callable[[Progress], Any],
 ) -> tuple[TransformationNetwork, np.ndarray]:
     """Returns the trained network and the loss [steps] of every step."""
-    count = len(windows.x)
-    steps = config.epochs * -(-count // config.batch_size)
-    tx = optax.adam(optax.cosine_decay_schedule(config.learning_rate, steps))
+    steps = config.epochs * -(-len(windows.x) // config.batch_size)
 
-    def step(state: TrainState, batch: Windows, frozen: Frozen) -> tuple[TrainState, jax.Array]:
-        def loss(params: TransformationNetwork) -> jax.Array:
-            return _total(_batch_losses(params, batch, frozen, layout, config.keep_detail), config.weights)
+    def loss(
+        params: TransformationNetwork, batch: Windows, frozen: Frozen, step: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        total = _total(_batch_losses(params, batch, frozen, layout, config.keep_detail), config.weights)
+        return total, total
 
-        found, gradient = jax.value_and_grad(loss)(state.params)
-        updates, opt_state = tx.update(gradient, state.opt_state)
-        params = optax.apply_updates(state.params, updates)
-        return TrainState(params=params, opt_state=opt_state, step=state.step + 1), found
-
-    scan = scan_steps(step, lambda data, rows: jax.tree.map(lambda leaf: leaf[rows], data))
-    order = draw_order(count, AutoencoderTrainingConfig(steps=steps, batch_size=config.batch_size, seed=config.seed))
-    data, kept, started = jax.device_put(windows), [np.empty(0, np.float32)], time.perf_counter()
-
-    def report(state: TrainState, step: int, losses: Any) -> None:
-        nonlocal started
-        losses = np.asarray(losses)
-        check_finite(losses, step - losses.size, ("all",))
-        kept.append(losses)
-        rate = losses.size * config.batch_size * windows.x.shape[1] / (time.perf_counter() - started)
-        progress_callback(Progress(step, steps, float(losses.mean()), rate))
-        started = time.perf_counter()
-
-    state = TrainState(params=params, opt_state=tx.init(params), step=jnp.zeros((), jnp.int32))
-    plan = chunks(0, steps, config.steps_per_dispatch)
-    state = train_steps(
-        state, lambda state, first, count: scan(state, order[first : first + count], data, frozen), plan, report
+    return train_windows(
+        params,
+        windows,
+        frozen,
+        loss,
+        optax.adam(optax.cosine_decay_schedule(config.learning_rate, steps)),
+        draw_order(len(windows.x), steps, config.batch_size, config.seed),
+        steps_per_dispatch=config.steps_per_dispatch,
+        progress_callback=progress_callback,
     )
-    return state.params, np.concatenate(kept)

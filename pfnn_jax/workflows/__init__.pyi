@@ -12,5 +12,5 @@ from .runs import load_style as load_style
 from .runs import save_style as save_style
 from .samples import sample_clips as sample_clips
 from .transfer import TransferResult as TransferResult
-from .transfer import train_transfer as train_transfer
 from .transfer import transfer_clip as transfer_clip
+from .transfer_training import train_transfer as train_transfer

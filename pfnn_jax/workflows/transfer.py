@@ -1,9 +1,9 @@
-"""A clip in the style of another: by optimisation between two clips, or by a network trained for one style."""
+"""Puts a clip into another style: by optimisation between two clips, or by a network trained for one style."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -13,19 +13,15 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.blending import PARTS, Parts
+from pfnn_jax.motion.blending import Parts, check_parts
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, resample
-from pfnn_jax.motion.datasets.labelled import read_cut_clip
-from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, select_styles
 from pfnn_jax.motion.length_unit import CENTIMETRE
 from pfnn_jax.motion.reading import ReadOptions
-from pfnn_jax.run_config import check_new_style
-from pfnn_jax.training.loop import Progress as TrainingProgress
 from pfnn_jax.training.loop import no_progress
 from pfnn_jax.transfer.clip_rows import encode_clip, prepare_clip
-from pfnn_jax.transfer.config import OptimisationConfig, TransformationConfig, TransformationTrainingConfig
-from pfnn_jax.transfer.finish import MAX_STRENGTH, finish_clip
+from pfnn_jax.transfer.config import OptimisationConfig, TransformationConfig
+from pfnn_jax.transfer.finish import check_strength, finish_clip
 from pfnn_jax.transfer.layout import LAYOUT_FPS
 from pfnn_jax.transfer.optimisation import optimise
 from pfnn_jax.transfer.pairing import ALL, GaitClip, pair_by_gait
@@ -33,15 +29,13 @@ from pfnn_jax.transfer.pieces import PIECE, in_pieces
 from pfnn_jax.transfer.run import (
     BASE_AUTOENCODER,
     TransferRun,
-    create_transfer_run,
     list_transformations,
     load_transfer_run,
     load_transformation,
-    save_transformation,
     transformation_note,
 )
 from pfnn_jax.transfer.transformation import init_transformation
-from pfnn_jax.transfer.transformation_training import apply_network, train_transformation
+from pfnn_jax.transfer.transformation_training import apply_network
 
 SAME = 1e-4
 """Metres and radians per frame by which the rows of one motion differ at the most, after it was written and read."""
@@ -102,12 +96,12 @@ def transfer_clip(
     style is applied (Holden et al. 2017). Clips longer than `transfer.pieces.PIECE` frames are done in pieces.
 
     Args:
-        content: what is done: a clip, or a BVH file.
-        style: how it is to be done: one clip or several of one style.
+        content: the clip to transfer, or its BVH file.
+        style: the style clip, or several of one style.
         run: a run of style transfer, or its directory; by default the autoencoder of the package.
         style_name: one of the run's styles; may be left out if it has one only.
         strength: 0 is the content, 1 the result; up to 1.5, the difference is extrapolated.
-        parts: of the body that take the style; the others stay those of the content.
+        parts: of the body that take the style; the others keep the content's motion.
         foot_ik: hold feet in place while those of the content are in contact.
         config: settings of the optimisation.
         seed: of the noise from which the optimisation may start.
@@ -122,13 +116,9 @@ def transfer_clip(
     """
     started = time.perf_counter()
     check_strength(strength)
-    check_parts(parts)
-    run = _as_run(BASE_AUTOENCODER if run is None else run)
-    if style is not None and style_name is not None:
-        raise InputError("transfer_clip", "style_name", style_name, "pass either style clips or the name of a style")
-    given = _as_clips(style)
-    if style is not None and not given:
-        raise InputError("transfer_clip", "style", "no clips", "pass at least one, or the name of a style of the run")
+    check_parts(parts, "transfer")
+    run = as_run(BASE_AUTOENCODER if run is None else run)
+    given = _style_clips(style, style_name)
     method = _load_method(run, _chosen_style(run, style_name)) if style is None else None
     progress_callback(0.0, "reading")
     clip, *styles = [_read(each, reading, roles_file) for each in (content, *given)]
@@ -137,103 +127,14 @@ def transfer_clip(
     _refuse_same(clip, rows, styles, style_rows)
     progress_callback(0.1, "transferring the style")
     if method is None:
-        paired, said = _pair(clip, rows, styles, style_rows, run)
-        notes += said
+        paired, more = _pair(clip, rows, styles, style_rows, run)
+        notes += more
         method = partial(_optimised, run, paired, OptimisationConfig() if config is None else config, seed)
-    moved = in_pieces(rows, method)
+    transferred = in_pieces(rows, method)
     progress_callback(0.9, "finishing")
-    result = finish_clip(moved, clip, run.skeleton, run.layout, strength=strength, parts=parts, foot_ik=foot_ik)
+    result = finish_clip(transferred, clip, run.skeleton, run.layout, strength=strength, parts=parts, foot_ik=foot_ik)
     progress_callback(1.0, "done")
     return TransferResult(result, clip, tuple(styles), tuple(notes), time.perf_counter() - started)
-
-
-def train_transfer(
-    data: str | Path | Sequence[ClipFile],
-    style: str,
-    out: str | Path,
-    config: TransformationTrainingConfig | None = None,
-    *,
-    autoencoder: TransferRun | str | Path | None = None,
-    roles_file: str | Path | None = None,
-    overwrite: bool = False,
-    progress_callback: Progress = no_progress,
-) -> dict[str, Any]:
-    """Trains a network that puts any clip into one style, and saves it in a run of style transfer.
-
-    The contents to train on are the clips of all other styles; each is paired with the style's clips of the same gait.
-    A run that exists gets the style as one more.
-
-    Args:
-        data: folder of clips as `motion.list_clips` lists them, or such a list.
-        style: one of the styles of the data.
-        out: the run's folder.
-        config: how to train.
-        autoencoder: run whose autoencoder a new run takes; by default the package's.
-        roles_file: JSON naming the joints' roles.
-        overwrite: replace a style of this name.
-        progress_callback: called with the share that is done, 0 to 1, and what is being done.
-
-    Returns:
-        What is saved as `info` in the style's `style.json`: source clips, settings, metrics, notes, seconds.
-
-    Raises:
-        InputError: for a style that the data do not have, data of one style only, bad clips, a style that exists, or an
-            `out` that is not a run of style transfer. Nothing is trained before.
-        TrainingError: when a loss is not finite.
-    """
-    started = time.perf_counter()
-    clips, source = (list_clips(data), data) if isinstance(data, str | Path) else (list(data), data[0].path.parent)
-    targets = select_styles(clips, [style], source)
-    others = [clip for clip in clips if clip.style != style]
-    if not others:
-        rule = "must have clips of another style as well: they are the contents to train on"
-        raise InputError(source, "style", style, rule)
-    config = TransformationTrainingConfig() if config is None else config
-    run, is_new = _run_to_train(Path(out), style, autoencoder, overwrite)
-    rows, notes = _read_all(
-        [*others, *targets], run, roles_file, lambda share: progress_callback(0.1 * share, "reading")
-    )
-    contents, styles = ([rows[file] for file in files if file in rows] for files in (others, targets))
-    _require_clips(contents, styles, source, style)
-    pairing = pair_by_gait(contents, styles, run.layout)
-
-    def report(now: TrainingProgress) -> None:
-        progress_callback(0.1 + 0.9 * now.step / now.steps, f"loss {now.loss:.4f}")
-
-    network, metrics = train_transformation(run, contents, styles, pairing, config, progress_callback=report)
-    info = {
-        "sources": [Path(clip.name).name for clip in styles],
-        "contents": len(contents),
-        "gaits": dict(zip(pairing.groups, map(len, pairing.members), strict=True)),
-        "config": asdict(config),
-        "metrics": metrics,
-        "notes": [*notes, *_grouped(pairing.notes)],
-        "seconds": time.perf_counter() - started,
-    }
-    if is_new:
-        run = create_transfer_run(out, run.layout, run.skeleton, run.statistics, run.autoencoder, run.config.training)
-    save_transformation(run, style, network, info, overwrite=overwrite)
-    return info
-
-
-def check_strength(strength: float) -> None:
-    """Checks the strength of a transfer.
-
-    Raises:
-        InputError: unless it is from 0 to `MAX_STRENGTH`.
-    """
-    if not 0.0 <= strength <= MAX_STRENGTH:  # also where it is not a number
-        raise InputError("transfer", "strength", strength, f"must be from 0 (the content) over 1 to {MAX_STRENGTH:g}")
-
-
-def check_parts(parts: str) -> None:
-    """Checks which parts of the body take the style.
-
-    Raises:
-        InputError: for parts that there are not.
-    """
-    if parts not in PARTS:
-        raise InputError("transfer", "parts", parts, f"must be one of {', '.join(PARTS)}")
 
 
 def rows_for_run(clip: MotionClip, run: TransferRun) -> np.ndarray:
@@ -244,7 +145,7 @@ def rows_for_run(clip: MotionClip, run: TransferRun) -> np.ndarray:
             a humanoid.
     """
     _check_finite(clip)
-    frames, width = _num_frames(clip), run.config.autoencoder.width
+    frames, width = num_frames(clip), run.config.autoencoder.width
     if frames < width:
         value = f"{frames} frames at {LAYOUT_FPS:g} per second"
         rule = f"must be at least {width} frames ({width / LAYOUT_FPS:.2f} s), the width of the autoencoder's filters"
@@ -252,7 +153,7 @@ def rows_for_run(clip: MotionClip, run: TransferRun) -> np.ndarray:
     return encode_clip(prepare_clip(clip, run.skeleton), run.layout)
 
 
-def _num_frames(clip: MotionClip) -> int:
+def num_frames(clip: MotionClip) -> int:
     """Returns the number of a clip's frames at the layout's frame rate."""
     return resample(clip, LAYOUT_FPS).num_frames
 
@@ -274,9 +175,9 @@ def _optimised(
 def _pair(
     clip: MotionClip, rows: np.ndarray, styles: Sequence[MotionClip], style_rows: Sequence[np.ndarray], run: TransferRun
 ) -> tuple[list[np.ndarray], list[str]]:
-    """Returns the rows of the style's clips of the content's gait, long ones in pieces, and what is to be said of it.
+    """Returns the rows of the style's clips of the content's gait, long ones in pieces, and notes on the choice.
 
-    Nothing is said of a single style clip of the same gait, as there was no choice.
+    There is no note for a single style clip of the same gait, as there was no choice.
     """
     content, *others = (
         GaitClip(each, of.content, of.source or "clip")
@@ -309,72 +210,29 @@ def _load_method(run: TransferRun, style: str) -> Method:
     return lambda rows: apply_network(run, network, rows, keep_detail=keep_detail)
 
 
-def _run_to_train(
-    out: Path, style: str, autoencoder: TransferRun | str | Path | None, overwrite: bool
-) -> tuple[TransferRun, bool]:
-    """Returns the run to train a style for: the one at `out`, or that whose autoencoder a new one takes, and which.
+def as_run(run: TransferRun | str | Path) -> TransferRun:
+    """Returns a run of style transfer, loaded where its directory is given.
 
     Raises:
-        InputError: for an `out` that is not a run of style transfer or has another autoencoder than the one wanted, and
-            for a style that exists.
+        InputError: as `load_transfer_run`.
     """
-    given = None if autoencoder is None else _as_run(autoencoder)
-    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
-        check_new_style(out, style)
-        return given or _as_run(BASE_AUTOENCODER), True
-    run = load_transfer_run(out)
-    if given is not None and given.fingerprint != run.fingerprint:
-        rule = f"must be {run.fingerprint[:12]}, that of {out}, or choose another folder for the run"
-        raise InputError(given.path, "autoencoder", given.fingerprint[:12], rule)
-    check_new_style(out, style, overwrite)
-    return run, False
-
-
-def _read_all(
-    files: Sequence[ClipFile], run: TransferRun, roles_file: str | Path | None, progress: Callable[[float], Any]
-) -> tuple[dict[ClipFile, GaitClip], list[str]]:
-    """Returns clips as rows, and what was noted; clips shorter than a filter are left out, which is noted.
-
-    Raises:
-        InputError: for a bad clip.
-    """
-    rows, notes, short = {}, [], []
-    for number, file in enumerate(files):
-        progress(number / len(files))
-        cut_clip = read_cut_clip(file, roles_file)
-        if _num_frames(cut_clip.clip) < run.config.autoencoder.width:
-            short.append(file.path)
-            continue
-        notes += [f"{file.path}: {cut_clip.note}"] if cut_clip.note else []
-        rows[file] = GaitClip(rows_for_run(cut_clip.clip, run), file.content, str(file.path))
-    notes += [f"{path}: shorter than a filter of the autoencoder, left out" for path in short]
-    return rows, _grouped(notes)
-
-
-def _grouped(notes: Iterable[str]) -> list[str]:
-    """Returns notes "FILE: NOTE", those that many files share once."""
-    files: dict[str, list[str]] = {}
-    for note in notes:
-        file, _, text = note.partition(": ")
-        files.setdefault(text, []).append(file)
-    others = {text: f" (and {len(names) - 1} more)" if len(names) > 1 else "" for text, names in files.items()}
-    return [f"{names[0]}{others[text]}: {text}" for text, names in files.items()]
-
-
-def _require_clips(contents: Sequence[GaitClip], styles: Sequence[GaitClip], source: str | Path, style: str) -> None:
-    for what, clips in (("clips of other styles", contents), (f"clips of {style}", styles)):
-        if not clips:
-            raise InputError(source, what, "all are shorter than a filter", "must have at least one long enough")
-
-
-def _as_run(run: TransferRun | str | Path) -> TransferRun:
     return run if isinstance(run, TransferRun) else load_transfer_run(run)
 
 
-def _as_clips(style: Clip | Sequence[Clip] | None) -> list[Clip]:
+def _style_clips(style: Clip | Sequence[Clip] | None, style_name: str | None) -> list[Clip]:
+    """Returns the style clips; none where the style is one of the run's.
+
+    Raises:
+        InputError: for clips together with the name of a style, and for an empty sequence of clips.
+    """
     if style is None:
         return []
-    return [style] if isinstance(style, MotionClip | str | Path) else list(style)
+    if style_name is not None:
+        raise InputError("transfer_clip", "style_name", style_name, "pass either style clips or the name of a style")
+    clips = [style] if isinstance(style, MotionClip | str | Path) else list(style)
+    if not clips:
+        raise InputError("transfer_clip", "style", "no clips", "pass at least one, or the name of a style of the run")
+    return clips
 
 
 def _read(clip: Clip, reading: ReadOptions | None, roles_file: str | Path | None) -> MotionClip:

@@ -14,7 +14,8 @@ from pfnn_jax.motion.clip import MotionClip, cut
 from pfnn_jax.motion.interpolation import interpolate, interpolate_rotations
 from pfnn_jax.motion.kinematics import quat_from_axis_angle
 from pfnn_jax.motion.labels.contacts import foot_contacts, foot_joints
-from pfnn_jax.motion.planted_feet import clean_contacts, plant_feet, runs
+from pfnn_jax.motion.labels.phase import runs_of
+from pfnn_jax.motion.planted_feet import clean_contacts, plant_feet
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.synthetic.walks import synthesise
 from tests.motion.retargeting import angles, example, moved, world
@@ -122,7 +123,7 @@ def test_contacts_of_another_length_are_refused():
 def test_short_contacts_and_gaps_are_noise():
     contacts = np.zeros((40, 1), bool)
     contacts[5:20], contacts[10], contacts[30] = True, False, True
-    assert runs(clean_contacts(contacts, 60.0)[:, 0]) == [(5, 20)]
+    assert runs_of(clean_contacts(contacts, 60.0)[:, 0]) == [(5, 20)]
 
 
 def test_interpolation_gives_back_whole_frames_and_cubics():

@@ -13,9 +13,10 @@ from jax.test_util import check_grads
 from pfnn_jax.errors import TrainingError
 from pfnn_jax.training.loop import Progress
 from pfnn_jax.transfer.autoencoder import init_autoencoder
-from pfnn_jax.transfer.autoencoder_training import autoencoder_loss, draw_order, fit_statistics, train_autoencoder
+from pfnn_jax.transfer.autoencoder_training import autoencoder_loss, fit_statistics, train_autoencoder
 from pfnn_jax.transfer.config import AutoencoderConfig, AutoencoderTrainingConfig
 from pfnn_jax.transfer.layout import HOLDEN2016, HOLDEN2017
+from pfnn_jax.transfer.window_training import draw_order
 from tests.raising import assert_refused
 
 FLOAT64 = 1e-12
@@ -61,7 +62,7 @@ def test_progress_reports_every_chunk():
 
 
 def test_every_epoch_takes_every_window_once():
-    order = draw_order(10, replace(SMALL, steps=10)).reshape(-1)
+    order = draw_order(10, 10, SMALL.batch_size, SMALL.seed).reshape(-1)
     assert sorted(order[:10]) == sorted(order[10:20]) == list(range(10))
     assert list(order[:10]) != list(order[10:20])
 

@@ -13,11 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.rows import read_arrays
-from pfnn_jax.interop.released.holden2017 import JOINTS
+from pfnn_jax.interop.released.holden2017 import JOINTS, cmu_skeleton
+from pfnn_jax.io.npz import read_arrays
 from pfnn_jax.models.convolution import Convolution
 from pfnn_jax.motion.features.normaliser import Statistics
-from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.transfer.autoencoder import MotionAutoencoder
 from pfnn_jax.transfer.layout import HOLDEN2016
@@ -60,16 +59,7 @@ def released_skeleton() -> Skeleton:
     The release holds no rest pose, and none is needed: clips are put onto the skeleton from their own reference pose.
     """
     offsets = np.array([length * np.array(_direction(name)) for name, _, length in JOINTS]) / 100.0
-    parents = np.array([parent for _, parent, _ in JOINTS])
-    leaves = sorted(set(range(len(JOINTS))) - set(parents.tolist()))
-    skeleton = Skeleton(
-        names=tuple(name for name, _, _ in JOINTS),
-        parents=parents,
-        offsets=offsets,
-        end_sites=tuple((leaf, np.zeros(3)) for leaf in leaves),
-        mirror=np.arange(len(JOINTS)),
-    )
-    return assign_roles(skeleton, source="released autoencoder")
+    return cmu_skeleton(offsets, "released autoencoder")
 
 
 def _direction(name: str) -> tuple[float, float, float]:

@@ -203,6 +203,17 @@ def _skeleton(shared: Network, normaliser: Normaliser, source: Path) -> Skeleton
     lengths = np.array([length for _, _, length in JOINTS]) * layout.length_unit
     directions = bones / np.maximum(np.linalg.norm(bones, axis=1, keepdims=True), 1e-6)
     offsets = directions * lengths[:, None]
+    return cmu_skeleton(offsets, str(source))
+
+
+def cmu_skeleton(offsets: np.ndarray, source: str) -> Skeleton:
+    """Returns the skeleton of the CMU joints `JOINTS` with offsets [31, 3] in metres.
+
+    Args:
+        offsets: of each joint from its parent.
+        source: what to name in messages.
+    """
+    parents = np.array([parent for _, parent, _ in JOINTS])
     leaves = sorted(set(range(len(JOINTS))) - set(parents.tolist()))
     skeleton = Skeleton(
         names=tuple(name for name, _, _ in JOINTS),
@@ -211,4 +222,4 @@ def _skeleton(shared: Network, normaliser: Normaliser, source: Path) -> Skeleton
         end_sites=tuple((leaf, np.zeros(3)) for leaf in leaves),
         mirror=np.arange(len(JOINTS)),
     )
-    return assign_roles(skeleton, source=str(source))
+    return assign_roles(skeleton, source=source)
