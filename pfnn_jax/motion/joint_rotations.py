@@ -38,6 +38,9 @@ STRAIGHT, BENT = 0.17, 0.5
 MOST_ROLL = np.deg2rad(120.0)
 """Radians by which a limb turns about itself; no shoulder or hip does so by more."""
 
+FAR = np.deg2rad(120.0)
+"""Radians beyond which the shortest arc between directions says little: at half a turn every way is as short."""
+
 ROLL_SECONDS = 0.05
 """Standard deviation of the Gaussian over that turn: the plane of a limb that is hardly bent is uncertain."""
 
@@ -212,13 +215,50 @@ def _ahead(points: np.ndarray, limb: Points, left: np.ndarray) -> tuple[np.ndarr
 def best_rotation(have: np.ndarray, want: np.ndarray) -> np.ndarray:
     """Returns the rotations [T, 4] that turn N vectors [T, N, 3] towards others: the least-squares fit (Kabsch 1976).
 
-    For a single vector it is the shortest arc, which is the identity where one of both is zero.
+    For a single vector it is that of `steady_arcs`.
     """
     if have.shape[1] == 1:
-        return quat_between(have[:, 0], want[:, 0])
+        return steady_arcs(have[:, 0], want[:, 0])
     left, _, right = np.linalg.svd(want.swapaxes(1, 2) @ have)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return quat_from_matrix(left @ right)
+
+
+def steady_arcs(have: np.ndarray, want: np.ndarray) -> np.ndarray:
+    """Returns the rotations [T, 4] of vectors [T, 3] to others by the shortest arc, without jumps at half a turn.
+
+    Where both directions are farther apart than `FAR`, each frame's rotation follows from that of its neighbour by the
+    shortest arc, and what is then missing at the other end is a turn about the vector that grows evenly on the way.
+    The rotation is the identity where one of both vectors is zero.
+    """
+    arcs = quat_between(have, want)
+    far = np.arctan2(np.linalg.norm(np.cross(have, want), axis=-1), np.sum(have * want, axis=-1)) > FAR
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], far, [False]]).astype(np.int8)))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        if start > 0:
+            _follow(arcs, have, want, range(start, stop), 1)
+        elif stop < len(far):
+            _follow(arcs, have, want, range(stop - 1, start - 1, -1), -1)
+        else:
+            _follow(arcs, have, want, range(1, len(far)), 1)
+        if 0 < start and stop < len(far):
+            last = quat_multiply(quat_between(quat_rotate(arcs[stop - 1], have[stop]), want[stop]), arcs[stop - 1])
+            missing = quat_multiply(arcs[stop], quat_conjugate(last))
+            axis = _unit(want[stop])
+            angle = 2 * np.arctan2(missing[1:] @ axis, missing[0])
+            angle = (angle + np.pi) % (2 * np.pi) - np.pi  # the shorter way round
+            share = np.arange(1, stop - start + 1) / (stop - start + 1)
+            arcs[start:stop] = quat_multiply(
+                quat_from_axis_angle(_unit(want[start:stop]), share * angle), arcs[start:stop]
+            )
+    return arcs
+
+
+def _follow(arcs: np.ndarray, have: np.ndarray, want: np.ndarray, frames: range, step: int) -> None:
+    """Sets the rotations [T, 4] of frames, in turn, to the nearest to that of the frame before."""
+    for frame in frames:
+        before = arcs[frame - step]
+        arcs[frame] = quat_multiply(quat_between(quat_rotate(before, have[frame]), want[frame]), before)
 
 
 def _aims(skeleton: Skeleton, points: BodyPoints) -> dict[int, Points]:
