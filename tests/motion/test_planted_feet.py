@@ -133,6 +133,13 @@ def test_interpolation_gives_back_whole_frames_and_cubics():
     assert np.abs(interpolate(values, between) - np.stack([np.sin(0.3 * between), 0.1 * between], axis=1)).max() < 1e-3
 
 
+@pytest.mark.parametrize("frames", [2, 3, 20, 60])
+def test_interpolation_keeps_the_velocity_at_both_ends(frames: int):
+    line = 0.1 * np.arange(float(frames))
+    between = np.arange(0.0, frames - 1, 0.25)
+    assert np.abs(interpolate(line, between) - 0.1 * between).max() < EXACT
+
+
 def test_interpolated_rotations_lie_on_the_way():
     time, axis = np.arange(20.0), np.array([0.0, 0.6, 0.8])
     rotations = quat_from_axis_angle(axis, 0.2 * time)[:, None] * np.where(time % 2, -1.0, 1.0)[:, None, None]
