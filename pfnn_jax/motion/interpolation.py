@@ -25,19 +25,14 @@ def interpolate(values: np.ndarray, times: np.ndarray) -> np.ndarray:
     whole = np.rint(times).astype(int)
     if len(values) < 2 or np.abs(times - whole).max() < 1e-6:
         return values[whole]
-    pad = min(REACH, len(values) - 1)
-    knots = spline_filter1d(_extend(values, pad), order=3, axis=0, mode="mirror")
+    ends = ((REACH, REACH),) + ((0, 0),) * (values.ndim - 1)
+    knots = spline_filter1d(np.pad(values, ends, "reflect", reflect_type="odd"), order=3, axis=0, mode="mirror")
     before = np.minimum(times.astype(int), len(values) - 2)
     s = (times - before).reshape((-1,) + (1,) * (values.ndim - 1))
     weights = (1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, -3 * s**3 + 3 * s**2 + 3 * s + 1, s**3
     last = len(knots) - 1
-    taps = (last - np.abs(last - np.abs(before + pad + shift)) for shift in (-1, 0, 1, 2))
+    taps = (last - np.abs(last - np.abs(before + REACH + shift)) for shift in (-1, 0, 1, 2))
     return np.sum([weight / 6 * knots[tap] for weight, tap in zip(weights, taps, strict=True)], axis=0)
-
-
-def _extend(values: np.ndarray, pad: int) -> np.ndarray:
-    """Returns values [T, ...] continued at both ends with the velocity that they have there, point-symmetrically."""
-    return np.concatenate([2 * values[0] - values[pad:0:-1], values, 2 * values[-1] - values[-2 : -pad - 2 : -1]])
 
 
 def interpolate_rotations(rotations: np.ndarray, times: np.ndarray) -> np.ndarray:

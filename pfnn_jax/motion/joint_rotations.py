@@ -15,7 +15,7 @@ import numpy as np
 
 from pfnn_jax.motion.body_points import POINT_NAMES, POINT_PARENTS, BodyPoints
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.filters import gaussian_filter
+from pfnn_jax.motion.filters import gaussian_filter, moving_minimum
 from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -40,6 +40,9 @@ MOST_ROLL = np.deg2rad(120.0)
 
 FAR = np.deg2rad(120.0)
 """Radians beyond which the shortest arc between directions says little: at half a turn every way is as short."""
+
+NEAR_FAR_SECONDS = 0.15
+"""Time before and after such frames over which a rotation passes from one shortest arc to another."""
 
 ROLL_SECONDS = 0.05
 """Standard deviation of the Gaussian over that turn: the plane of a limb that is hardly bent is uncertain."""
@@ -107,7 +110,7 @@ class _Body:
             change = np.broadcast_to((1.0, 0.0, 0.0, 0.0), world.shape)
         have = quat_rotate(change[:, None], self.own[:, list(aimed)] - self.joints[:, [joint]])
         want = np.stack([self._wanted(joint, point, positions) for point in aimed], axis=1)
-        change = quat_multiply(best_rotation(have, want), change)
+        change = quat_multiply(best_rotation(have, want, round(NEAR_FAR_SECONDS * self.fps)), change)
         for limb in LIMBS.values():
             if aimed == (limb[1],) and self.points.joints[limb[0]] == joint:
                 change = quat_multiply(self._roll(joint, limb, change, positions), change)
@@ -212,27 +215,28 @@ def _ahead(points: np.ndarray, limb: Points, left: np.ndarray) -> tuple[np.ndarr
     return np.sum((knee - hip) * forward, axis=-1), forward
 
 
-def best_rotation(have: np.ndarray, want: np.ndarray) -> np.ndarray:
+def best_rotation(have: np.ndarray, want: np.ndarray, reach: int = 0) -> np.ndarray:
     """Returns the rotations [T, 4] that turn N vectors [T, N, 3] towards others: the least-squares fit (Kabsch 1976).
 
-    For a single vector it is that of `steady_arcs`.
+    For a single vector it is that of `steady_arcs`, within `reach` frames.
     """
     if have.shape[1] == 1:
-        return steady_arcs(have[:, 0], want[:, 0])
+        return steady_arcs(have[:, 0], want[:, 0], reach)
     left, _, right = np.linalg.svd(want.swapaxes(1, 2) @ have)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return quat_from_matrix(left @ right)
 
 
-def steady_arcs(have: np.ndarray, want: np.ndarray) -> np.ndarray:
+def steady_arcs(have: np.ndarray, want: np.ndarray, reach: int = 0) -> np.ndarray:
     """Returns the rotations [T, 4] of vectors [T, 3] to others by the shortest arc, without jumps at half a turn.
 
-    Where both directions are farther apart than `FAR`, each frame's rotation follows from that of its neighbour by the
+    Within some frames (`reach`) of where both directions are farther apart than `FAR`, each frame's rotation follows from that of its neighbour by the
     shortest arc, and what is then missing at the other end is a turn about the vector that grows evenly on the way.
     The rotation is the identity where one of both vectors is zero.
     """
     arcs = quat_between(have, want)
     far = np.arctan2(np.linalg.norm(np.cross(have, want), axis=-1), np.sum(have * want, axis=-1)) > FAR
+    far = moving_minimum(-far.astype(float), 2 * reach + 1) < 0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], far, [False]]).astype(np.int8)))
     for start, stop in edges.reshape(-1, 2).tolist():
         if start > 0:
