@@ -64,6 +64,9 @@ LEVEL = ("left_foot", "right_foot")
 BACKWARD = 0.03
 """Metres by which a knee behind the line from hip to ankle is half reflected to the front."""
 
+MOST_WRIST = np.deg2rad(80.0)
+"""Radians by which a wrist bends, unless the initial motion's bends by more."""
+
 Points = tuple[int, ...]
 
 
@@ -167,7 +170,7 @@ def rotations_from_positions(
     body = _Body(
         skeleton, points, initial.rotations, world, joints, own, initial.fps, world.copy(), joints - joints[:, :1]
     )
-    positions, aims = bend_knees_forward(positions, own), _aims(skeleton, points)
+    positions, aims = limit_wrists(bend_knees_forward(positions, own), own), _aims(skeleton, points)
     for joint in range(skeleton.num_joints):
         body.carry(joint)
         if joint in aims:
@@ -208,6 +211,38 @@ def bend_knees_forward(positions: np.ndarray, own: np.ndarray) -> np.ndarray:
     return positions
 
 
+def limit_wrists(positions: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Returns positions with hands that do not fold back onto their forearms, as a network can place them.
+
+    Beyond `MOST_WRIST` the bend is reduced, to reach 0 where hand and forearm are opposite: as no side is the right
+    one there, any other rule would jump.
+
+    Args:
+        positions: [T, 21, 3] metres.
+        own: [T, 21, 3] metres, of a motion whose wrists may be bent by as much as they are.
+    """
+    positions = positions.copy()
+    for side in _SIDES:
+        elbow, wrist, end = (POINT_NAMES.index(f"{side}_{part}") for part in ("lower_arm", "hand", "hand_end"))
+        (arm, hand), bones = (
+            (points[:, wrist] - points[:, elbow], points[:, end] - points[:, wrist]) for points in (positions, own)
+        )
+        angle, most = angle_between(arm, hand), np.clip(angle_between(*bones), MOST_WRIST, 0.97 * np.pi)
+        limited = np.minimum(angle, most * (np.pi - angle) / (np.pi - most))
+        axis = _unit(np.cross(hand, arm))
+        turned = quat_rotate(quat_from_axis_angle(axis, angle - limited), hand)
+        opposite = np.linalg.norm(axis, axis=-1) < 0.5
+        straight = _unit(arm) * np.linalg.norm(hand, axis=-1, keepdims=True)
+        turned = np.where((opposite & (angle > most))[:, None], straight, turned)
+        positions[:, end] = positions[:, wrist] + np.where((angle > most)[:, None], turned, hand)
+    return positions
+
+
+def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Returns the angles [T] in radians between vectors [T, 3], 0 where one of both is zero."""
+    return np.arctan2(np.linalg.norm(np.cross(first, second), axis=-1), np.sum(first * second, axis=-1))
+
+
 def _ahead(points: np.ndarray, limb: Points, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the metres [T] by which a knee is in front of its leg, and the direction [T, 3] that is the front."""
     hip, knee, ankle = (points[:, point] for point in limb)
@@ -230,12 +265,13 @@ def best_rotation(have: np.ndarray, want: np.ndarray, reach: int = 0) -> np.ndar
 def steady_arcs(have: np.ndarray, want: np.ndarray, reach: int = 0) -> np.ndarray:
     """Returns the rotations [T, 4] of vectors [T, 3] to others by the shortest arc, without jumps at half a turn.
 
-    Within some frames (`reach`) of where both directions are farther apart than `FAR`, each frame's rotation follows from that of its neighbour by the
-    shortest arc, and what is then missing at the other end is a turn about the vector that grows evenly on the way.
+    Within some frames (`reach`) of where both directions are farther apart than `FAR`, each frame's rotation follows
+    from that of its neighbour by the shortest arc, and what is then missing at the other end is a turn about the vector
+    that grows evenly on the way.
     The rotation is the identity where one of both vectors is zero.
     """
     arcs = quat_between(have, want)
-    far = np.arctan2(np.linalg.norm(np.cross(have, want), axis=-1), np.sum(have * want, axis=-1)) > FAR
+    far = angle_between(have, want) > FAR
     far = moving_minimum(-far.astype(float), 2 * reach + 1) < 0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], far, [False]]).astype(np.int8)))
     for start, stop in edges.reshape(-1, 2).tolist():

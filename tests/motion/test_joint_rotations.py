@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pfnn_jax.motion.body_points import POINT_NAMES, find_body_points
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
-from pfnn_jax.motion.joint_rotations import best_rotation, rotations_from_positions, steady_arcs
+from pfnn_jax.motion.joint_rotations import angle_between, best_rotation, rotations_from_positions, steady_arcs
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_normalise, quat_rotate
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.motion.trajectory import root_motion
@@ -30,6 +30,8 @@ OVERSTRETCHED_STEP = 20.0
 """Degrees that a joint turns in a frame while an elbow bends to one side and then to the other within half a second."""
 OPPOSITE_STEP = 10.0
 """Degrees that a rotation turns in a frame in which its vector, near the opposite of where it was, turns by 2.7."""
+MOST_BENT = 90.0
+"""Degrees by which a wrist bends at most where a network folds it back."""
 LARGEST_STEP = 75.0
 """Degrees that a joint turns in a frame of positions with `NOISE`, which turn short bones by 30. A flip turns 180."""
 
@@ -131,6 +133,24 @@ def test_an_elbow_that_bends_to_either_side_does_not_flip_its_arm(side: str):
     positions[:, hand + 1] = positions[:, hand] + 0.1 * forward
     solved = solve(clip, positions)
     assert angles(solved.rotations[1:], solved.rotations[:-1]).max() < OVERSTRETCHED_STEP
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_hand_that_folds_back_onto_its_forearm_does_not_flip(side: str):
+    clip = walk(60)
+    positions = points_of(clip)
+    elbow, hand = (POINT_NAMES.index(f"{side}_{part}") for part in ("lower_arm", "hand"))
+    along = positions[:, hand] - positions[:, elbow]
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.cross(along, np.array([0.0, 0.0, 1.0]))
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    bend = np.deg2rad(np.linspace(0.0, 360.0, 60))[:, None]
+    positions[:, hand + 1] = positions[:, hand] + 0.15 * (np.cos(bend) * along + np.sin(bend) * across)
+    solved = solve(clip, positions)
+    points = points_of(solved)
+    bones = np.diff(points[:, [elbow, hand, hand + 1]], axis=1)
+    assert np.rad2deg(angle_between(bones[:, 0], bones[:, 1])).max() < MOST_BENT
+    assert angles(solved.rotations[1:], solved.rotations[:-1]).max() < OPPOSITE_STEP
 
 
 def test_joints_without_points_keep_their_rotation(mocap: Path):
