@@ -20,13 +20,16 @@ Parts = Literal["all", "upper", "lower", "arms"]
 PARTS: tuple[Parts, ...] = get_args(Parts)
 """Parts of a body that can be blended; upper and lower are all of it."""
 
+MOST_TURN = np.deg2rad(135.0)
+"""Half of the angle (270 degrees) between two rotations from which on less than their share of it is turned."""
+
 
 def blend_clips(content: MotionClip, result: MotionClip, weights: np.ndarray, root_weight: float) -> MotionClip:
     """Returns the content with the rotations of each joint moved towards those of a result.
 
     At weight 0 a joint keeps the content's rotation, at 1 it takes the result's, both to the last bit. Between them and
     beyond 1 the rotation from one to the other is scaled: the shorter way round where both are nearest, and without a
-    jump from frame to frame in the others, also where that is more than half a turn.
+    jump from frame to frame in the others, also where that is more than half a turn (`limit_turns` near a whole one).
 
     Args:
         content: T frames on J joints.
@@ -45,7 +48,9 @@ def blend_clips(content: MotionClip, result: MotionClip, weights: np.ndarray, ro
     partly = np.flatnonzero((weights != 0.0) & (weights != 1.0))
     if len(partly):
         between = continuous_turns(content.rotations[:, partly], result.rotations[:, partly])
-        rotations[:, partly] = quat_multiply(rotations[:, partly], quat_exp(weights[partly, None] * between))
+        near = weights[partly, None] >= 0.5
+        first = np.where(near, result.rotations[:, partly], rotations[:, partly])
+        rotations[:, partly] = quat_multiply(first, quat_exp((weights[partly, None] - near) * limit_turns(between)))
     if root_weight == 1.0:
         positions = result.root_positions
     elif root_weight != 0.0:
@@ -77,6 +82,16 @@ def check_parts(parts: str, source: str | Path) -> None:
     """
     if parts not in PARTS:
         raise InputError(source, "parts", parts, f"must be one of {', '.join(PARTS)}")
+
+
+def limit_turns(turns: np.ndarray) -> np.ndarray:
+    """Returns half-angle vectors [..., 3] that beyond `MOST_TURN` are reduced, to reach 0 at a whole turn.
+
+    There both rotations are the same, the axis between them is any, and a part of a whole turn about it would jump.
+    """
+    half = np.linalg.norm(turns, axis=-1, keepdims=True)
+    limited = np.clip(MOST_TURN * (np.pi - half) / (np.pi - MOST_TURN), 0.0, half)
+    return turns * np.where(half > MOST_TURN, limited / np.where(half > 0, half, 1.0), 1.0)
 
 
 def part_weights(skeleton: Skeleton, parts: Parts, source: str | Path = "skeleton") -> tuple[np.ndarray, float]:

@@ -6,11 +6,15 @@ import numpy as np
 
 from pfnn_jax.motion.kinematics import quat_normalise
 
+REACH = 16
+"""Frames after which a cubic spline no longer shows how it went on: their share in it is below 1e-8."""
+
 
 def interpolate(values: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Returns values [T, ...] at other times [N] by cubic spline; at whole frames they are the given ones.
 
-    Where linear interpolation to a higher frame rate would kink at every frame, and jerk, this does not.
+    Where linear interpolation to a higher frame rate would kink at every frame, and jerk, this does not. At the first
+    and last frame the velocity is that of the values, and the acceleration zero.
 
     Args:
         values: T frames.
@@ -21,12 +25,13 @@ def interpolate(values: np.ndarray, times: np.ndarray) -> np.ndarray:
     whole = np.rint(times).astype(int)
     if len(values) < 2 or np.abs(times - whole).max() < 1e-6:
         return values[whole]
-    knots = spline_filter1d(values, order=3, axis=0, mode="mirror")
+    ends = ((REACH, REACH),) + ((0, 0),) * (values.ndim - 1)
+    knots = spline_filter1d(np.pad(values, ends, "reflect", reflect_type="odd"), order=3, axis=0, mode="mirror")
     before = np.minimum(times.astype(int), len(values) - 2)
     s = (times - before).reshape((-1,) + (1,) * (values.ndim - 1))
     weights = (1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, -3 * s**3 + 3 * s**2 + 3 * s + 1, s**3
-    last = len(values) - 1
-    taps = (last - np.abs(last - np.abs(before + shift)) for shift in (-1, 0, 1, 2))
+    last = len(knots) - 1
+    taps = (last - np.abs(last - np.abs(before + REACH + shift)) for shift in (-1, 0, 1, 2))
     return np.sum([weight / 6 * knots[tap] for weight, tap in zip(weights, taps, strict=True)], axis=0)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from pfnn_jax.motion.body_points import POINT_NAMES, POINT_PARENTS, BodyPoints
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.filters import gaussian_filter
+from pfnn_jax.motion.filters import gaussian_filter, moving_minimum
 from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -38,6 +38,12 @@ STRAIGHT, BENT = 0.17, 0.5
 MOST_ROLL = np.deg2rad(120.0)
 """Radians by which a limb turns about itself; no shoulder or hip does so by more."""
 
+FAR = np.deg2rad(120.0)
+"""Radians beyond which the shortest arc between directions says little: at half a turn every way is as short."""
+
+NEAR_FAR_SECONDS = 0.15
+"""Time before and after such frames over which a rotation passes from one shortest arc to another."""
+
 ROLL_SECONDS = 0.05
 """Standard deviation of the Gaussian over that turn: the plane of a limb that is hardly bent is uncertain."""
 
@@ -57,6 +63,9 @@ LEVEL = ("left_foot", "right_foot")
 
 BACKWARD = 0.03
 """Metres by which a knee behind the line from hip to ankle is half reflected to the front."""
+
+MOST_WRIST = np.deg2rad(80.0)
+"""Radians by which a wrist bends, unless the initial motion's bends by more."""
 
 Points = tuple[int, ...]
 
@@ -104,7 +113,7 @@ class _Body:
             change = np.broadcast_to((1.0, 0.0, 0.0, 0.0), world.shape)
         have = quat_rotate(change[:, None], self.own[:, list(aimed)] - self.joints[:, [joint]])
         want = np.stack([self._wanted(joint, point, positions) for point in aimed], axis=1)
-        change = quat_multiply(best_rotation(have, want), change)
+        change = quat_multiply(best_rotation(have, want, round(NEAR_FAR_SECONDS * self.fps)), change)
         for limb in LIMBS.values():
             if aimed == (limb[1],) and self.points.joints[limb[0]] == joint:
                 change = quat_multiply(self._roll(joint, limb, change, positions), change)
@@ -161,7 +170,7 @@ def rotations_from_positions(
     body = _Body(
         skeleton, points, initial.rotations, world, joints, own, initial.fps, world.copy(), joints - joints[:, :1]
     )
-    positions, aims = bend_knees_forward(positions, own), _aims(skeleton, points)
+    positions, aims = limit_wrists(bend_knees_forward(positions, own), own), _aims(skeleton, points)
     for joint in range(skeleton.num_joints):
         body.carry(joint)
         if joint in aims:
@@ -202,6 +211,38 @@ def bend_knees_forward(positions: np.ndarray, own: np.ndarray) -> np.ndarray:
     return positions
 
 
+def limit_wrists(positions: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Returns positions with hands that do not fold back onto their forearms, as a network can place them.
+
+    Beyond `MOST_WRIST` the bend is reduced, to reach 0 where hand and forearm are opposite: as no side is the right
+    one there, any other rule would jump.
+
+    Args:
+        positions: [T, 21, 3] metres.
+        own: [T, 21, 3] metres, of a motion whose wrists may be bent by as much as they are.
+    """
+    positions = positions.copy()
+    for side in _SIDES:
+        elbow, wrist, end = (POINT_NAMES.index(f"{side}_{part}") for part in ("lower_arm", "hand", "hand_end"))
+        (arm, hand), bones = (
+            (points[:, wrist] - points[:, elbow], points[:, end] - points[:, wrist]) for points in (positions, own)
+        )
+        angle, most = angle_between(arm, hand), np.clip(angle_between(*bones), MOST_WRIST, 0.97 * np.pi)
+        limited = np.minimum(angle, most * (np.pi - angle) / (np.pi - most))
+        axis = _unit(np.cross(hand, arm))
+        turned = quat_rotate(quat_from_axis_angle(axis, angle - limited), hand)
+        opposite = np.linalg.norm(axis, axis=-1) < 0.5
+        straight = _unit(arm) * np.linalg.norm(hand, axis=-1, keepdims=True)
+        turned = np.where((opposite & (angle > most))[:, None], straight, turned)
+        positions[:, end] = positions[:, wrist] + np.where((angle > most)[:, None], turned, hand)
+    return positions
+
+
+def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Returns the angles [T] in radians between vectors [T, 3], 0 where one of both is zero."""
+    return np.arctan2(np.linalg.norm(np.cross(first, second), axis=-1), np.sum(first * second, axis=-1))
+
+
 def _ahead(points: np.ndarray, limb: Points, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the metres [T] by which a knee is in front of its leg, and the direction [T, 3] that is the front."""
     hip, knee, ankle = (points[:, point] for point in limb)
@@ -209,16 +250,55 @@ def _ahead(points: np.ndarray, limb: Points, left: np.ndarray) -> tuple[np.ndarr
     return np.sum((knee - hip) * forward, axis=-1), forward
 
 
-def best_rotation(have: np.ndarray, want: np.ndarray) -> np.ndarray:
+def best_rotation(have: np.ndarray, want: np.ndarray, reach: int = 0) -> np.ndarray:
     """Returns the rotations [T, 4] that turn N vectors [T, N, 3] towards others: the least-squares fit (Kabsch 1976).
 
-    For a single vector it is the shortest arc, which is the identity where one of both is zero.
+    For a single vector it is that of `steady_arcs`, within `reach` frames.
     """
     if have.shape[1] == 1:
-        return quat_between(have[:, 0], want[:, 0])
+        return steady_arcs(have[:, 0], want[:, 0], reach)
     left, _, right = np.linalg.svd(want.swapaxes(1, 2) @ have)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return quat_from_matrix(left @ right)
+
+
+def steady_arcs(have: np.ndarray, want: np.ndarray, reach: int = 0) -> np.ndarray:
+    """Returns the rotations [T, 4] of vectors [T, 3] to others by the shortest arc, without jumps at half a turn.
+
+    Within some frames (`reach`) of where both directions are farther apart than `FAR`, each frame's rotation follows
+    from that of its neighbour by the shortest arc, and what is then missing at the other end is a turn about the vector
+    that grows evenly on the way.
+    The rotation is the identity where one of both vectors is zero.
+    """
+    arcs = quat_between(have, want)
+    far = angle_between(have, want) > FAR
+    far = moving_minimum(-far.astype(float), 2 * reach + 1) < 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], far, [False]]).astype(np.int8)))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        if start > 0:
+            _follow(arcs, have, want, range(start, stop), 1)
+        elif stop < len(far):
+            _follow(arcs, have, want, range(stop - 1, start - 1, -1), -1)
+        else:
+            _follow(arcs, have, want, range(1, len(far)), 1)
+        if 0 < start and stop < len(far):
+            last = quat_multiply(quat_between(quat_rotate(arcs[stop - 1], have[stop]), want[stop]), arcs[stop - 1])
+            missing = quat_multiply(arcs[stop], quat_conjugate(last))
+            axis = _unit(want[stop])
+            angle = 2 * np.arctan2(missing[1:] @ axis, missing[0])
+            angle = (angle + np.pi) % (2 * np.pi) - np.pi  # the shorter way round
+            share = np.arange(1, stop - start + 1) / (stop - start + 1)
+            arcs[start:stop] = quat_multiply(
+                quat_from_axis_angle(_unit(want[start:stop]), share * angle), arcs[start:stop]
+            )
+    return arcs
+
+
+def _follow(arcs: np.ndarray, have: np.ndarray, want: np.ndarray, frames: range, step: int) -> None:
+    """Sets the rotations [T, 4] of frames, in turn, to the nearest to that of the frame before."""
+    for frame in frames:
+        before = arcs[frame - step]
+        arcs[frame] = quat_multiply(quat_between(quat_rotate(before, have[frame]), want[frame]), before)
 
 
 def _aims(skeleton: Skeleton, points: BodyPoints) -> dict[int, Points]:

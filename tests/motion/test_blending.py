@@ -18,6 +18,8 @@ from tests.motion.retargeting import SOURCES, angles, example
 from tests.raising import assert_refused
 
 ANGLE = 1e-5  # degrees
+WHOLE_TURN_STEP = 45.0
+"""Degrees that a part of a rotation turns in a frame near a whole turn, while the rotation turns by 16."""
 
 
 def pair() -> tuple[MotionClip, MotionClip]:
@@ -55,12 +57,24 @@ def test_the_rotation_between_both_is_scaled_by_the_weight(strength: float):
 
 def test_a_part_of_a_growing_rotation_does_not_jump_at_half_a_turn():
     content, _ = pair()
-    turn = np.deg2rad(np.linspace(0.0, 300.0, content.num_frames))
+    turn = np.deg2rad(np.linspace(0.0, 260.0, content.num_frames))
     turned = quat_multiply(content.rotations, quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), turn)[:, None])
     half = blend_clips(content, replace(content, rotations=turned), np.full(content.skeleton.num_joints, 0.5), 0.0)
     between = quat_multiply(quat_conjugate(content.rotations), half.rotations)
     expected = quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), turn / 2)[:, None]
     assert angles(between, np.broadcast_to(expected, between.shape)).max() < ANGLE
+
+
+@pytest.mark.parametrize("strength", [0.25, 0.5, 0.75, 1.5])
+def test_a_part_of_a_growing_rotation_does_not_jump_at_a_whole_turn(strength: float):
+    content, _ = pair()
+    content = replace(content, rotations=np.broadcast_to((1.0, 0.0, 0.0, 0.0), content.rotations.shape))
+    half = np.deg2rad(np.linspace(0.0, 240.0, content.num_frames))
+    past = np.stack([np.cos(half), np.full_like(half, 0.02), np.zeros_like(half), np.sin(half)], axis=-1)
+    rotations = np.broadcast_to(quat_normalise(past)[:, None], content.rotations.shape)
+    weights = np.full(content.skeleton.num_joints, strength)
+    blended = blend_clips(content, replace(content, rotations=rotations), weights, 0.0).rotations
+    assert angles(blended[1:], blended[:-1]).max() < WHOLE_TURN_STEP
 
 
 def test_the_sign_of_a_quaternion_does_not_matter():

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pfnn_jax.motion.body_points import POINT_NAMES, find_body_points
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
-from pfnn_jax.motion.joint_rotations import best_rotation, rotations_from_positions
+from pfnn_jax.motion.joint_rotations import angle_between, best_rotation, rotations_from_positions, steady_arcs
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_normalise, quat_rotate
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.motion.trajectory import root_motion
@@ -28,6 +28,10 @@ FROM_T_POSE = 0.03
 NOISE = 0.02  # metres
 OVERSTRETCHED_STEP = 20.0
 """Degrees that a joint turns in a frame while an elbow bends to one side and then to the other within half a second."""
+OPPOSITE_STEP = 10.0
+"""Degrees that a rotation turns in a frame in which its vector, near the opposite of where it was, turns by 2.7."""
+MOST_BENT = 90.0
+"""Degrees by which a wrist bends at most where a network folds it back."""
 LARGEST_STEP = 75.0
 """Degrees that a joint turns in a frame of positions with `NOISE`, which turn short bones by 30. A flip turns 180."""
 
@@ -131,6 +135,24 @@ def test_an_elbow_that_bends_to_either_side_does_not_flip_its_arm(side: str):
     assert angles(solved.rotations[1:], solved.rotations[:-1]).max() < OVERSTRETCHED_STEP
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_hand_that_folds_back_onto_its_forearm_does_not_flip(side: str):
+    clip = walk(60)
+    positions = points_of(clip)
+    elbow, hand = (POINT_NAMES.index(f"{side}_{part}") for part in ("lower_arm", "hand"))
+    along = positions[:, hand] - positions[:, elbow]
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.cross(along, np.array([0.0, 0.0, 1.0]))
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    bend = np.deg2rad(np.linspace(0.0, 360.0, 60))[:, None]
+    positions[:, hand + 1] = positions[:, hand] + 0.15 * (np.cos(bend) * along + np.sin(bend) * across)
+    solved = solve(clip, positions)
+    points = points_of(solved)
+    bones = np.diff(points[:, [elbow, hand, hand + 1]], axis=1)
+    assert np.rad2deg(angle_between(bones[:, 0], bones[:, 1])).max() < MOST_BENT
+    assert angles(solved.rotations[1:], solved.rotations[:-1]).max() < OPPOSITE_STEP
+
+
 def test_joints_without_points_keep_their_rotation(mocap: Path):
     clip = example(mocap, "mixamo")
     noisy = points_of(clip) + np.random.default_rng(0).normal(scale=0.02, size=(clip.num_frames, 21, 3))
@@ -146,3 +168,13 @@ def test_the_best_rotation_of_rotated_vectors_is_that_rotation(seed: int, count:
     rotation, vectors = quat_normalise(random.normal(size=(4, 4))), random.normal(size=(4, count, 3))
     turned = quat_rotate(rotation[:, None], vectors)
     assert np.abs(quat_rotate(best_rotation(vectors, turned)[:, None], vectors) - turned).max() < 1e-7
+
+
+@pytest.mark.parametrize("begin, end", [(0, 60), (0, 30), (30, 60), (25, 35)])
+def test_a_vector_turned_past_its_opposite_does_not_flip(begin: int, end: int):
+    angle = np.deg2rad(np.linspace(100.0, 260.0, 60))[begin:end]
+    have = np.broadcast_to((0.0, 1.0, 0.0), (len(angle), 3))
+    want = np.stack([np.sin(angle), np.cos(angle), np.full(len(angle), 0.02)], axis=-1)
+    arcs = steady_arcs(have, want)
+    assert np.abs(quat_rotate(arcs, have) - want / np.linalg.norm(want, axis=-1, keepdims=True)).max() < EXACT
+    assert angles(arcs[1:], arcs[:-1]).max() < OPPOSITE_STEP

@@ -26,6 +26,8 @@ SLIDING = 0.04
 FLOATING = 0.01  # metres, mean height of feet in contact above where they should be
 JERK = 1.35  # of the jerk before, which has feet that never come to rest
 EXACT = 1e-9
+SPLINE_ENDS = 1e-8
+"""What a spline forgets of how values go on beyond their ends."""
 
 
 def walk(frames: int = 180) -> MotionClip:
@@ -132,6 +134,13 @@ def test_interpolation_gives_back_whole_frames_and_cubics():
     assert np.abs(interpolate(values, time) - values).max() < EXACT
     between = np.arange(3.0, 16.0, 0.25)
     assert np.abs(interpolate(values, between) - np.stack([np.sin(0.3 * between), 0.1 * between], axis=1)).max() < 1e-3
+
+
+@pytest.mark.parametrize("frames", [2, 3, 20, 60])
+def test_interpolation_keeps_the_velocity_at_both_ends(frames: int):
+    line = 0.1 * np.arange(float(frames))
+    between = np.arange(0.0, frames - 1, 0.25)
+    assert np.abs(interpolate(line, between) - 0.1 * between).max() < SPLINE_ENDS
 
 
 def test_interpolated_rotations_lie_on_the_way():
