@@ -97,9 +97,12 @@ def _split_by_style(
     """Returns the clips of all other styles, those of the style, and the folder to name in messages.
 
     Raises:
-        InputError: for a style that the data do not have, and for data of one style only.
+        InputError: for a style that the data do not have, for data of one style only, and for none.
     """
-    clips, source = (list_clips(data), data) if isinstance(data, str | Path) else (list(data), data[0].path.parent)
+    clips = list_clips(data) if isinstance(data, str | Path) else list(data)
+    if not clips:
+        raise InputError("train_transfer", "data", "no clips", "must be a folder or a list of clips")
+    source = data if isinstance(data, str | Path) else clips[0].path.parent
     targets = select_styles(clips, [style], source)
     others = [clip for clip in clips if clip.style != style]
     if not others:
