@@ -11,7 +11,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.humanoid.map import ARM, LEG, SIDES
-from pfnn_jax.motion.kinematics import quat_conjugate, quat_exp, quat_multiply
+from pfnn_jax.motion.kinematics import quat_align, quat_conjugate, quat_exp, quat_multiply
 from pfnn_jax.motion.retargeting.body import humanoid_of
 from pfnn_jax.motion.roles import chain_up
 from pfnn_jax.motion.skeleton import Skeleton
@@ -63,9 +63,7 @@ def continuous_turns(rotations: np.ndarray, others: np.ndarray) -> np.ndarray:
 
     The shorter way round changes sides where the angle passes half a turn, and a part of it would jump there.
     """
-    between = quat_multiply(quat_conjugate(rotations), others)
-    same = np.where(np.sum(between[1:] * between[:-1], axis=-1) < 0, -1.0, 1.0)
-    between = between * np.concatenate([np.ones_like(between[:1, :, 0]), np.cumprod(same, axis=0)])[..., None]
+    between = quat_align(quat_multiply(quat_conjugate(rotations), others))
     nearest = np.abs(between[..., 0]).argmax(axis=0)
     between = np.where(between[nearest, np.arange(between.shape[1]), :1] < 0, -between, between)
     sine = np.linalg.norm(between[..., 1:], axis=-1, keepdims=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pfnn_jax.motion.kinematics import quat_normalise
+from pfnn_jax.motion.kinematics import quat_align, quat_normalise
 
 REACH = 16
 """Frames after which a cubic spline no longer shows how it went on: their share in it is below 1e-8."""
@@ -37,7 +37,4 @@ def interpolate(values: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 def interpolate_rotations(rotations: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Returns rotations [T, J, 4] at other times [N], as `interpolate` does; neighbouring frames must be near."""
-    dots = np.sum(rotations[1:] * rotations[:-1], axis=-1)
-    signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
-    aligned = np.concatenate([rotations[:1], rotations[1:] * signs[..., None]])
-    return quat_normalise(interpolate(aligned, times))
+    return quat_normalise(interpolate(quat_align(rotations), times))

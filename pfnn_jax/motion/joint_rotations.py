@@ -16,6 +16,7 @@ import numpy as np
 from pfnn_jax.motion.body_points import POINT_NAMES, POINT_PARENTS, BodyPoints
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter, moving_minimum
+from pfnn_jax.motion.humanoid.map import SIDES
 from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -26,6 +27,7 @@ from pfnn_jax.motion.kinematics import (
     quat_multiply,
     quat_rotate,
 )
+from pfnn_jax.motion.labels.phase import runs_of
 from pfnn_jax.motion.roles import chain_up
 from pfnn_jax.motion.skeleton import Skeleton
 
@@ -50,10 +52,9 @@ ROLL_SECONDS = 0.05
 FLEXIBLE = ("spine", "chest", "neck", "left_upper_arm", "right_upper_arm")
 """Points that a joint between them and the one above, such as a clavicle, may move; thighs are rigid in the pelvis."""
 
-_SIDES = ("left", "right")
 LIMBS = {
     f"{side}_{first}": tuple(POINT_NAMES.index(f"{side}_{part}") for part in (first, *others))
-    for side in _SIDES
+    for side in SIDES
     for first, *others in (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 }
 """Points (root, middle, end) of each limb that bends in a plane, by the name of its root."""
@@ -222,7 +223,7 @@ def limit_wrists(positions: np.ndarray, own: np.ndarray) -> np.ndarray:
         own: [T, 21, 3] metres, of a motion whose wrists may be bent by as much as they are.
     """
     positions = positions.copy()
-    for side in _SIDES:
+    for side in SIDES:
         elbow, wrist, end = (POINT_NAMES.index(f"{side}_{part}") for part in ("lower_arm", "hand", "hand_end"))
         (arm, hand), bones = (
             (points[:, wrist] - points[:, elbow], points[:, end] - points[:, wrist]) for points in (positions, own)
@@ -273,8 +274,7 @@ def steady_arcs(have: np.ndarray, want: np.ndarray, reach: int = 0) -> np.ndarra
     arcs = quat_between(have, want)
     far = angle_between(have, want) > FAR
     far = moving_minimum(-far.astype(float), 2 * reach + 1) < 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], far, [False]]).astype(np.int8)))
-    for start, stop in edges.reshape(-1, 2).tolist():
+    for start, stop in runs_of(far):
         if start > 0:
             _follow(arcs, have, want, range(start, stop), 1)
         elif stop < len(far):

@@ -178,6 +178,13 @@ def quat_exp(v: ArrayLike) -> Any:
     return xp.concatenate((w, along * scale), axis=-1)
 
 
+def quat_align(rotations: np.ndarray) -> np.ndarray:
+    """Returns quaternions [T, ..., 4] with signs such that each is nearer to the one before than its negative is."""
+    dots = np.sum(rotations[1:] * rotations[:-1], axis=-1)
+    signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
+    return np.concatenate([rotations[:1], rotations[1:] * signs[..., None]])
+
+
 def quat_slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> np.ndarray:
     """Returns the rotation [..., 4] at fraction t [...] of the shorter great arc from a to b (unit, [..., 4])."""
     a, b, t = np.asarray(a, dtype=float), np.asarray(b, dtype=float), np.asarray(t, dtype=float)[..., None]
