@@ -128,7 +128,7 @@ class Folds:
     def recognisers(self, pair: Pair) -> Recognisers:
         """Returns classifiers that have seen neither a pair's content clip nor its ground truth.
 
-        Styles are told apart by networks that have seen no clip of the content, in any style. Contents are told apart
+        Styles are classified by networks that have seen no clip of the content, in any style. Contents are classified
         by networks that have seen no clip of the two styles. The style clip of a pair of another content has been seen
         with its style, and no more than any other clip of the style.
         """

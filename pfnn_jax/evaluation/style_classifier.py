@@ -113,7 +113,7 @@ def train_classifier(
 
     Args:
         windows: [N, T, F] as returned by `motion_windows`, mirror images included.
-        labels: [N] indices of styles, or of what else is told apart, from 0.
+        labels: [N] indices of styles, or of other labels, from 0.
         num_labels: L; the largest label plus one by default.
         config: sizes and schedule.
 

@@ -66,8 +66,8 @@ class Recognisers:
     """Classifiers of clips that were trained on real clips, neither the result's content clip nor its ground truth.
 
     Attributes:
-        style: tells styles apart, or None.
-        content: tells contents apart, or None.
+        style: classifier of styles, or None.
+        content: classifier of contents, or None.
     """
 
     style: ClipClassifier | None = None

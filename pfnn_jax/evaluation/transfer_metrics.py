@@ -19,7 +19,7 @@ def facing_poses(world: WorldMotion) -> np.ndarray:
     """Returns the 21 points of the body [T, 21, 3] in metres, without the motion of the hips and the facing.
 
     Positions are relative to the hips, turned so that the character faces +Z, and heights begin at the height of the
-    hips in the first frame: what a jump adds to the height of all joints is no part of the pose.
+    hips in the first frame: what a jump adds to the height of all joints is not part of the pose.
 
     Source: preprocessing of MoST (Kim et al. 2024), which uses the same 21 joints and the facing of Holden et al. 2016.
     """

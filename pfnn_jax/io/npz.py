@@ -25,7 +25,7 @@ def read_arrays(file: Path, names: Sequence[str], rule: str) -> dict[str, np.nda
         rule: what the file should be, for messages.
 
     Raises:
-        InputError: if the file cannot be read, or is no archive.
+        InputError: if the file cannot be read, or is not an archive.
     """
     try:
         with file.open("rb") as stream:  # opened here, because NumPy leaves a damaged file open
