@@ -31,10 +31,10 @@ VELOCITY_SECONDS = 0.1
 MOST_DIFFERENCE = 0.12
 """Of a leg's length: root mean square over the joints by which both ends of a cycle may differ."""
 
-AS_GOOD = 1.5
+AS_GOOD = 2.0
 """A shorter cycle is taken if its ends differ by at most so many times as much as those of the best."""
 
-LEAST_DIFFERENCE = 0.003
+LEAST_DIFFERENCE = 0.02
 """Of a leg's length: ends that differ by less are equally good."""
 
 LIVELY = 0.7
