@@ -231,7 +231,7 @@ def sample(track: Track, times: np.ndarray) -> np.ndarray:
         return _cubic(track, before, after, gap[:, None], share)
     first, second = track.values[before], track.values[after]
     if track.path == "rotation":
-        return quat_slerp(first, second, share)
+        return quat_slerp(first, second, share[:, 0])
     return first + share * (second - first)
 
 
