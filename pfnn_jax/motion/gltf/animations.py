@@ -261,7 +261,7 @@ def _world(
         local = _local(tree, node, sampled.get(node), len(times))
         parent = int(tree.parents[node])
         world[node] = local if parent < 0 else world[parent] @ local
-    matrices = np.stack([world[int(node)] for node in nodes], axis=1)
+    matrices = np.stack([np.broadcast_to(world[int(node)], (len(times), 4, 4)) for node in nodes], axis=1)
     return matrices[..., :3, 3].copy(), rotations_of(matrices[..., :3, :3])
 
 
