@@ -15,7 +15,7 @@ import struct
 import urllib.parse
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeGuard
 
 from pfnn_jax.errors import InputError
 
@@ -99,7 +99,7 @@ def read_document(path: str | Path) -> Document:
     return Document(path, document.json, binary, _buffers(document))
 
 
-def is_index(value: Any, count: int) -> bool:
+def is_index(value: Any, count: int) -> TypeGuard[int]:
     """Returns whether a value of the JSON is a whole number from 0 up to `count`."""
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count
 
