@@ -1,4 +1,4 @@
-"""Appends an animation to a glTF file and touches nothing else: what the file holds besides keeps its meaning and its
+"""Appends animations to a glTF file and touches nothing else: what the file holds besides keeps its meaning and its
 bytes. Credits and licences (`asset.copyright`, `asset.extras`), which several libraries drop, stay in the file.
 """
 
@@ -38,35 +38,56 @@ class Channel:
     values: np.ndarray
 
 
-def append_clip(document: Document, channels: Sequence[Channel], fps: float, name: str) -> bytes:
-    """Returns a GLB file with one more animation.
+@dataclass(frozen=True, eq=False)
+class Animation:
+    """Keys that play together.
 
-    The keys are LINEAR and share one row of times, which begins at 0. Quaternions keep their sign from key to key. An
-    animated node with a `matrix` is given the same pose as translation, rotation and scale, which glTF demands. Buffers
-    and images that lie in other files are packed into this one.
-
-    Args:
-        document: the file to extend.
+    Attributes:
+        name: of the clip, as engines show it.
+        fps: keys per second.
         channels: with T keys each, at least one.
-        fps: frames per second.
-        name: of the animation; a number is added to one that the file already has.
+    """
+
+    name: str
+    fps: float
+    channels: Sequence[Channel]
+
+
+def append_clips(document: Document, animations: Sequence[Animation]) -> bytes:
+    """Returns a GLB file with more animations.
+
+    The keys are LINEAR, and those of one animation share one row of times, which begins at 0. Quaternions keep their
+    sign from key to key. An animated node with a `matrix` is given the same pose as translation, rotation and scale,
+    which glTF demands. Buffers and images that lie in other files are packed into this one. A number is added to the
+    name of an animation that the file already has.
 
     Raises:
         InputError: if there is nothing to animate, or a key is not finite.
     """
-    _check_keys(document, channels, fps)
+    for animation in animations:
+        _check_keys(document, animation.channels, animation.fps)
     data, binary = pack(document)
-    data = {**data, "nodes": _as_trs(data["nodes"], {channel.node for channel in channels})}
-    keys, accessors = _keys(channels, fps)
-    start = len(binary)
-    data["buffers"] = [{**_first(data.get("buffers")), "byteLength": start + len(keys)}, *data.get("buffers", [])[1:]]
-    views, before = data.get("bufferViews", []), data.get("accessors", [])
-    data["bufferViews"] = [*views, {"buffer": 0, "byteOffset": start, "byteLength": len(keys)}]
-    data["accessors"] = [*before, *({"bufferView": len(views), **accessor} for accessor in accessors)]
-    old = data.get("animations", [])
-    animation = _animation(channels, len(before), _unused_name(name, [each.get("name") for each in old]))
-    data["animations"] = [*old, animation]
-    return glb(data, binary + keys)
+    animated = {channel.node for animation in animations for channel in animation.channels}
+    data["nodes"] = _as_trs(data["nodes"], animated)
+    for animation in animations:
+        data, binary = _append(data, binary, animation)
+    return glb(data, binary)
+
+
+def _append(data: dict[str, Any], binary: bytes, animation: Animation) -> tuple[dict[str, Any], bytes]:
+    """Returns the JSON and the binary chunk of a packed file with one more animation."""
+    keys, accessors = _keys(animation.channels, animation.fps)
+    views, before, old = (data.get(name, []) for name in ("bufferViews", "accessors", "animations"))
+    name = _unused_name(animation.name, [each.get("name") for each in old])
+    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(keys)}
+    binary += keys
+    changed = {
+        "buffers": [{**_first(data.get("buffers")), "byteLength": len(binary)}, *data.get("buffers", [])[1:]],
+        "bufferViews": [*views, view],
+        "accessors": [*before, *({"bufferView": len(views), **accessor} for accessor in accessors)],
+        "animations": [*old, _animation(animation.channels, len(before), name)],
+    }
+    return {**data, **changed}, binary
 
 
 def glb(data: dict[str, Any], binary: bytes) -> bytes:
