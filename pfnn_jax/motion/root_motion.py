@@ -20,8 +20,8 @@ import numpy as np
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.ground import facing_of, to_local, to_world, turn, wrap_angle, yaw_of
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.kinematics import positions_of, quat_from_yaw, quat_multiply
-from pfnn_jax.motion.skeleton import need_roles
 
 SMOOTHING_SECONDS = 0.5
 """Standard deviation of the Gaussian that smooths the root: of a sway at one stride a second it leaves one per cent."""
@@ -56,7 +56,7 @@ def split_root(clip: MotionClip) -> tuple[RootMotion, MotionClip]:
     Moving each frame of the second by the first (`join_root`) gives the clip again.
 
     Raises:
-        InputError: for a skeleton without roles, which show where the body faces.
+        InputError: for a skeleton without humanoid map, which shows where the body faces.
     """
     path, yaw = _closed_root(clip) if is_cycle(clip) else _smooth_root(clip)
     local = to_local(clip.root_positions - path, facing_of(yaw))
@@ -135,9 +135,10 @@ def _smooth(values: np.ndarray, sigma: float) -> np.ndarray:
 
 def _hips_and_yaw(clip: MotionClip) -> tuple[np.ndarray, np.ndarray]:
     """Returns the hips [T, 3] in metres and the continuous yaw [T] in radians to which hips and shoulders face."""
-    roles = need_roles(clip.skeleton, clip.source or "clip")
-    joints = [roles.hips, roles.left_hip, roles.right_hip, roles.left_shoulder, roles.right_shoulder]
-    positions = positions_of(joints, clip.skeleton, clip.root_positions, clip.rotations)
-    across = positions[:, 1] - positions[:, 2] + positions[:, 3] - positions[:, 4]
+    body = need_humanoid(clip.skeleton, clip.source or "clip")
+    pairs = [(body.left_thigh, body.right_thigh), (body.left_upper_arm, body.right_upper_arm)]
+    joints = [joint for pair in pairs for joint in pair if joint is not None]
+    positions = positions_of([body.hips, *joints], clip.skeleton, clip.root_positions, clip.rotations)
+    across = np.sum(positions[:, 1::2] - positions[:, 2::2], axis=1)
     forward = np.cross(across, (0.0, 1.0, 0.0))
     return positions[:, 0], np.unwrap(yaw_of(forward[:, [0, 2]]))

@@ -44,7 +44,7 @@ class Sampled:
 
     Attributes:
         positions: [times, nodes, 3] in the scene.
-        lowest: [times] height of the lowest vertex.
+        lowest: [times] height of the lowest vertex, if it was asked for: every vertex is posed in JavaScript.
         clips: name and duration in seconds of each clip.
     """
 
@@ -79,9 +79,11 @@ class Three:
         self._files[name] = path
         return name
 
-    def sample(self, path: Path, clip: str, times: np.ndarray, nodes: Sequence[int]) -> Sampled:
+    def sample(
+        self, path: Path, clip: str, times: np.ndarray, nodes: Sequence[int], *, lowest: bool = False
+    ) -> Sampled:
         """Returns where three.js puts nodes at some times of a clip."""
-        given = [self._serve(path), clip, [float(t) for t in times], [int(n) for n in nodes]]
+        given = [self._serve(path), clip, [float(t) for t in times], [int(n) for n in nodes], lowest]
         found = self._page.evaluate("given => window.sample(...given)", given)
         clips = [(name, seconds) for name, seconds in found["clips"]]
         return Sampled(np.array(found["positions"]), np.array(found["lowest"]), clips)

@@ -2,13 +2,9 @@
 import * as THREE from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 
-// Returns the file with its clip of this name ready to be set to any time, and its objects by the number of their node.
+// Returns the file and a function that sets its clip of this name to a time.
 async function open(url, name) {
   const gltf = await new GLTFLoader().loadAsync(url);
-  const nodes = new Map();
-  for (const [object, { nodes: number }] of gltf.parser.associations) {
-    if (object.isObject3D && number !== undefined && !nodes.has(number)) nodes.set(number, object);
-  }
   const mixer = new THREE.AnimationMixer(gltf.scene);
   const clip = gltf.animations.find((each) => each.name === name);
   const setTime = (seconds) => {
@@ -21,18 +17,19 @@ async function open(url, name) {
     action.clampWhenFinished = true;
     action.play();
   }
-  return { gltf, nodes, clip, setTime };
+  return { gltf, setTime };
 }
 
-// Returns world positions [times][numbers][3] of nodes, the height of the lowest vertex at each time, and names and
-// durations of the clips.
-window.sample = async (url, name, times, numbers) => {
-  const { gltf, nodes, setTime } = await open(url, name);
+// Returns world positions [times][numbers][3] of nodes, the height of the lowest vertex at each time if `lowest`, and
+// names and durations of the clips.
+window.sample = async (url, name, times, numbers, vertices) => {
+  const { gltf, setTime } = await open(url, name);
+  const nodes = await Promise.all(numbers.map((number) => gltf.parser.getDependency('node', number)));
   const positions = [], lowest = [];
   for (const time of times) {
     setTime(time);
-    positions.push(numbers.map((number) => nodes.get(number).getWorldPosition(new THREE.Vector3()).toArray()));
-    lowest.push(new THREE.Box3().setFromObject(gltf.scene, true).min.y);
+    positions.push(nodes.map((node) => node.getWorldPosition(new THREE.Vector3()).toArray()));
+    if (vertices) lowest.push(new THREE.Box3().setFromObject(gltf.scene, true).min.y);
   }
   return { positions, lowest, clips: gltf.animations.map((each) => [each.name, each.duration]) };
 };

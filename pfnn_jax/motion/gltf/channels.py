@@ -27,7 +27,6 @@ from pfnn_jax.motion.kinematics import (
     quat_to_matrix,
 )
 from pfnn_jax.motion.root_motion import RootMotion
-from pfnn_jax.motion.skeleton import rest_pose
 
 SAME_PLACE = 1e-4
 """Leg lengths by which a joint may be off where no translation is keyed."""
@@ -87,12 +86,12 @@ def _wanted(
     skeleton = character.skeleton
     positions, rotations = forward_kinematics(skeleton, clip.root_positions, clip.rotations)
     rotations = quat_multiply(rotations, character.bind_rotations)
-    rest, wanted = rest_pose(skeleton), {}
+    wanted = {}
     below, above = _below(skeleton.parents, body.hips), _above(skeleton.parents, body.hips)
     for joint in (*above, *below):
         place, turn = positions[:, joint], rotations[:, joint]
         if joint in above:  # they stand as in the bind pose
-            place, turn = rest[None, joint], character.bind_rotations[None, joint]
+            place, turn = character.bind_positions[None, joint], character.bind_rotations[None, joint]
         wanted[int(character.nodes[joint])] = _moved(character, root, place, turn)
     return wanted
 

@@ -60,7 +60,8 @@ def new_character(skeleton: Skeleton, mesh: SkinnedMesh) -> Character:
     document = Document(*_document(skeleton, mesh), path=Path("body.glb"))
     placement = Placement(1.0, _IDENTITY, np.zeros(3))
     nodes = 1 + np.arange(skeleton.num_joints)
-    return Character(document, skeleton, nodes, np.tile(_IDENTITY, (skeleton.num_joints, 1)), placement, ())
+    rotations = np.tile(_IDENTITY, (skeleton.num_joints, 1))
+    return Character(document, skeleton, nodes, rotations, placement, mesh.bind_positions)
 
 
 class _Binary:
