@@ -15,7 +15,7 @@ import struct
 import urllib.parse
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeGuard
 
 from pfnn_jax.errors import InputError
 
@@ -40,7 +40,7 @@ READABLE = frozenset(
         "EXT_texture_webp", "KHR_lights_punctual", "VRM", "VRMC_vrm", "VRMC_vrm_animation",
     )
 )  # fmt: skip
-"""Extensions that a file may require: they change nothing that is read of it. Those of materials may be required too."""
+"""Extensions that a file may require, with those of materials: they change nothing that is read of it."""
 
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
@@ -102,7 +102,7 @@ def read_document(path: str | Path) -> Document:
     return Document(path, document.json, binary, _buffers(document))
 
 
-def is_index(value: Any, count: int) -> bool:
+def is_index(value: Any, count: int) -> TypeGuard[int]:
     """Returns whether a value of the JSON is a whole number from 0 up to `count`."""
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count
 
@@ -133,18 +133,18 @@ def _chunks(path: Path, raw: bytes) -> tuple[bytes, bytes]:
     if length > len(raw):
         found = f"{len(raw)} of {length} bytes"
         raise InputError(path, "header", found, "must be whole: the file is cut off")
-    found: list[tuple[bytes, bytes]] = []
+    chunks: list[tuple[bytes, bytes]] = []
     at = _HEADER.size
     while at + _CHUNK.size <= length:
         size, kind = _CHUNK.unpack_from(raw, at)
         at += _CHUNK.size
         if size > length - at:
-            raise InputError(path, f"chunk {len(found)}", f"{size} bytes", f"only {length - at} follow in the file")
-        found.append((kind, raw[at : at + size]))
+            raise InputError(path, f"chunk {len(chunks)}", f"{size} bytes", f"only {length - at} follow in the file")
+        chunks.append((kind, raw[at : at + size]))
         at += size
-    if not found or found[0][0] != b"JSON":
-        raise InputError(path, "chunk 0", shown(found[0][0]) if found else "missing", "must be JSON")
-    return found[0][1], next((data for kind, data in found[1:2] if kind == b"BIN\0"), b"")
+    if not chunks or chunks[0][0] != b"JSON":
+        raise InputError(path, "chunk 0", shown(chunks[0][0]) if chunks else "missing", "must be JSON")
+    return chunks[0][1], next((data for kind, data in chunks[1:2] if kind == b"BIN\0"), b"")
 
 
 def _parse(path: Path, text: bytes) -> dict[str, Any]:
