@@ -111,7 +111,9 @@ def bind_matrices(tree: NodeTree, skins: list[Skin], mesh_nodes: list[int | None
     return bind
 
 
-def _carried(tree: NodeTree, known: dict[int, np.ndarray], joints: set[int], world: np.ndarray) -> dict[int, np.ndarray]:
+def _carried(
+    tree: NodeTree, known: dict[int, np.ndarray], joints: set[int], world: np.ndarray
+) -> dict[int, np.ndarray]:
     """Returns the bind matrices of joints that have none of their own, where a joint that has one is close below them.
 
     Args:
