@@ -28,7 +28,7 @@ from pfnn_jax.motion.kinematics import (
 )
 from pfnn_jax.motion.root_motion import RootMotion
 
-SAME_PLACE = 1e-4
+SAME_PLACE = 3e-5
 """Leg lengths by which a joint may be off where no translation is keyed."""
 
 SAME_ROTATION = 1e-4
