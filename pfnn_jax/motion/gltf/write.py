@@ -56,8 +56,8 @@ def character_bytes(character: Character, clips: Mapping[str, MotionClip], *, ro
 def new_character(skeleton: Skeleton, mesh: SkinnedMesh) -> Character:
     """Returns a character without clips: a joint on the ground, the skeleton under it, and its body.
 
-    The pose of its nodes is that in which the mesh was made, with its lowest vertex on the ground and the hips above the
-    origin.
+    The pose of its nodes is that in which the mesh was made, with its lowest vertex on the ground and the hips above
+    the origin.
     """
     mesh = _grounded(skeleton, mesh)
     data, binary = _document(skeleton, mesh)
