@@ -25,6 +25,7 @@ READING = (
     "label-phase",
     "plot-phase",
     "render",
+    "retarget",
     "transfer",
     "train-transfer",
 )

@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from pfnn_jax.benchmarks.characters import rigged_figures
 from pfnn_jax.benchmarks.crowds import crowd_figures
 from pfnn_jax.benchmarks.lpn import (
     generator_config,
@@ -131,6 +132,7 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
     sections["crowds"] = lambda: crowd_figures(config.hidden, config.characters, few)
     sections |= _sections_2022(config)
     sections |= _sections_transfer(config)
+    sections["rigged characters"] = lambda: rigged_figures(few)
     sections["preparation"] = lambda: preparation_figures(config.mocap, config.seconds_per_style, few)
     # Last, because it clears the caches of compiled functions.
     sections["few-shot learning"] = lambda: few_shot_figures(

@@ -41,9 +41,8 @@ class MotionFile:
 
             require_suffix(self.onto, ONTO)
             if kind == ".vrma":
-                raise InputError(
-                    "command line", "onto", self.onto, "a .vrma file fits every VRM character: leave it out"
-                )
+                rule = "a .vrma file fits every VRM character: leave it out"
+                raise InputError("command line", "onto", self.onto, rule)
             if kind == ".vrm" and target != ".vrm":
                 raise InputError(out, "suffix", kind, "must be .glb: only a VRM character becomes a VRM file")
             read_any_skeleton(self.onto)  # refuses what is no humanoid before anything long begins

@@ -83,11 +83,9 @@ def is_cycle(clip: MotionClip) -> bool:
     first, last = clip.rotations[0], clip.rotations[-1]
     if clip.num_frames < 3 or abs(clip.root_positions[-1, 1] - clip.root_positions[0, 1]) > SAME_ROTATION:
         return False
-    again = quat_multiply(quat_from_yaw(_turn_between(first[0], last[0])), first[0])
-    apart = 1.0 - np.abs(
-        np.sum(np.concatenate([again[None], first[1:]]) * np.concatenate([last[:1], last[1:]]), axis=-1)
-    )
-    return bool(np.all(apart <= SAME_ROTATION))
+    again = first.copy()
+    again[0] = quat_multiply(quat_from_yaw(_turn_between(first[0], last[0])), first[0])
+    return bool(np.all(1.0 - np.abs(np.sum(again * last, axis=-1)) <= SAME_ROTATION))
 
 
 def cycle_yaw(clip: MotionClip) -> float:

@@ -1,4 +1,5 @@
 from .base import base_run as base_run
+from .characters import put_onto as put_onto
 from .generate import generate_clip as generate_clip
 from .learn import learn_style as learn_style
 from .learn import tune_style as tune_style

@@ -6,7 +6,6 @@ import json
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,21 +39,6 @@ def validate() -> Callable[[Sequence[Path]], dict[Path, set[tuple[str, str]]]]:
     return run
 
 
-@dataclass
-class Sampled:
-    """A file opened by three.js at some times.
-
-    Attributes:
-        positions: [times, nodes, 3] in the scene.
-        lowest: [times] height of the lowest vertex, if it was asked for: every vertex is posed in JavaScript.
-        clips: name and duration in seconds of each clip.
-    """
-
-    positions: np.ndarray
-    lowest: np.ndarray
-    clips: list[tuple[str, float]]
-
-
 class Three:
     """A page with three.js that opens GLB files."""
 
@@ -81,14 +65,17 @@ class Three:
         self._files[name] = path
         return name
 
-    def sample(
-        self, path: Path, clip: str, times: np.ndarray, nodes: Sequence[int], *, lowest: bool = False
-    ) -> Sampled:
-        """Returns where three.js puts nodes at some times of a clip."""
-        given = [self._serve(path), clip, [float(t) for t in times], [int(n) for n in nodes], lowest]
+    def sample(self, path: Path, clips: dict[str, np.ndarray], nodes: Sequence[int]) -> dict[str, np.ndarray]:
+        """Returns where three.js puts nodes [T, n, 3] of a file at the times [T] of each of its clips."""
+        asked = [[name, [float(time) for time in times]] for name, times in clips.items()]
+        given = [self._serve(path), asked, [int(node) for node in nodes]]
         found = self._page.evaluate("given => window.sample(...given)", given)
-        clips = [(name, seconds) for name, seconds in found["clips"]]
-        return Sampled(np.array(found["positions"]), np.array(found["lowest"]), clips)
+        return {name: np.array(places) for name, places in zip(clips, found["positions"], strict=True)}
+
+    def durations(self, path: Path) -> dict[str, float]:
+        """Returns name and seconds of each clip of a file."""
+        found = self._page.evaluate("given => window.sample(...given)", [self._serve(path), [], []])
+        return dict(found["clips"])
 
     def draw(self, path: Path, clip: str, times: Sequence[float], size: tuple[int, int], **view: float) -> bytes:
         """Returns a PNG with one picture of the clip for each time."""

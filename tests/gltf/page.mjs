@@ -2,42 +2,47 @@
 import * as THREE from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 
-// Returns the file and a function that sets its clip of this name to a time.
-async function open(url, name) {
+// Returns the file and a function that sets one of its clips to a time.
+async function open(url) {
   const gltf = await new GLTFLoader().loadAsync(url);
   const mixer = new THREE.AnimationMixer(gltf.scene);
-  const clip = gltf.animations.find((each) => each.name === name);
-  const setTime = (seconds) => {
-    if (clip) mixer.setTime(seconds);
-    gltf.scene.updateMatrixWorld(true);
+  const play = (name) => {
+    const clip = gltf.animations.find((each) => each.name === name);
+    mixer.stopAllAction();
+    if (clip) {
+      const action = mixer.clipAction(clip);
+      action.setLoop(THREE.LoopOnce);
+      action.clampWhenFinished = true;
+      action.play();
+    }
+    return (seconds) => {
+      if (clip) mixer.setTime(seconds);
+      gltf.scene.updateMatrixWorld(true);
+    };
   };
-  if (clip) {
-    const action = mixer.clipAction(clip);
-    action.setLoop(THREE.LoopOnce);
-    action.clampWhenFinished = true;
-    action.play();
-  }
-  return { gltf, setTime };
+  return { gltf, play };
 }
 
-// Returns world positions [times][numbers][3] of nodes, the height of the lowest vertex at each time if `lowest`, and
-// names and durations of the clips.
-window.sample = async (url, name, times, numbers, vertices) => {
-  const { gltf, setTime } = await open(url, name);
+// Returns for each clip [name, times] the world positions [times][numbers][3] of nodes, and names and durations of all
+// clips of the file.
+window.sample = async (url, clips, numbers) => {
+  const { gltf, play } = await open(url);
   const nodes = await Promise.all(numbers.map((number) => gltf.parser.getDependency('node', number)));
-  const positions = [], lowest = [];
-  for (const time of times) {
-    setTime(time);
-    positions.push(nodes.map((node) => node.getWorldPosition(new THREE.Vector3()).toArray()));
-    if (vertices) lowest.push(new THREE.Box3().setFromObject(gltf.scene, true).min.y);
-  }
-  return { positions, lowest, clips: gltf.animations.map((each) => [each.name, each.duration]) };
+  const positions = clips.map(([name, times]) => {
+    const setTime = play(name);
+    return times.map((time) => {
+      setTime(time);
+      return nodes.map((node) => node.getWorldPosition(new THREE.Vector3()).toArray());
+    });
+  });
+  return { positions, clips: gltf.animations.map((each) => [each.name, each.duration]) };
 };
 
 // Draws the file at each of some times on one strip, seen from `azimuth` degrees to the left of +Z, and returns nothing.
 // A picture has size [width, height]; the camera follows the body with `reach` times its height in view.
 window.draw = async (url, name, times, [width, height], azimuth = 35, reach = 1.25) => {
-  const { gltf, setTime } = await open(url, name);
+  const { gltf, play } = await open(url);
+  const setTime = play(name);
   const canvas = document.getElementById('canvas');
   const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
   renderer.setSize(width * times.length, height);

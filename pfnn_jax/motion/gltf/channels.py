@@ -1,9 +1,9 @@
 """Turns a motion of a character into keys of the nodes of its file.
 
-World transforms of the joints become local ones of each node's real parent in the file. Where the file's tree is not the
-skeleton's (feet that are children of the root), where a node was left in the middle of another clip, or where scales
-stand above the joints, the keys that are needed follow by themselves: a property is keyed if the pose of the file would
-put the joint elsewhere.
+World transforms of the joints become local ones of each node's real parent in the file. Where the file's tree is not
+the skeleton's (feet that are children of the root), where a node was left in the middle of another clip, or where
+scales stand above the joints, the keys that are needed follow by themselves: a property is keyed if the pose of the
+file would put the joint elsewhere.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pfnn_jax.motion.kinematics import (
 )
 from pfnn_jax.motion.root_motion import RootMotion
 
-SAME_PLACE = 1e-4
+SAME_PLACE = 3e-5
 """Leg lengths by which a joint may be off where no translation is keyed."""
 
 SAME_ROTATION = 1e-4
@@ -82,7 +82,7 @@ def clip_channels(character: Character, clip: MotionClip, root: RootMotion | Non
 def _wanted(
     character: Character, clip: MotionClip, body: HumanoidMap, root: RootMotion | None
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Returns world positions and rotations in the scene of the nodes of the hips and all below, and of joints above."""
+    """Returns world positions and rotations in the scene of the hips, all joints below them and those above."""
     skeleton = character.skeleton
     positions, rotations = forward_kinematics(skeleton, clip.root_positions, clip.rotations)
     rotations = quat_multiply(rotations, character.bind_rotations)

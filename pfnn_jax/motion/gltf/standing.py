@@ -1,4 +1,4 @@
-"""Tells a character's skeleton how it stands in its bind pose, whose ground is y = 0: the retargeter puts feet there."""
+"""Adds to a character's skeleton how it stands in its bind pose, whose ground is y = 0: feet are put there."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pfnn_jax.motion.retargeting.body import SIDES, limb
 from pfnn_jax.motion.skeleton import Skeleton
 
 ANKLE_SHARE = 0.09
-"""Height of an ankle above the ground over the height of the knee, where a leg has none; people's is 0.13 with bare feet
-and simple figures' less."""
+"""Height of an ankle above the ground over the height of the knee, where a leg has none; people's is 0.13 with bare
+feet, and simple figures' less."""
 
 
 def with_ground(skeleton: Skeleton, bind_positions: np.ndarray) -> Skeleton:

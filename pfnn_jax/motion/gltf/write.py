@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,14 +56,23 @@ def character_bytes(character: Character, clips: Mapping[str, MotionClip], *, ro
 def new_character(skeleton: Skeleton, mesh: SkinnedMesh) -> Character:
     """Returns a character without clips: a joint on the ground, the skeleton under it, and its body.
 
-    The pose of its nodes is that in which the mesh was made.
+    The pose of its nodes is that in which the mesh was made, with its lowest vertex on the ground and the hips above
+    the origin.
     """
+    mesh = _grounded(skeleton, mesh)
     data, binary = _document(skeleton, mesh)
     document = Document(Path("body.glb"), data, binary, (binary,))
     placement = Placement(1.0, _IDENTITY, np.zeros(3))
     nodes = 1 + np.arange(skeleton.num_joints)
     rotations = np.tile(_IDENTITY, (skeleton.num_joints, 1))
     return Character(document, skeleton, nodes, mesh.bind_positions, rotations, placement, ())
+
+
+def _grounded(skeleton: Skeleton, mesh: SkinnedMesh) -> SkinnedMesh:
+    """Returns the mesh moved such that it stands on the ground above the origin."""
+    hips = 0 if skeleton.humanoid is None else skeleton.humanoid.hips
+    place = mesh.bind_positions[hips] * np.array([1.0, 0.0, 1.0]) + np.array([0.0, mesh.vertices[:, 1].min(), 0.0])
+    return replace(mesh, vertices=mesh.vertices - place, bind_positions=mesh.bind_positions - place)
 
 
 class _Binary:

@@ -29,6 +29,7 @@ def with_ankles(skeleton: Skeleton, body: HumanoidMap) -> tuple[Skeleton, Humano
     body = replace(body, **{name: count + number for number, name in enumerate(added)})
     shins, offsets = (np.array(values) for values in zip(*added.values(), strict=True))
     unit = np.array([[1.0, 0.0, 0.0, 0.0]])
+    reference = skeleton.reference
     extended = replace(
         skeleton,
         names=(*skeleton.names, *added),
@@ -37,9 +38,7 @@ def with_ankles(skeleton: Skeleton, body: HumanoidMap) -> tuple[Skeleton, Humano
         mirror=np.append(skeleton.mirror, [count + 1, count]),
         humanoid=body,
         poses=None if skeleton.poses is None else _with_rows(skeleton.poses, unit),
-        reference=None
-        if skeleton.reference is None
-        else np.concatenate([skeleton.reference, skeleton.reference[shins]]),
+        reference=None if reference is None else np.concatenate([reference, reference[shins]]),
     )
     return extended, body
 

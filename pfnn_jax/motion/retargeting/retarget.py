@@ -132,14 +132,15 @@ def make_retargeter(
         InputError: as `retarget`.
     """
     file = (clip.source if clip is not None else "") or "clip"
-    source_map = humanoid_of(source, file) if source_map is None else source_map
+    source_map = need_humanoid(source, file) if source_map is None else source_map
     standing, target_map = _with_feet(target, target_map)
-    lengths = [leg_length_of(source, source_map), leg_length_of(standing, target_map)]
+    lengths = [leg_length_of(*with_ankles(source, source_map)), leg_length_of(standing, target_map)]
     if not min(lengths) > 0:
         raise InputError(file, "skeleton", "a leg of no length", "hips, knees and ankles must be apart")
     scale = lengths[1] / lengths[0]
     if same_bones(source, target, scale) and same_floor(source, target, scale):
         return Retargeter(source, target, scale)
+    humanoid_of(replace(source, humanoid=source_map), file)  # refuses what has no feet to follow
     references = _source_reference(source, source_map, clip), reference_pose(standing, target_map)
     feet = _flat_feet(source, standing, source_map, target_map, references, clip)
     wider = _wider(source, standing, source_map, target_map, scale, lengths[1])

@@ -1,0 +1,94 @@
+"""Motion onto characters and rigs from the command line: every kind of file, and bad input as one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pfnn_jax.cli import main
+from pfnn_jax.motion.bvh import read_bvh, read_whole, write_bvh
+from pfnn_jax.motion.clip_files import read_clip
+from pfnn_jax.motion.reading import ReadOptions
+from pfnn_jax.motion.synthetic.samples import SAMPLES, make_sample
+from pfnn_jax.motion.synthetic.walks import synthesise
+
+STAYS = 0.35  # metres that hips sway on the spot
+TRAVELS = 2.0  # metres
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A walk, our own body as a character, and a rig in metres."""
+    folder = tmp_path_factory.mktemp("retarget")
+    frames = np.zeros(180)
+    write_bvh(folder / "walk.bvh", synthesise("proud", frames, frames + 1.2)[0])
+    write_bvh(folder / "rig.bvh", make_sample(SAMPLES["soldier"]), unit=1.0)
+    run("retarget", folder / "walk.bvh", "--out", folder / "character.glb", "--name", "first")
+    return folder
+
+
+def run(*words: object) -> None:
+    main([str(word) for word in words])
+
+
+def travel_of(path: Path, clip_name: str | None = None) -> float:
+    """Returns how far the hips get from where they begin, in metres."""
+    places = read_clip(path, travel="keep", clip_name=clip_name).root_positions[:, [0, 2]]
+    return float(np.linalg.norm(places - places[0], axis=-1).max())
+
+
+def test_a_character_gets_one_more_clip_in_place(folder):
+    run("retarget", folder / "walk.bvh", "--onto", folder / "character.glb", "--out", folder / "more.glb", "--loop")
+    assert travel_of(folder / "more.glb", clip_name="first") < STAYS
+    assert travel_of(folder / "more.glb", clip_name="walk") < STAYS
+
+
+def test_root_motion_travels(folder):
+    run("retarget", folder / "walk.bvh", "--out", folder / "travels.glb", "--root-motion")
+    assert travel_of(folder / "travels.glb") > TRAVELS
+
+
+def test_a_rig_becomes_a_bvh_file_in_its_own_unit(folder):
+    run("retarget", folder / "walk.bvh", "--onto", folder / "rig.bvh", "--out", folder / "onto.bvh")
+    clip, rig = read_bvh(folder / "onto.bvh"), read_bvh(folder / "rig.bvh")
+    assert clip.skeleton.names == rig.skeleton.names
+    raw = [read_whole(folder / name, ReadOptions(unit=1.0)).skeleton.offsets for name in ("onto.bvh", "rig.bvh")]
+    np.testing.assert_allclose(raw[0], raw[1], atol=1e-5)  # six decimals
+
+
+def test_a_mannequin_is_grown_on_a_rig(folder):
+    run("retarget", folder / "walk.bvh", "--onto", folder / "rig.bvh", "--out", folder / "grown.glb")
+    assert set(read_bvh(folder / "rig.bvh").skeleton.names) <= set(read_clip(folder / "grown.glb").skeleton.names)
+
+
+def test_a_vrm_animation_is_written_without_a_character(folder):
+    run("retarget", folder / "walk.bvh", "--out", folder / "walk.vrma")
+    assert travel_of(folder / "walk.vrma") < STAYS
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        (("--out", "walk.fbx"), "suffix"),
+        (("--out", "absent/walk.glb"), "folder"),
+        (("--out", "character.glb"), "output"),
+        (("--out", "new.vrm"), "suffix"),
+        (("--out", "new.vrm", "--onto", "character.glb"), "suffix"),
+        (("--out", "new.vrma", "--onto", "character.glb"), "onto"),
+        (("--out", "new.glb", "--onto", "absent.glb"), "file"),
+        (("--out", "new.glb", "--onto", "walk.txt"), "suffix"),
+        (("--out", "new.glb", "--onto", "cut.glb"), "header"),
+    ],
+)
+def test_bad_input_ends_in_one_line_and_writes_nothing(folder, capsys, monkeypatch, words, place):
+    monkeypatch.chdir(folder)
+    Path("cut.glb").write_bytes(Path("character.glb").read_bytes()[:1000])
+    before = sorted(folder.iterdir())
+    with pytest.raises(SystemExit) as stopped:
+        run("retarget", "walk.bvh", *words)
+    assert stopped.value.code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and f": {place}: " in lines[0], lines
+    assert sorted(folder.iterdir()) == before
