@@ -26,6 +26,7 @@ from pfnn_jax.viewer.draw.palette import (
     SCENE_SIDES,
     SKY,
 )
+from pfnn_jax.viewer.page.outfit import Fitting, Outfit, height_of
 from pfnn_jax.viewer.page.skinned_body import SkinnedBody
 from pfnn_jax.viewer.page.view import View
 
@@ -96,7 +97,10 @@ class PageScene:
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
-        self._skeleton: Skeleton | None = None
+        self._own: Skeleton | None = None
+        self._outfit: Outfit | None = None
+        self._fitting: Fitting | None = None
+        self._skeleton: Skeleton | None = None  # of what is drawn
         self._body: SkinnedBody | None = None
         self._parts: list[Any] = []
         self._zoom = 1.0
@@ -124,6 +128,16 @@ class PageScene:
         )
 
     @property
+    def outfit(self) -> Outfit | None:
+        """The character that is worn."""
+        return self._outfit
+
+    @property
+    def _travel(self) -> float:
+        """Factor on the ground covered by the character that is driven."""
+        return 1.0 if self._fitting is None else self._fitting.retargeter.scale
+
+    @property
     def origin(self) -> np.ndarray:
         """Point of the ground [2] in metres that is drawn in the middle."""
         return self._origin.value
@@ -133,34 +147,43 @@ class PageScene:
         """Direction in radians about +Y that is drawn as ahead."""
         return float(self._yaw.value)
 
-    def set_skeleton(
-        self,
-        skeleton: Skeleton,
-        mesh: SkinnedMesh | None = None,
-        carriers: np.ndarray | None = None,
-        zoom: float = 1.0,
-    ) -> None:
-        """Replaces the body.
+    def set_skeleton(self, skeleton: Skeleton) -> None:
+        """Sets the skeleton of the views that follow, and draws its body unless another is worn."""
+        self._own = skeleton
+        self.wear(self._outfit)
 
-        Args:
-            skeleton: of the views that follow.
-            mesh: the body; by default the one grown around the skeleton.
-            carriers: as in `split_mesh`.
-            zoom: factor on all that is drawn, with which a body of another height fills as much of the picture.
+    def wear(self, outfit: Outfit | None) -> None:
+        """Replaces the body by that of a character, or by the skeleton's own.
+
+        All is drawn so that a body of another height fills as much of the picture.
+
+        Raises:
+            InputError: if the skeleton's motion cannot be put onto the character; nothing has changed then.
         """
-        if self._body is not None:
-            self._body.remove()
-        for part in self._parts:
+        if self._own is None:
+            self._outfit = outfit
+            return
+        fitting, before = None if outfit is None else Fitting(self._own, outfit), self._travel
+        own = grow_body(self._own)
+        if outfit is None or fitting is None:
+            self._show(self._own, own, np.arange(self._own.num_joints), 1.0)
+        else:
+            zoom = height_of(own) / height_of(outfit.mesh)
+            self._show(outfit.skeleton, outfit.mesh, fitting.retargeter.carriers, zoom)
+        self._outfit, self._fitting = outfit, fitting
+        self._origin.jump(self._origin.value * (self._travel / before))
+
+    def _show(self, skeleton: Skeleton, mesh: SkinnedMesh, carriers: np.ndarray, zoom: float) -> None:
+        for part in (*self._parts, *([] if self._body is None else [self._body])):
             part.remove()
         self._zoom = zoom
         self._grid.cell_size, self._grid.section_size = zoom * CELL_SIZE, zoom * SECTION_SIZE
-        self._skeleton = skeleton
-        self._body = SkinnedBody(self._scene, "/world/body", mesh or grow_body(skeleton), carriers, zoom)
-        self._parts = self._tracks(skeleton)
+        self._body = SkinnedBody(self._scene, "/world/body", mesh, carriers, zoom)
+        self._skeleton, self._parts = skeleton, self._tracks(skeleton)
 
     def jump_to(self, view: View) -> None:
         """Moves the following camera to the character at once: at the start, and after a reset."""
-        self._origin.jump(view.root)
+        self._origin.jump(view.root * self._travel)
         if self.turn:
             self._yaw.jump(np.array(view.heading))
 
@@ -171,6 +194,8 @@ class PageScene:
             view: of a character with the skeleton that was set.
             seconds: since the last call.
         """
+        if self._fitting is not None:
+            view = self._fitting.dress(view)
         self._move_camera(view, seconds)
         self._world.wxyz = quat_from_yaw(-self.yaw)
         self._world.position = -self._zoom * self._turned(self.origin)

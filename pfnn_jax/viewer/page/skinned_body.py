@@ -107,6 +107,11 @@ class SkinnedBody:
         carriers: np.ndarray | None = None,
         zoom: float = 1.0,
     ) -> None:
+        # Viser's bone handles compare each value with the last before they queue these messages, which takes four times
+        # as long as all the rest of drawing.
+        from viser._messages import SetBoneOrientationMessage, SetBonePositionMessage
+
+        self._turn, self._shift = SetBoneOrientationMessage, SetBonePositionMessage
         self._zoom = zoom
         self._meshes: list[tuple[Any, np.ndarray]] = []
         for number, piece in enumerate(split_mesh(mesh, carriers)):
@@ -135,11 +140,12 @@ class SkinnedBody:
         shifted = np.abs(positions - self._positions).max(axis=1) > SHIFTED
         self._rotations[turned], self._positions[shifted] = rotations[turned], positions[shifted]
         for handle, bones in self._meshes:
-            for bone, joint in zip(handle.bones, bones, strict=True):
+            send = handle._impl.api._queue_scene_message
+            for bone, joint in enumerate(bones):
                 if turned[joint]:
-                    bone.wxyz = rotations[joint]
+                    send(self._turn(handle.name, bone, tuple(rotations[joint].tolist())))
                 if shifted[joint]:
-                    bone.position = self._zoom * positions[joint]
+                    send(self._shift(handle.name, bone, tuple((self._zoom * positions[joint]).tolist())))
 
     def remove(self) -> None:
         """Removes it from the scene."""
