@@ -15,6 +15,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import moving_minimum
 from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -23,6 +24,7 @@ from pfnn_jax.motion.kinematics import (
     quat_multiply,
     quat_rotate,
 )
+from pfnn_jax.motion.retargeting.ankles import with_ankles
 from pfnn_jax.motion.retargeting.body import (
     FORWARD,
     LEFT,
@@ -127,18 +129,25 @@ def make_retargeter(
     """
     file = (clip.source if clip is not None else "") or "clip"
     source_map = humanoid_of(source, file) if source_map is None else source_map
-    target_map = humanoid_of(target) if target_map is None else target_map
-    lengths = [leg_length_of(source, source_map), leg_length_of(target, target_map)]
+    standing, target_map = _with_feet(target, target_map)
+    lengths = [leg_length_of(source, source_map), leg_length_of(standing, target_map)]
     if not min(lengths) > 0:
         raise InputError(file, "skeleton", "a leg of no length", "hips, knees and ankles must be apart")
     scale = lengths[1] / lengths[0]
     if same_bones(source, target, scale) and same_floor(source, target, scale):
         return Retargeter(source, target, scale)
-    references = _source_reference(source, source_map, clip), reference_pose(target, target_map)
-    feet = _flat_feet(source, target, source_map, target_map, references, clip)
-    return Retargeter(
-        source, target, scale, Bodies(source_map, target_map, *references, tuple(zip(*feet, strict=True)))
-    )
+    references = _source_reference(source, source_map, clip), reference_pose(standing, target_map)
+    feet = _flat_feet(source, standing, source_map, target_map, references, clip)
+    bodies = Bodies(standing, source_map, target_map, *references, tuple(zip(*feet, strict=True)))
+    return Retargeter(source, target, scale, bodies)
+
+
+def _with_feet(target: Skeleton, body: HumanoidMap | None) -> tuple[Skeleton, HumanoidMap]:
+    """Returns the target with ankles and its map; see `with_ankles`."""
+    if body is None:
+        body = need_humanoid(target)
+    standing, body = with_ankles(target, body)
+    return standing, humanoid_of(replace(standing, humanoid=body))
 
 
 def same_bones(skeleton: Skeleton, other: Skeleton, scale: float = 1.0) -> bool:
@@ -154,11 +163,13 @@ class Bodies:
     """What two different bodies need to take each other's motion.
 
     Attributes:
+        target: the target skeleton with ankles, which come last where it has none of its own.
         source_map, target_map: the humanoid maps.
         source_reference, target_reference: [J, 4] and [K, 4] reference poses.
         feet: the source's and the target's foot, left and right.
     """
 
+    target: Skeleton
     source_map: HumanoidMap
     target_map: HumanoidMap
     source_reference: np.ndarray
@@ -232,7 +243,8 @@ class Retargeter:
             floor: [T] metres below the source's feet.
         """
         assert self.bodies is not None
-        return _retarget(self.target, self.scale, self.bodies, positions, world, self.scale * floor)
+        roots, moved = _retarget(self.bodies, self.scale, positions, world, self.scale * floor)
+        return roots, moved[:, : self.target.num_joints]
 
 
 def place_joints(skeleton: Skeleton, root: np.ndarray, world: np.ndarray) -> np.ndarray:
@@ -251,18 +263,18 @@ def place_joints(skeleton: Skeleton, root: np.ndarray, world: np.ndarray) -> np.
 
 
 def _retarget(
-    target: Skeleton, scale: float, bodies: Bodies, positions: np.ndarray, world: np.ndarray, floor: np.ndarray
+    bodies: Bodies, scale: float, positions: np.ndarray, world: np.ndarray, floor: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns root positions [T, 3] and world rotations [T, K, 4]; see `Retargeter.world_poses`.
 
     Args:
-        target: K joints.
+        bodies: both bodies; the target's has K joints.
         scale: of travel.
-        bodies: both bodies.
         positions, world: [T, J, 3] and [T, J, 4] of the source.
         floor: [T] metres below the target's feet.
     """
-    source_map, target_map, reference = bodies.source_map, bodies.target_map, bodies.target_reference
+    target, reference = bodies.target, bodies.target_reference
+    source_map, target_map = bodies.source_map, bodies.target_map
     turns = part_turns(quat_multiply(world, quat_conjugate(bodies.source_reference)), source_map, target_map)
     moved = np.empty((len(world), target.num_joints, 4))
     parts = list(turns)
