@@ -226,7 +226,7 @@ class Retargeter:
             return np.arange(self.target.num_joints)
         source, target = self.bodies.source_map, self.bodies.target_map
         still = np.zeros((1, self.source.num_joints, 4))
-        return _carriers(self.target, target, set(part_turns(still, source, target)))
+        return _carriers(self.bodies.target, target, set(part_turns(still, source, target)))[: self.target.num_joints]
 
     def sole_heights(self, positions: np.ndarray) -> np.ndarray:
         """Returns the height [T] in metres of the lower sole of the source in positions [T, J, 3]."""

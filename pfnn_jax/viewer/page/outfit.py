@@ -17,12 +17,16 @@ from typing import NamedTuple
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.gltf.accessors import read_accessor
+from pfnn_jax.motion.clip_files import read_clip
+from pfnn_jax.motion.gltf.animations import Track, clip_names, read_tracks
 from pfnn_jax.motion.gltf.character import read_character
-from pfnn_jax.motion.gltf.container import Document, read_document
+from pfnn_jax.motion.gltf.container import read_document
+from pfnn_jax.motion.gltf.skin import read_mesh
+from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.motion.retargeting.retarget import Retargeter, make_retargeter, stance_frames
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
+from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.uploads import LONGEST, MOST_FRAMES, check_size, style_name, suffix_of
 from pfnn_jax.viewer.page.view import View
 
@@ -44,12 +48,12 @@ class Offer(NamedTuple):
 
     Attributes:
         name: the file's name without suffix, reduced to harmless characters.
-        clip: whether it holds a motion.
+        clips: names of its motions that can be learned from; a BVH file has one, "".
         body: whether it holds a rigged body.
     """
 
     name: str
-    clip: bool
+    clips: tuple[str, ...]
     body: bool
 
 
@@ -79,16 +83,35 @@ def read_offer(filename: str, data: bytes) -> Offer:
         data: the file's bytes.
 
     Raises:
-        InputError: for a file of another kind, one that is too large or malformed, or one with a motion longer than
-            `LONGEST` or of more than `MOST_FRAMES` keys.
+        InputError: for a file of another kind, one that is too large or malformed, or one that holds neither a body nor
+            a motion of `SHORTEST` to `LONGEST` seconds.
     """
     name, suffix = style_name(filename), suffix_of(filename)
     if suffix == ".bvh":
-        return Offer(name, True, False)
+        return Offer(name, ("",), False)
     with _kept(name, suffix, data) as path:
         document = read_document(path)
-        seconds = [_seconds(document, number) for number in range(len(document.items("animations")))]
-        return Offer(name, max(seconds, default=0.0) >= SHORTEST, bool(document.items("skins")))
+        clips = tuple(clip for number, clip in enumerate(clip_names(document)) if _fits(read_tracks(document, number)))
+        if not clips and not document.items("skins"):
+            rule = f"must hold a rigged character, or a motion of {SHORTEST:g} to {LONGEST:g} s"
+            raise InputError(path, "file", "neither body nor motion", rule)
+        return Offer(name, clips, bool(document.items("skins")))
+
+
+def clip_as_bvh(filename: str, data: bytes, clip: str) -> tuple[str, bytes]:
+    """Returns one motion of a glTF file as a BVH file, its name and its bytes.
+
+    Args:
+        filename: as sent by the browser.
+        data: the file's bytes.
+        clip: name of the motion.
+
+    Raises:
+        InputError: as `read_clip`.
+    """
+    name, suffix = style_name(filename), suffix_of(filename)
+    with _kept(name, suffix, data) as path:
+        return f"{name} {style_name(f'{clip}.bvh')}.bvh", bvh_bytes(read_clip(path, ReadOptions(clip_name=clip)))
 
 
 def read_outfit(filename: str, data: bytes) -> Outfit:
@@ -128,17 +151,12 @@ def _kept(name: str, suffix: str, data: bytes) -> Iterator[Path]:
             raise InputError(file, error.place, value, error.rule) from error
 
 
-def _seconds(document: Document, number: int) -> float:
-    """Returns the length of an animation in seconds."""
-    longest = 0.0
-    animation = document.items("animations")[number]
-    for index in {sampler.get("input") for sampler in animation.get("samplers", ()) if isinstance(sampler, dict)}:
-        times = read_accessor(document, index, "SCALAR", f"animations[{number}]")
-        if len(times) > MOST_FRAMES or (len(times) and float(np.max(times)) > LONGEST):
-            rule = f"must be at most {LONGEST:g} s of at most {MOST_FRAMES} keys: cut the clip"
-            raise InputError(document.path, f"animations[{number}]", f"{len(times)} keys", rule)
-        longest = max(longest, float(np.ptp(times)) if len(times) else 0.0)
-    return longest
+def _fits(tracks: list[Track]) -> bool:
+    """Returns whether a motion is neither too short nor too long to be learned from."""
+    times = [track.times for track in tracks if len(track.times)]
+    if not times or max(map(len, times)) > MOST_FRAMES:
+        return False
+    return SHORTEST <= max(float(keys[-1]) for keys in times) - min(float(keys[0]) for keys in times) <= LONGEST
 
 
 class Fitting:

@@ -19,8 +19,9 @@ from pfnn_jax.viewer.page.restyle_panel import RestylePanel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look_from_behind
 from pfnn_jax.viewer.page.style_picker import StylePicker
-from pfnn_jax.viewer.page.uploads import LearnedUpload
+from pfnn_jax.viewer.page.uploads import ACCEPTED, LearnedUpload
 from pfnn_jax.viewer.page.view import View
+from pfnn_jax.viewer.page.wardrobe import Wardrobe
 from pfnn_jax.viewer.page.widgets import CONTACT_SECONDS, FieldChanges, Timeline
 from pfnn_jax.workflows.samples import sample_clips
 
@@ -79,6 +80,7 @@ class Panel:
         )
         self.clicks: queue.Queue[Any] = queue.Queue(QUEUED)
         self.rate = 0.0
+        self.wake = threading.Event()
         self._held, self._heard = "", -math.inf
         self._look: float | None = None
         self._walked = (character.run, character.shares)
@@ -88,6 +90,7 @@ class Panel:
         with self._gui.add_folder("Style"):
             self._picker = StylePicker(self._gui, library, character)
         self._files()
+        self.wardrobe = Wardrobe(client, scene, self.clicks, self.wake)
         self.restyle = RestylePanel(client)
         self._gait()
         self._camera()
@@ -204,7 +207,7 @@ class Panel:
         with self._gui.add_folder("Clips"):
             self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Record the motion as a BVH file.")
             self._record.on_click(self._queued(self._record_or_stop))
-            self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
+            self.upload = self._gui.add_upload_button("Upload a clip", mime_type=ACCEPTED)
             hint = "Learn the style of a clip that comes with the package."
             self.samples = self._gui.add_button_group("Try a sample", tuple(sample_clips()), hint=hint)
             self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
