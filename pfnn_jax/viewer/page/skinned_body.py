@@ -16,7 +16,13 @@ if TYPE_CHECKING:
     import viser
 
 MOST_COLOURS = 8
-"""Colours in which a body is drawn; those of a character with more are replaced by their nearest."""
+"""Colours in which a body is drawn, at most."""
+
+MOST_BONES = 63
+"""Bones of all its colours together: viser sends up to 128 messages at once, and a pose in parts would tear. A body
+with textures, where many joints move every colour, is drawn in fewer colours."""
+
+ROUNDS = 8  # of k-means, after which colours hardly change
 
 TURNED, SHIFTED = np.radians(0.01) / 2, 1e-4
 """Change of a bone's quaternion, and of its position in metres, up to which it is not sent."""
@@ -53,18 +59,36 @@ def split_mesh(mesh: SkinnedMesh, carriers: np.ndarray | None = None) -> list[Pi
             are never moved need no bones of their own then.
     """
     carriers = np.arange(len(mesh.bind_positions)) if carriers is None else carriers
-    colours, of_face = _few_colours(mesh.colours[mesh.faces[:, 0]])
     weights = _carried_weights(mesh, carriers)
-    return [_piece(mesh, mesh.faces[of_face == number], weights, colour) for number, colour in enumerate(colours)]
+    of_face = mesh.colours[mesh.faces].astype(float).mean(axis=1)
+    pieces: list[Piece] = []
+    for count in range(MOST_COLOURS, 0, -1):
+        colours, nearest = _few_colours(of_face, count)
+        pieces = [_piece(mesh, mesh.faces[nearest == number], weights, c) for number, c in enumerate(colours)]
+        if sum(len(piece.bones) for piece in pieces) <= MOST_BONES:
+            break
+    return pieces
 
 
-def _few_colours(colours: np.ndarray) -> tuple[list[tuple[int, int, int]], np.ndarray]:
-    """Returns the most frequent colours of faces [F, 3], at most `MOST_COLOURS`, and the nearest of each face [F]."""
-    different, first, counts = np.unique(colours, axis=0, return_inverse=True, return_counts=True)
-    kept = different[np.argsort(-counts, kind="stable")[:MOST_COLOURS]].astype(float)
-    apart = np.linalg.norm(different[:, None].astype(float) - kept, axis=-1)
-    red_green_blue = [(int(colour[0]), int(colour[1]), int(colour[2])) for colour in kept]
-    return red_green_blue, apart.argmin(axis=1)[first.reshape(-1)]
+def _few_colours(colours: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Returns at most some colours [C, 3] for those of faces [F, 3], by k-means, and which of them each face has [F].
+
+    They begin with the most frequent colour, then each with the one that is farthest from all before.
+    """
+    different, inverse, counts = np.unique(colours, axis=0, return_inverse=True, return_counts=True)
+    chosen = different[[np.argmax(counts)]]
+    while len(chosen) < min(most, len(different)):
+        apart = np.linalg.norm(different[:, None] - chosen, axis=-1).min(axis=1)
+        chosen = np.concatenate([chosen, different[[np.argmax(apart)]]])
+    for _ in range(ROUNDS):
+        nearest = np.linalg.norm(different[:, None] - chosen, axis=-1).argmin(axis=1)
+        sums = np.zeros_like(chosen)
+        np.add.at(sums, nearest, different * counts[:, None])
+        total = np.bincount(nearest, counts, len(chosen))[:, None]
+        chosen = np.where(total > 0, sums / np.maximum(total, 1.0), chosen)
+    nearest = np.linalg.norm(different[:, None] - chosen, axis=-1).argmin(axis=1)
+    used, nearest = np.unique(nearest, return_inverse=True)
+    return chosen[used], nearest.reshape(-1)[inverse.reshape(-1)]
 
 
 def _carried_weights(mesh: SkinnedMesh, carriers: np.ndarray) -> np.ndarray:
@@ -77,7 +101,7 @@ def _carried_weights(mesh: SkinnedMesh, carriers: np.ndarray) -> np.ndarray:
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def _piece(mesh: SkinnedMesh, faces: np.ndarray, weights: np.ndarray, colour: tuple[int, int, int]) -> Piece:
+def _piece(mesh: SkinnedMesh, faces: np.ndarray, weights: np.ndarray, colour: np.ndarray) -> Piece:
     used = np.unique(faces)
     places = np.concatenate([np.round(mesh.vertices[used], 5), np.round(mesh.normals[used] / ALIKE)], axis=1)
     _, first, merged = np.unique(places, axis=0, return_index=True, return_inverse=True)
@@ -85,7 +109,8 @@ def _piece(mesh: SkinnedMesh, faces: np.ndarray, weights: np.ndarray, colour: tu
     number[used] = merged.reshape(-1)
     kept = used[first]
     bones = np.flatnonzero(weights[kept].any(axis=0))
-    return Piece(colour, mesh.vertices[kept], number[faces], bones, weights[np.ix_(kept, bones)])
+    red, green, blue = np.rint(colour).astype(int).tolist()
+    return Piece((red, green, blue), mesh.vertices[kept], number[faces], bones, weights[np.ix_(kept, bones)])
 
 
 class SkinnedBody:

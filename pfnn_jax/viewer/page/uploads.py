@@ -43,7 +43,6 @@ LONGEST = 60.0
 LONGEST_NAME = 40
 """Most characters of the file's name that become the style's name."""
 
-CLIP_SUFFIXES = (".bvh", ".glb", ".gltf", ".vrm")
 ACCEPTED = ",".join(CLIP_SUFFIXES)
 """What the browser's dialog offers for an upload button."""
 
