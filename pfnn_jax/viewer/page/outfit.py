@@ -22,7 +22,6 @@ from pfnn_jax.motion.gltf.animations import Track, clip_names, read_tracks
 from pfnn_jax.motion.gltf.character import read_character
 from pfnn_jax.motion.gltf.container import read_document
 from pfnn_jax.motion.gltf.skin import read_mesh
-from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.motion.retargeting.retarget import Retargeter, make_retargeter, stance_frames
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
@@ -111,7 +110,7 @@ def clip_as_bvh(filename: str, data: bytes, clip: str) -> tuple[str, bytes]:
     """
     name, suffix = style_name(filename), suffix_of(filename)
     with _kept(name, suffix, data) as path:
-        return f"{name} {style_name(f'{clip}.bvh')}.bvh", bvh_bytes(read_clip(path, ReadOptions(clip_name=clip)))
+        return f"{name} {style_name(f'{clip}.bvh')}.bvh", bvh_bytes(read_clip(path, clip_name=clip))
 
 
 def read_outfit(filename: str, data: bytes) -> Outfit:

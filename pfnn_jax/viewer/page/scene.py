@@ -101,13 +101,13 @@ class PageScene:
         self._outfit: Outfit | None = None
         self._fitting: Fitting | None = None
         self._skeleton: Skeleton | None = None  # of what is drawn
-        self._body: SkinnedBody | None = None
         self._parts: list[Any] = []
         self._zoom = 1.0
         self.follow, self.turn = True, True
         self._origin, self._yaw = Spring(np.zeros(2), EASE), Spring(np.zeros(()), EASE_TURN)
         self._light()
         self._world = scene.add_frame("/world", show_axes=False)
+        self._body = SkinnedBody(scene, "/world/body")
         # Browsers apply poses of nodes at once, but other changes some pictures later: what is drawn around the
         # character is given relative to it, so that it does not lag behind.
         self._around = scene.add_frame("/world/around", show_axes=False)
@@ -174,11 +174,11 @@ class PageScene:
         self._origin.jump(self._origin.value * (self._travel / before))
 
     def _show(self, skeleton: Skeleton, mesh: SkinnedMesh, carriers: np.ndarray, zoom: float) -> None:
-        for part in (*self._parts, *([] if self._body is None else [self._body])):
+        for part in self._parts:
             part.remove()
         self._zoom = zoom
         self._grid.cell_size, self._grid.section_size = zoom * CELL_SIZE, zoom * SECTION_SIZE
-        self._body = SkinnedBody(self._scene, "/world/body", mesh, carriers, zoom)
+        self._body.show(mesh, carriers, zoom)
         self._skeleton, self._parts = skeleton, self._tracks(skeleton)
 
     def jump_to(self, view: View) -> None:
@@ -199,8 +199,7 @@ class PageScene:
         self._move_camera(view, seconds)
         self._world.wxyz = quat_from_yaw(-self.yaw)
         self._world.position = -self._zoom * self._turned(self.origin)
-        if self._body is not None:
-            self._body.place(view.joints, view.world_rotations)
+        self._body.place(view.joints, view.world_rotations)
         self._lamp.position = self._zoom * self._turned(view.root - self.origin) + np.array(LAMP)
         self._move_ground()
         self._draw_tracks(view)

@@ -114,34 +114,38 @@ def _piece(mesh: SkinnedMesh, faces: np.ndarray, weights: np.ndarray, colour: np
 
 
 class SkinnedBody:
-    """A body in a scene.
+    """A body in a scene, of which another mesh can take the place.
 
     Args:
         scene: the tab's.
         name: of the node that it hangs below.
-        mesh: the body.
-        carriers: as in `split_mesh`.
-        zoom: factor on all positions.
     """
 
-    def __init__(
-        self,
-        scene: viser.SceneApi,
-        name: str,
-        mesh: SkinnedMesh,
-        carriers: np.ndarray | None = None,
-        zoom: float = 1.0,
-    ) -> None:
+    def __init__(self, scene: viser.SceneApi, name: str) -> None:
         # Viser's bone handles compare each value with the last before they queue these messages, which takes four times
         # as long as all the rest of drawing.
         from viser._messages import SetBoneOrientationMessage, SetBonePositionMessage
 
         self._turn, self._shift = SetBoneOrientationMessage, SetBonePositionMessage
-        self._zoom = zoom
-        self._meshes: list[tuple[Any, np.ndarray]] = []
-        for number, piece in enumerate(split_mesh(mesh, carriers)):
-            handle = scene.add_mesh_skinned(
-                f"{name}/{number}",
+        self._scene, self._name, self._zoom = scene, name, 1.0
+        self._nodes: list[Any] = []
+        self._bones: list[np.ndarray] = []
+        self._rotations, self._positions = np.zeros((0, 4)), np.zeros((0, 3))
+
+    def show(self, mesh: SkinnedMesh, carriers: np.ndarray | None = None, zoom: float = 1.0) -> None:
+        """Replaces the body, which stands in its bind pose until `place` is called.
+
+        Nodes take other meshes or are hidden, and never removed: that ends viser's page.
+
+        Args:
+            mesh: the body.
+            carriers: as in `split_mesh`.
+            zoom: factor on all positions.
+        """
+        pieces = split_mesh(mesh, carriers)
+        shown = [
+            self._scene.add_mesh_skinned(
+                f"{self._name}/{number}",
                 zoom * piece.vertices,
                 piece.faces,
                 bone_wxyzs=mesh.bind_rotations[piece.bones],
@@ -150,9 +154,13 @@ class SkinnedBody:
                 color=piece.colour,
                 receive_shadow=False,  # its own shadow would look speckled
             )
-            self._meshes.append((handle, piece.bones))
-        self._rotations = np.array(mesh.bind_rotations, float)
-        self._positions = np.array(mesh.bind_positions, float)
+            for number, piece in enumerate(pieces)
+        ]
+        for node in self._nodes[len(shown) :]:
+            node.visible = False
+        self._nodes = [*shown, *self._nodes[len(shown) :]]
+        self._bones, self._zoom = [piece.bones for piece in pieces], zoom
+        self._rotations, self._positions = np.array(mesh.bind_rotations, float), np.array(mesh.bind_positions, float)
 
     def place(self, positions: np.ndarray, rotations: np.ndarray) -> None:
         """Moves the bones that have moved since they were sent last.
@@ -164,15 +172,10 @@ class SkinnedBody:
         turned = np.abs(rotations - self._rotations).max(axis=1) > TURNED
         shifted = np.abs(positions - self._positions).max(axis=1) > SHIFTED
         self._rotations[turned], self._positions[shifted] = rotations[turned], positions[shifted]
-        for handle, bones in self._meshes:
-            send = handle._impl.api._queue_scene_message
+        send = self._scene._queue_scene_message
+        for node, bones in zip(self._nodes, self._bones, strict=False):
             for bone, joint in enumerate(bones):
                 if turned[joint]:
-                    send(self._turn(handle.name, bone, tuple(rotations[joint].tolist())))
+                    send(self._turn(node.name, bone, tuple(rotations[joint].tolist())))
                 if shifted[joint]:
-                    send(self._shift(handle.name, bone, tuple((self._zoom * positions[joint]).tolist())))
-
-    def remove(self) -> None:
-        """Removes it from the scene."""
-        for handle, _ in self._meshes:
-            handle.remove()
+                    send(self._shift(node.name, bone, tuple((self._zoom * positions[joint]).tolist())))

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import write_whole
+from pfnn_jax.motion.clip_files import CLIP_SUFFIXES
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.run import Run
 from pfnn_jax.run_config import list_styles

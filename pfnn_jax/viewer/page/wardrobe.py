@@ -59,7 +59,7 @@ class Wardrobe:
             self.upload = gui.add_upload_button(WEAR, mime_type=CHARACTERS)
             self._off = gui.add_button("Own body", visible=False, color=rgb(BUTTON))
             self._message = gui.add_html(widgets.message("plain", FIRST_NOTE))
-            self._clip = gui.add_dropdown("Motion", ("",), visible=False)
+            self._clip: Any = gui.add_dropdown("Motion", ("",), visible=False)
             self._learn_it = gui.add_button("Learn its style", visible=False, color=rgb(BUTTON))
             self._wear_it = gui.add_button("Wear it", visible=False, color=rgb(BUTTON))
         self._off.on_click(self._in_thread(self._take_off))
