@@ -147,10 +147,8 @@ class Wardrobe:
         if outfit is None:
             self.show_message("plain", FIRST_NOTE)
         else:
-            joints, faces = outfit.skeleton.num_joints, len(outfit.mesh.faces)
-            self.show_message(
-                "good", f"{outfit.name}: {joints} joints, {faces} triangles. Drive it with W, A, S and D."
-            )
+            size = f"{outfit.skeleton.num_joints} joints, {len(outfit.mesh.faces)} triangles"
+            self.show_message("good", f"{outfit.name} ({size}) is worn: drive it with W, A, S and D.")
 
     def _put(self, action: Callable[[], None]) -> None:
         self._clicks.put(action, timeout=10.0)
