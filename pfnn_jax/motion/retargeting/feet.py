@@ -112,8 +112,10 @@ def pitch_foot(turns: np.ndarray, scale: float, source: FlatFoot, target: FlatFo
     axis = quat_rotate(turns, RIGHT)
     now, wanted = _pitch_to_height(quat_rotate(turns, target.toe), axis, height)
     wanted = np.maximum(wanted, np.minimum(now, -STEEPEST))
-    # a foot that hangs or points backwards has no pitch that raises it, and keeps that of the source
-    return quat_multiply(quat_from_axis_angle(axis, _forward_share(now) * (wanted - now)), turns)
+    # a foot that hangs or points backwards has no pitch that raises it, and keeps that of the source; a foot whose toe
+    # lies steeply below its ankle even when it stands hangs no sooner than the source's
+    own, _ = _pitch_to_height(quat_rotate(turns, source.toe), axis, height)
+    return quat_multiply(quat_from_axis_angle(axis, _forward_share(own) * (wanted - now)), turns)
 
 
 def ankle_targets(

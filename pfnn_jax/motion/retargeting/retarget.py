@@ -285,12 +285,14 @@ def _retarget(
         (ankle,), (foot,) = limb(source_map, side, "foot"), limb(target_map, side, "foot")
         turned = pitch_foot(turns[foot], scale, own, other)
         places = ankle_targets(positions[:, ankle], turns[foot], turned, scale, own, other, floor, leg)
-        turned, places = keep_toes_above(turned, other, places, floor)
-        ankles.append(places)
+        turned, lifted = keep_toes_above(turned, other, places, floor)
+        raised = lifted - places
+        # the toe keeps its place when the foot is turned less steep
+        ankles.append(raised + ankle_targets(positions[:, ankle], turns[foot], turned, scale, own, other, floor, leg))
         moved[:, foot] = quat_multiply(turned, reference[foot])
-    raised = UP * np.mean([other.height - scale * own.height for own, other in bodies.feet])
+    higher = UP * np.mean([other.height - scale * own.height for own, other in bodies.feet])
     middle = (positions[:, source_map.left_thigh] + positions[:, source_map.right_thigh]) / 2
-    hips = scale * middle + raised - quat_rotate(moved[:, target_map.hips], _middle_of_legs(target, target_map))
+    hips = scale * middle + higher - quat_rotate(moved[:, target_map.hips], _middle_of_legs(target, target_map))
     left = quat_rotate(turns[target_map.hips], LEFT)
     targets = np.stack(ankles, axis=1)
     hips = place_legs(target_map, target, hips, moved, left, targets, leg_extension(positions, source_map))
