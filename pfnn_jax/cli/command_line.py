@@ -21,6 +21,7 @@ COMMANDS = {
     "few-shot": "Learn a new style from one clip.",
     "sample": "List the sample clips, or write one.",
     "generate": "Generate motion in a style along a path.",
+    "retarget": "Put a clip onto your own character or rig.",
     "transfer": "Put a clip into the style of another.",
     "train-transfer": "Train a network that puts any clip into a style.",
     "play": "Drive a character in the browser.",

@@ -155,12 +155,12 @@ def ankle_targets(
     clearance = places[:, 1] - target.height + raised - floor
     near = np.clip((CLEAR - clearance / leg) / (CLEAR - NEAR), 0.0, 1.0)
     # a flat foot's toe is ahead of the source's by the excess; the ankle makes up for what the turned foot lacks
-    excess, heading = target.standing - scale * source.standing, _heading(turns)
+    excess, heading = target.standing - scale * source.standing, foot_headings(turns)
     lacking = excess[2] * heading + excess[0] * cross(UP, heading) - other + own
     return places + (near * on_toe)[:, None] * lacking * np.array([1.0, 0.0, 1.0])
 
 
-def _heading(turns: np.ndarray) -> np.ndarray:
+def foot_headings(turns: np.ndarray) -> np.ndarray:
     """Returns the horizontal directions [T, 3] of feet with world rotations [T, 4] from the reference pose."""
     heading = cross(quat_rotate(turns, -RIGHT), UP)
     size = np.linalg.norm(heading, axis=-1, keepdims=True)
