@@ -14,10 +14,12 @@ from pfnn_jax.viewer.draw.palette import BUTTON, HEEL, LEFT, RIGHT, TOE, rgb
 from pfnn_jax.viewer.page import widgets
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.drive_input import parse_message
+from pfnn_jax.viewer.page.framing import Framing
 from pfnn_jax.viewer.page.recording import bvh_bytes
+from pfnn_jax.viewer.page.pace import UNSEEN
 from pfnn_jax.viewer.page.restyle_panel import RestylePanel
 from pfnn_jax.viewer.page.run_library import RunLibrary
-from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look_from_behind
+from pfnn_jax.viewer.page.scene import PageScene, camera_yaw
 from pfnn_jax.viewer.page.style_picker import StylePicker
 from pfnn_jax.viewer.page.uploads import LearnedUpload
 from pfnn_jax.viewer.page.view import View
@@ -67,6 +69,7 @@ class Panel:
         samples: the buttons of the sample clips.
         restyle: the controls that restyle a clip.
         rate: pictures per second that the browser manages, 0 while unknown.
+        wake: set whenever a person does something, to end a pause of the tab.
     """
 
     def __init__(self, client: viser.ClientHandle, library: RunLibrary, character: Character, scene: PageScene) -> None:
@@ -79,10 +82,13 @@ class Panel:
         )
         self.clicks: queue.Queue[Any] = queue.Queue(QUEUED)
         self.rate = 0.0
-        self._held, self._heard = "", -math.inf
+        self.wake = threading.Event()
+        self._held, self._heard, self._said = "", -math.inf, -math.inf
+        self._visible, self._touched, self._inputs = True, True, FieldChanges()
         self._look: float | None = None
         self._walked = (character.run, character.shares)
         self._values = FieldChanges()
+        self._framing = Framing(client)
         self._build_readouts()
         self._drive()
         with self._gui.add_folder("Style"):
@@ -92,7 +98,6 @@ class Panel:
         self._gait()
         self._camera()
         self._commands()
-        self._gui.add_html(widgets.script())
 
     def serve(self, now: float) -> None:
         """Applies everything pressed and chosen since the last call; `now` in seconds of the character's clock."""
@@ -100,6 +105,7 @@ class Panel:
         for _ in range(QUEUED):
             try:
                 self.clicks.get_nowait()()
+                self._touched = True
             except queue.Empty:
                 break
             except InputError as error:
@@ -107,8 +113,19 @@ class Panel:
         self._read_stick(now)
         try:
             self._read_fields(now)
+            self._framing.update()
         except (InputError, ValueError) as error:  # a browser can send values that its page does not offer
             self.show_message("bad", str(error))
+
+    def visible(self, now: float) -> bool:
+        """Returns whether the browser shows the tab; it counts as shown until the page's script has spoken once."""
+        return self._said == -math.inf or (self._visible and now - self._said < UNSEEN)
+
+    def take_touched(self) -> bool:
+        """Returns whether the person has done anything since the last call: pressed, chosen, or turned the camera."""
+        moved = self._inputs.changed("inputs", (self._character.run, self._character.shares, self._camera_moment()))
+        touched, self._touched = self._touched or moved, False
+        return touched
 
     def show(self, view: View, now: float, drawn: float) -> None:
         """Updates the readouts.
@@ -182,6 +199,7 @@ class Panel:
         with self._gui.add_folder("Drive"):
             self._gui.add_html(widgets.pad())
             self._channel = self._gui.add_text(DRIVE, "")
+            self._channel.on_update(self._woken())
             self._gui.add_button("Reset", color=rgb(BUTTON)).on_click(self._queued(self._reset))
 
     def _gait(self) -> None:
@@ -232,12 +250,19 @@ class Panel:
 
     def _queued(self, action: Any) -> Any:
         async def put(_: Any) -> None:
+            self.wake.set()
             try:
                 self.clicks.put_nowait(action)
             except queue.Full:
                 pass  # more than anybody can press between two pictures
 
         return put
+
+    def _woken(self) -> Any:
+        async def wake(_: Any) -> None:
+            self.wake.set()
+
+        return wake
 
     def _read_stick(self, now: float) -> None:
         text = self._channel.value
@@ -246,19 +271,22 @@ class Panel:
             message = parse_message(text)
             if message is not None:
                 self._character.set_stick(*message.stick)
-                self.rate = message.rate
+                self.rate, self._visible, self._said = message.rate, message.visible, now
+                self._touched |= any(message.stick) or self._values.changed("visible", message.visible)
         elif now - self._heard > TIMEOUT:
             self._heard = math.inf
             self._character.set_stick(0.0, 0.0)
 
     def _read_fields(self, now: float) -> None:
         own, speed = self._own.value, float(self._speed.value)
+        camera = (self._follow.value, self._turn.value)
+        self._touched |= self._inputs.changed("fields", (own, speed, self._strafe.value, camera))
         if self._values.changed("speed", (own, speed)):
             self._speed.disabled = own
             self._character.set_speed(None if own else speed)
         if self._values.changed("strafe", self._strafe.value):
             self._character.set_strafe(self._strafe.value)
-        self._scene.follow, self._scene.turn = self._follow.value, self._turn.value
+        self._scene.follow, self._scene.turn = camera
         self._read_camera()
         self._picker.apply_changes(now)
 
@@ -272,6 +300,13 @@ class Panel:
         if yaw is not None and (before is None or abs(math.remainder(yaw - before, 2.0 * math.pi)) > TURNED):
             self._look = yaw
             self._character.set_heading(math.remainder(yaw + self._scene.yaw, 2.0 * math.pi))
+
+    def _camera_moment(self) -> float:
+        """Returns when the camera was moved last."""
+        try:
+            return float(self._client.camera.update_timestamp)
+        except (AssertionError, AttributeError):  # the browser has not said where it is
+            return 0.0
 
     def _reset(self) -> None:
         self._character.reset()
@@ -293,4 +328,4 @@ class Panel:
             self.show_message("bad", f"{name}: {error}")
 
     def _look_again(self) -> None:
-        look_from_behind(self._client)
+        self._framing.apply()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -63,14 +63,22 @@ class LoadedRun:
             return 0.0
 
     @classmethod
-    def load(cls, name: str, path: Path) -> LoadedRun:
+    def load(cls, name: str, path: Path, report: Callable[[str], None] = lambda what: None) -> LoadedRun:
         """Loads a run with the controller of all of its styles.
+
+        Args:
+            name, path: of the run.
+            report: called with what is being done, a few words.
 
         Raises:
             InputError: if the folder is not a run directory, or its styles cannot be loaded.
         """
+        report(f"Reading the network of {name}")
         run = load_run(path)
         styles = list_styles(run.path)
+        report(
+            f"Measuring how fast the {len(styles)} styles of {name} walk" if len(styles) > 1 else f"Preparing {name}"
+        )
         controller = _on_device(make_controller(run, styles, capacity=len(styles) + SPARE))
         return cls(name, run, controller, _speeds(controller), phase_scale(run.normaliser))
 
@@ -91,6 +99,7 @@ class RunLibrary:
 
     Args:
         run_paths: run directories, at least one; loaded by `load_run`, which unpickles nothing.
+        report: called with what is being done, a few words, while they are loaded and warmed up.
 
     Raises:
         InputError: for a folder that is not a run directory, a run given twice, or one whose styles cannot be loaded.
@@ -99,12 +108,14 @@ class RunLibrary:
         closing: set when the page ends; no style is learned after that.
     """
 
-    def __init__(self, run_paths: Sequence[str | Path]) -> None:
+    def __init__(self, run_paths: Sequence[str | Path], report: Callable[[str], None] = lambda what: None) -> None:
         if not run_paths:
             raise InputError("play", "runs", "none", "pass at least one run directory")
         paths = [Path(path) for path in run_paths]
         self._lock = threading.RLock()
-        self._loaded = {name: LoadedRun.load(name, path) for name, path in zip(_names(paths), paths, strict=True)}
+        self._report = report
+        names = run_names(paths)
+        self._loaded = {name: LoadedRun.load(name, path, report) for name, path in zip(names, paths, strict=True)}
         self._preparations = {name: threading.Lock() for name in self._loaded}
         self._version = 0
         self.closing = threading.Event()
@@ -145,6 +156,7 @@ class RunLibrary:
     def warm_up(self) -> None:
         """Compiles one step of every run, so that the first character does not wait for it."""
         for name in self.runs:
+            self._report(f"Compiling a step of {name} for this machine")
             compile_step(self.get(name).controller)
 
     def add_style(self, run: str, style: str) -> None:
@@ -247,7 +259,7 @@ def _speeds(controller: Controller) -> dict[str, float]:
     return {name: float(speed) for name, speed in zip(controller.styles, controller.params.speeds, strict=False)}
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
+def run_names(paths: Sequence[Path]) -> list[str]:
     """Returns short, distinct names of runs: as many of the last parts of each path as that takes.
 
     The base network is `base`, as on the command line: its folder is named by a fingerprint.

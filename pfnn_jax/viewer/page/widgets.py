@@ -58,11 +58,34 @@ _LANE_GAP = 0.18  # of a lane's height
 _FONT = "font-family:system-ui,-apple-system,'Segoe UI',Roboto,sans-serif"
 
 
-def script() -> str:
-    """Returns an invisible element that runs the page's script (page.js); it takes effect once in a page."""
+def script(run: str = "") -> str:
+    """Returns an invisible element that runs the page's script (page.js); it takes effect once in a page.
+
+    Args:
+        run: name of the run, for the tab's title.
+    """
     code = resources.files("pfnn_jax.viewer.page").joinpath("page.js").read_text(encoding="utf-8")
     image = f'<img alt="" src="data:," style="display:none" onerror="{html.escape(code, quote=True)}">'
-    return f"<style>{_PAGE_STYLE}</style>{image}"
+    title = f'<i hidden data-run="{html.escape(run, quote=True)}"></i>'
+    return f"<style>{_PAGE_STYLE}</style>{title}{image}"
+
+
+def start_note(what: str, seconds: float, expected: float | None) -> str:
+    """Returns what a start is doing, a bar, the seconds so far and those still expected."""
+    share = 0.0 if not expected else min(seconds / expected, 0.98)
+    if not expected:
+        rest = ""
+    elif seconds < expected:
+        rest = f"about {max(expected - seconds, 1.0):.0f} s to go"
+    else:
+        rest = "a little longer than expected"
+    bar = f'<div class="pfnn-bar"><div style="width:{100.0 * share:.1f}%"></div></div>'
+    counted = f"<span>{seconds:.0f} s so far</span><span>{rest}</span>"
+    return (
+        f'<div data-start style="{_FONT};font-size:12.5px;color:{INK};padding:4px 12px 12px">'
+        f"<div>{html.escape(what)}&#8230;</div>{bar}"
+        f'<div style="display:flex;justify-content:space-between;color:{MUTED}">{counted}</div></div>'
+    )
 
 
 def phase_dial(dials: Sequence[Dial]) -> str:
@@ -78,7 +101,7 @@ def phase_dial(dials: Sequence[Dial]) -> str:
 
 
 def pad() -> str:
-    """Returns the stick with W, A, S and D at its rim, and the keys for turning and running."""
+    """Returns the stick with W, A, S and D at its rim, and the keys for turning and going faster."""
     letter = "position:absolute;pointer-events:none;font-weight:600;font-size:12px"
     letters = "".join(
         f'<span class="pfnn-letter" data-drive="{key}" style="{letter};{place}">{key.upper()}</span>'
@@ -96,10 +119,12 @@ def pad() -> str:
         for key, sign, label, title in (
             ("q", "&#8630;", "Q", "Turn left"),
             ("e", "&#8631;", "E", "Turn right"),
-            ("shift", "&#8679;", "Shift: run", "Faster until pressed again"),
+            ("shift", "&#8679;", "Shift: faster", "Faster until pressed again"),
         )
     )
-    return f'<style>{_PAD_STYLE}</style><div class="pfnn-pad">{stick}<div class="pfnn-keys">{keys}</div></div>'
+    grip = '<div class="pfnn-grip" data-sheet role="button" aria-expanded="false" title="More controls"><i></i></div>'
+    pad = f'<div class="pfnn-pad">{stick}<div class="pfnn-keys">{keys}</div></div>'
+    return f"<style>{_PAD_STYLE}</style>{grip}{pad}"
 
 
 def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str:
@@ -316,9 +341,28 @@ def _short(name: str, length: int) -> str:
 
 
 _PAGE_STYLE = f"""
+.pfnn-bar {{ height: 6px; margin: 7px 0 5px; border-radius: 3px; background: {FAINT}; overflow: hidden; }}
+.pfnn-bar > div {{ height: 100%; border-radius: 3px; background: {ACCENT}; transition: width 0.9s linear; }}
 @media (min-width: 990px) {{ /* notices between the panels if there is room, so that they do not cover the readouts */
   .mantine-Notifications-root[data-position=top-left] {{ left: {READOUT_WIDTH + 30:g}px !important; }}
 }}
+/* Tools of viser: list of commands, address and scene tree, the sign of the connection. The page has its own words. */
+.mantine-ActionIcon-root:has(.tabler-icon-adjustments), .mantine-ActionIcon-root:has(.tabler-icon-list-search),
+.tabler-icon-cloud-check {{ display: none !important; }}
+.pfnn-grip {{ display: none; }}
+.pfnn-compact .pfnn-grip {{ display: flex; justify-content: center; padding: 2px 0 9px; cursor: pointer;
+  touch-action: none; }}
+.pfnn-grip i {{ width: 44px; height: 5px; border-radius: 3px; background: {PASSIVE}; }}
+.pfnn-compact:not(.pfnn-open) .pfnn-more, .pfnn-compact:not(.pfnn-open) .mantine-Tabs-root {{ display: none !important; }}
+.pfnn-compact:not(.pfnn-open) [data-with-border] {{ border: 0; margin: 0 !important; }}
+.pfnn-compact:not(.pfnn-open) [data-with-border] > .mantine-Paper-root {{ display: none; }} /* the folder's title */
+.pfnn-sheet {{ left: 0 !important; width: 100% !important; max-height: 72% !important; border-radius: 14px 14px 0 0 !important; }}
+.pfnn-sheet .mantine-ScrollArea-content > div {{ width: 100% !important; }}
+.pfnn-sheet:not(:has([data-start])) .mantine-ScrollArea-content > div > div:first-child {{ display: none !important; }} /* title */
+@media (max-height: 499.9px) {{
+  .pfnn-readouts, #webgl-software-rendering {{ display: none !important; }}
+}}
+@media (max-width: 575.9px) {{ #webgl-software-rendering {{ display: none !important; }} }}
 .pfnn-ended {{ position: fixed; left: 50%; top: 38%; transform: translate(-50%, -50%); z-index: 1000;
   box-sizing: border-box; width: min(380px, 90vw); padding: 14px 18px; border-radius: 9px; text-align: center;
   background: {MESSAGES["bad"][1]}; color: {MESSAGES["bad"][0]}; font-size: 14px; line-height: 1.5; {_FONT};
