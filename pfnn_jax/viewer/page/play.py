@@ -239,6 +239,7 @@ def _play(
             ending()
             if library is not None:
                 cancel_learning(library)
+                library.empty_trash()
 
 
 def _cache() -> Path | None:

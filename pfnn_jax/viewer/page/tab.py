@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from functools import partial
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError, TrainingError
@@ -14,7 +15,7 @@ from pfnn_jax.viewer.page.pace import SLOWEST, Pacer, picture_interval
 from pfnn_jax.viewer.page.panel import STANDING, Panel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene
-from pfnn_jax.viewer.page.uploads import LearningCancelled, drop_large, learn_upload
+from pfnn_jax.viewer.page.uploads import LONGEST_NAME, LearningCancelled, drop_large, learn_upload
 from pfnn_jax.workflows.samples import sample_clips
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ READOUT = 1.0 / 8.0
 
 LONGEST_ERROR = 300
 """Characters shown of an unexpected error."""
+
+
+WAITING = "waiting"
+"""What `learn_upload` reports while another style is learned first."""
 
 
 class Tab:
@@ -138,18 +143,25 @@ class Tab:
                 f"{filename[:80]} is not learned", "Another clip is being learned; try this one again afterwards."
             )
             return
-        run = character.run
+        run, board = character.run, self._library.learning
+        named = panel.take_name()
+        filename = f"{named}{PurePath(filename).suffix}" if named else filename
+        job = board.begin(run, PurePath(filename).stem[:LONGEST_NAME])
         try:
             panel.learning(True)
-            learned = learn_upload(self._library, run, filename, content, panel.progress)
+            learned = learn_upload(
+                self._library, run, filename, content, lambda share, what: board.report(job, share, what == WAITING)
+            )
             panel.clicks.put(lambda: panel.learned(run, learned), timeout=10.0)
+            board.end(job, learned)
         except (InputError, TrainingError) as error:
-            panel.show_message("bad", str(error))
+            board.end(job, error=str(error))
         except LearningCancelled:
-            pass  # the tab is closed already
+            board.end(job)  # the tab is closed already
         except Exception as error:  # unexpected, but the page must show that no style is coming
-            panel.show_message("bad", f"{filename[:80]}: {type(error).__name__}: {error}"[:LONGEST_ERROR])
+            board.end(job, error=f"{filename[:80]}: {type(error).__name__}: {error}"[:LONGEST_ERROR])
             raise
         finally:
             panel.learning(False)
+            panel.wake.set()
             self._learning.release()
