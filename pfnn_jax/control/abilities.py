@@ -7,6 +7,7 @@ tracking notices while it walks (`TrackingState.strafe_failure`), and releases t
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -38,11 +39,12 @@ def can_strafe(controller: Controller, style: str, seconds: float = STRAFE_SECON
     weights = controller.style_weights(style)
     speed = float(controller.params.speeds[controller.styles.index(style)]) or float(controller.params.default_speed)
     for side in (1.0, -1.0):
-        command = Command(
-            velocity=np.asarray([side * speed, 0.0], np.float32),
-            direction=np.asarray([0.0, 1.0], np.float32),
-            style=weights,
-        )
+        arrays: dict[str, Any] = {
+            "velocity": np.asarray([side * speed, 0.0], np.float32),
+            "direction": np.asarray([0.0, 1.0], np.float32),
+            "style": weights,
+        }
+        command = Command(**arrays)
         state = controller.start(style=controller.styles.index(style))
         for _ in range(math.ceil(seconds * tracking.fps)):
             state = controller.step(state, command)

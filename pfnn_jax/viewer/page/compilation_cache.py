@@ -52,10 +52,11 @@ def use_private_cache() -> Path | None:
     """
     import jax
 
-    if not jax.config.jax_enable_compilation_cache:
+    if not getattr(jax.config, "jax_enable_compilation_cache"):  # noqa: B009 - the class does not declare its options
         return None
-    if jax.config.jax_compilation_cache_dir:  # also set by the variable
-        return Path(jax.config.jax_compilation_cache_dir)
+    named = getattr(jax.config, "jax_compilation_cache_dir")  # noqa: B009 - by the program or the variable
+    if named:
+        return Path(named)
     folder = private_folder(cache_folder())
     _remove_unused(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 NARROW = 576
 """Pixels of width below which viser shows all panels as one sheet at the bottom (its theme's breakpoint `xs`)."""
 
-LOW = 500
+LOW = 431
 """Pixels of height below which the page's style hides the readouts, and its controls cover the right side: a phone
 held sideways."""
 

@@ -1,4 +1,4 @@
-"""How often a tab's character is stepped and drawn: fully while it moves, rarely or not at all while nobody needs it."""
+"""How often a tab's character is stepped and drawn: fully while it moves, rarely or not at all otherwise."""
 
 from __future__ import annotations
 

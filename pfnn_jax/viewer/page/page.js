@@ -12,7 +12,7 @@
   const held = new Set();
   let shift = false, latched = false, stick = null, count = 0, timer = 0, rate = 0;
 
-  const NARROW = matchMedia("(max-width: 575.9px)"), LOW = matchMedia("(max-height: 499.9px)"); // as in framing.py
+  const NARROW = matchMedia("(max-width: 575.9px)"), LOW = matchMedia("(max-height: 430.9px)"); // as in framing.py
 
   const field = (label) => {
     const found = [...document.querySelectorAll("label")].find((element) => element.textContent === label);

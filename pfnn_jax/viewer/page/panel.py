@@ -17,8 +17,8 @@ from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.drive_input import parse_message
 from pfnn_jax.viewer.page.framing import Framing
-from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.pace import UNSEEN
+from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.restyle_panel import RestylePanel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene, camera_yaw

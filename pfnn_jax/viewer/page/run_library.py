@@ -63,7 +63,7 @@ class LoadedRun:
         return name if name in self.styles else self.first_style
 
     def is_learned(self, name: str) -> bool:
-        """Returns whether a style was learned later, so that it can be renamed and deleted; others are the run's own."""
+        """Returns whether a style was learned later than the run, and is saved in it: it can be renamed and deleted."""
         return name in self.styles and name not in self.run.config.styles and name in list_styles(self.run.path)
 
     @property

@@ -406,7 +406,7 @@ _PAGE_STYLE = f"""
 .pfnn-sheet .mantine-ScrollArea-content > div {{ width: 100% !important; }}
 .pfnn-sheet:not(:has([data-start])) .mantine-ScrollArea-content > div > div:first-child {{ /* the title */
   display: none !important; }}
-@media (max-height: 499.9px) {{
+@media (max-height: 430.9px) {{
   .pfnn-readouts, #webgl-software-rendering {{ display: none !important; }}
 }}
 @media (max-width: 575.9px) {{ #webgl-software-rendering {{ display: none !important; }} }}
