@@ -298,7 +298,7 @@ def wanted(visitor) -> float:
 
 
 def heading(visitor) -> float:
-    return np.deg2rad(float(visitor.read("facing").strip("°")))
+    return np.deg2rad(visitor.numbers()[2])
 
 
 def turned(yaw: float, before: float) -> float:

@@ -205,6 +205,7 @@ class Character:
         now = time.monotonic() if now is None else now
         with self._lock:
             loaded = self._library.get(self._run)
+            self._follow_changes(loaded)
             for moment in self._clock.due(now):
                 self._step(loaded, moment)
             return self._view(loaded, now)
@@ -248,6 +249,15 @@ class Character:
                 self._run = run
                 faced = np.asarray(self._state.motion.directions)[ROOT]
                 self._begin(loaded, self._root, math.atan2(faced[0], faced[1]))
+
+    def _follow_changes(self, loaded: LoadedRun) -> None:
+        """Takes the present names of styles that were renamed, and other styles for those that were deleted."""
+        if all(name in loaded.styles for name in self._shares):
+            return
+        before, self._shares = self._shares, {}
+        for name, weight in before.items():
+            present = loaded.present_style(name)
+            self._shares[present] = self._shares.get(present, 0.0) + weight
 
     def _begin(self, loaded: LoadedRun, root: np.ndarray, yaw: float) -> None:
         """Stands at `root` [2] facing `yaw`; a recording ends, because the character jumps."""
@@ -316,7 +326,7 @@ class Character:
             dials=phase_dials(loaded.run.layout, np.asarray(state.motion.phase), loaded.phase_scale),
             speed=history.speed,
             wanted_speed=self._wanted,
-            style_weights=shown_weights(loaded.styles, np.asarray(state.style)),
+            style_weights=shown_weights(loaded.controller.styles, np.asarray(state.style)),
             step_milliseconds=1e3 * float(np.mean(self._durations)) if self._durations else 0.0,
             steps_per_second=self._clock.rate,
             recorded_seconds=None if recording is None else recording.seconds,
