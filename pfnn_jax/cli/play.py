@@ -22,12 +22,15 @@ class Play(Command):
         host: address to listen at. With any other than the default, other machines can reach the page.
         port: port to listen at; 0 takes a free one.
         open: open the page in this machine's browser.
+        keep_compiled: whether compiled code is kept, so that later starts are faster: in your cache folder, where nobody
+            else can read or write it, or where JAX_COMPILATION_CACHE_DIR says.
     """
 
     run_paths: Annotated[Positional[tuple[Path, ...]], tyro.conf.arg(name="run", metavar="[RUN...]")] = (BASE,)
     host: str = "127.0.0.1"
     port: int = 8080
     open: bool = False
+    keep_compiled: bool = True
 
     def run(self) -> Any:
         paths = [open_run(path) for path in self.run_paths or (BASE,)]
@@ -35,7 +38,7 @@ class Play(Command):
         from pfnn_jax.viewer.page.play import play
 
         release()  # `play` ends its server and its recordings on Ctrl-C
-        play(paths, host=self.host, port=self.port, open_browser=self.open)
+        play(paths, host=self.host, port=self.port, open_browser=self.open, keep_compiled=self.keep_compiled)
         return {"runs": paths}
 
     def ending(self) -> AbstractContextManager[None]:

@@ -265,7 +265,7 @@ def _remove_stale(target: Path) -> None:
     pattern = re.compile(re.escape(f".{target.name}.") + r"(\d+)\.new")
     for entry in target.parent.iterdir():
         found = pattern.fullmatch(entry.name)
-        if found is not None and not _is_running(int(found[1])):
+        if found is not None and not is_running(int(found[1])):
             remove(entry)
 
 
@@ -288,7 +288,8 @@ def _copy_files(source: Path, new: Path) -> None:
             shutil.copyfile(path, place)
 
 
-def _is_running(pid: int) -> bool:
+def is_running(pid: int) -> bool:
+    """Returns whether a process of this machine with this number is running."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

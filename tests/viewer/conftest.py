@@ -96,16 +96,20 @@ class Visitor:
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(url)
-        self.page.wait_for_selector("[data-readout=root]")
+        self.page.wait_for_selector("[data-readout=style]")
+        self.page.wait_for_selector("[data-value]", state="attached")
 
     def read(self, name: str) -> str:
         """Returns one line of the readout."""
-        return self.page.inner_text(f"[data-readout={name}]")
+        return self.page.locator(f"[data-readout={name}]").first.text_content()
+
+    def numbers(self) -> np.ndarray:
+        """Returns the root x and z in metres and the facing in degrees, which are under Details."""
+        return np.array(self.page.locator("[data-value]").first.get_attribute("data-value").split(), float)
 
     def root(self) -> np.ndarray:
-        """Returns the root [2] in metres from the readout."""
-        words = self.read("root").split()
-        return np.array([float(words[1]), float(words[4])])
+        """Returns the root [2] in metres."""
+        return self.numbers()[:2]
 
     def wait(self, what: Callable[[], Any], message: str) -> None:
         """Waits until a condition holds."""

@@ -84,8 +84,8 @@ def test_the_port_is_taken_before_anything_is_loaded(monkeypatch, capsys):
     monkeypatch.setattr(background, "leave_work", lambda code: None)
     answers = []
 
-    def load(_: object) -> None:
-        found = re.search(r"compiling; the page opens at http://127.0.0.1:(\d+) ", capsys.readouterr().out)
+    def load(*_: object) -> None:
+        found = re.search(r"compiling; the page is open at http://127.0.0.1:(\d+):", capsys.readouterr().out)
         assert found is not None
         with socket.create_connection(("127.0.0.1", int(found[1])), timeout=AT_ONCE):
             answers.append(found[1])
@@ -93,10 +93,11 @@ def test_the_port_is_taken_before_anything_is_loaded(monkeypatch, capsys):
             play.check_address("127.0.0.1", int(found[1]))
         raise InputError("run", "config", "none", "must be there")
 
+    monkeypatch.setattr(play, "first_sight", lambda *_: None)
     monkeypatch.setattr(play, "RunLibrary", load)
     monkeypatch.setattr(play, "check_finished", lambda _: None)
     with pytest.raises(InputError, match="config"):
-        play.play(["run"], port=0)
+        play.play(["run"], port=0, keep_compiled=False)
     assert len(answers) == 1
 
 
@@ -109,12 +110,13 @@ def test_a_page_that_cannot_start_lets_the_program_end(monkeypatch, error, code)
     def fail(**_: object) -> None:
         raise error
 
-    monkeypatch.setattr(play, "RunLibrary", lambda _: SimpleNamespace(runs=(), styles=(), warm_up=lambda: None))
+    monkeypatch.setattr(play, "first_sight", lambda *_: None)
+    monkeypatch.setattr(play, "RunLibrary", lambda *_: SimpleNamespace(runs=(), styles=(), warm_up=lambda: None))
     monkeypatch.setattr(play, "Page", fail)
     monkeypatch.setattr(play, "check_finished", lambda _: None)
     monkeypatch.setattr(background, "leave_work", codes.append)
     with pytest.raises(type(error)):
-        play.play(["run"], port=0)
+        play.play(["run"], port=0, keep_compiled=False)
     assert codes == [code]
 
 
@@ -122,13 +124,13 @@ def test_without_viser_nothing_is_loaded(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     monkeypatch.setattr(background, "leave_work", lambda code: None)
     with pytest.raises(InputError, match=r"viser: not installed; .*pfnn-jax\[viewer\]"):
-        play.play(["no such run"], port=0)
+        play.play(["no such run"], port=0, keep_compiled=False)
 
 
 def test_a_folder_that_is_not_a_run_is_refused_before_anything_is_announced(monkeypatch, tmp_path: Path, capsys):
     pytest.importorskip("viser", reason="viser is not installed")
     monkeypatch.setattr(background, "leave_work", lambda code: None)
     with pytest.raises(InputError) as caught:
-        play.play([tmp_path], port=0)
+        play.play([tmp_path], port=0, keep_compiled=False)
     assert str(tmp_path) in caught.value.file
     assert capsys.readouterr().out == ""

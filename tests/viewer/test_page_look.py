@@ -33,7 +33,7 @@ def test_the_main_controls_are_visible_and_not_covered_by_notices(visitor, serve
             "style": visitor.field("Style"),
             "triangle": visitor.page.locator("[data-triangle]"),
             "record": visitor.page.get_by_role("button", name="Record").first,
-            "upload": visitor.page.get_by_role("button", name="Upload a BVH file").first,
+            "upload": visitor.page.get_by_role("button", name="Upload a clip").first,
             "sample": visitor.page.get_by_role("button", name="soldier").first,
         }
         visitor.wait(lambda: all(what.evaluate(REACHED) for what in found.values()), f"{list(found)} are visible")
@@ -63,15 +63,15 @@ def test_a_page_shows_that_its_program_has_ended_and_reconnects(browser, served)
         tab = browser.new_page()
         tab.set_default_timeout(60e3)
         tab.goto(page.url)
-        tab.get_by_text("Compiling").wait_for()
+        tab.locator("[data-start]").wait_for()
         page.begin(served._library)
-        tab.wait_for_selector("[data-readout=root]")
-        assert tab.get_by_text("Compiling").count() == 0 and not tab.locator(words).is_visible()
+        tab.wait_for_selector("[data-readout=style]")
+        assert tab.locator("[data-start]").count() == 0 and not tab.locator(words).is_visible()
         port = page.port
     tab.locator(words).wait_for()
     assert "has ended" in tab.locator(words).inner_text()
     with Page(served._library, port=port):
         tab.bring_to_front()  # viser reconnects in a visible tab only
         tab.locator(words).wait_for(state="hidden")
-        tab.wait_for_selector("[data-readout=root]")
+        tab.wait_for_selector("[data-readout=style]")
         tab.close()

@@ -1,4 +1,4 @@
-"""Parts of the page that need no browser: meshes, widgets, messages, and the addresses of a server."""
+"""Parts of the page that need no browser: widgets, messages, and the addresses of a server."""
 
 from __future__ import annotations
 
@@ -9,63 +9,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
-from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.viewer.draw.body import capsule_ends
-from pfnn_jax.viewer.page import background, widgets
+from pfnn_jax.viewer.page import background, pace, widgets
 from pfnn_jax.viewer.page.drive_input import parse_message
+from pfnn_jax.viewer.page.framing import frame_character
 from pfnn_jax.viewer.page.guard import names_of, objection
-from pfnn_jax.viewer.page.meshes import TAPER, BodyMeshes, Mesh, frustum, sphere
 from pfnn_jax.viewer.page.play import check_address
-from pfnn_jax.viewer.page.scene import camera_yaw
+from pfnn_jax.viewer.page.scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET, camera_yaw
 from pfnn_jax.viewer.page.view import Dial
 from tests.raising import assert_refused
 
 EXACT = 1e-9  # float64 over a few products
-ROUND = 0.05  # fraction of a sphere's volume that its flat faces cut off
-
-
-def volume(mesh: Mesh) -> float:
-    """Returns the signed volume of a closed surface; positive if the faces point outwards."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    return float(np.sum(np.cross(a, b) * c)) / 6.0
-
-
-def test_meshes_are_round_and_face_outwards():
-    ball = sphere()
-    assert np.allclose(np.linalg.norm(ball.vertices, axis=1), 1.0, atol=EXACT)
-    assert (1.0 - ROUND) * 4.0 / 3.0 * np.pi < volume(ball) < 4.0 / 3.0 * np.pi
-    side = frustum(TAPER)
-    a, b, c = (side.vertices[side.faces[:, i]] for i in range(3))
-    outwards = (a + b + c) / 3.0 * [1.0, 0.0, 1.0]
-    assert (np.sum(np.cross(b - a, c - a) * outwards, axis=1) > 0.0).all()
-
-
-def test_mesh_instances_lie_on_the_bones():
-    clip, _ = synthesise("zombie", np.full(40, 0.5), np.ones(40))
-    positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
-    body = BodyMeshes(clip.skeleton)
-    starts, turned, balls = body.place(positions[-1], rotations[-1])
-    tips = starts + quat_rotate(turned, np.array([0.0, 1.0, 0.0]) * body.limb_scales)
-    ends = [
-        joint + quat_rotate(rotations[-1][i], offset)
-        for i, offset in clip.skeleton.end_sites
-        for joint in [positions[-1][i]]
-    ]
-    points = np.concatenate([positions[-1], np.array(ends).reshape(-1, 3)])
-    expected = [capsule_ends(points, capsule) for capsule in body.capsules]
-    assert np.allclose(starts, [start for start, _ in expected], atol=EXACT)
-    assert np.allclose(tips, [end for _, end in expected], atol=1e-6)  # lengths of the rest pose
-    assert np.allclose(balls, np.concatenate([starts, tips]), atol=1e-6)
-    sides = {side: sum(capsule.side == side for capsule in body.capsules) for side in ("left", "right", "middle")}
-    assert sides["left"] == sides["right"] > 3 and sides["middle"] > 0
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "1", "1 0 0 0 0", "1 2 0 0 0 60", "1 nan 0 0 0 60", "1 0 0 0 0 inf", "1 0 0 0 0 -1", "1 0 0 0 0 6e9"),
-        *("x" * 200, "1 __import__('os') 0 0 0 0", "1 0 0 0 0 60 7"),
+        *("", "1", "1 0 0 0 0 60", "1 2 0 0 0 60 1", "1 nan 0 0 0 60 1", "1 0 0 0 0 inf 1", "1 0 0 0 0 -1 1"),
+        *("1 0 0 0 0 6e9 1", "1 0 0 0 0 60 nan", "1 0 0 0 0 60 7"),
+        *("x" * 200, "1 __import__('os') 0 0 0 0 1", "1 0 0 0 0 60 1 1"),
     ],
 )
 def test_malformed_messages_are_ignored(text):
@@ -73,8 +34,11 @@ def test_malformed_messages_are_ignored(text):
 
 
 def test_a_message_of_the_script_is_parsed():
-    message = parse_message("17 0.5 -1 1 1 59.9")
+    message = parse_message("17 0.5 -1 1 1 59.9 1")
     assert message is not None and message.stick == (0.5, -1.0, 1.0, True) and message.rate == 59.9
+    assert message.visible
+    hidden = parse_message("18 0 0 0 0 0 0")
+    assert hidden is not None and not hidden.visible
 
 
 def test_typed_shares_sum_to_one_or_are_ignored():
@@ -116,12 +80,13 @@ def test_the_contact_chart_shows_the_last_seconds():
     gui = SimpleNamespace(add_uplot=lambda data, **_: setattr(chart, "data", data) or chart)
     timeline = widgets.Timeline(gui)  # type: ignore[arg-type]
     for step in range(1200):
-        timeline.add(step / 60.0, np.array([1.0, 0.0, 0.5, 0.0]))
+        timeline.add(step / 60.0, np.array([1.0, 0.0, 0.6, 0.4]))
     timeline.show(1200 / 60.0)
     assert chart.data is not None
     times, *lanes = chart.data
     heights = [float(np.mean(lanes[2 * i + 1] - lanes[2 * i])) for i in range(4)]
-    assert len(times) == widgets.CONTACT_SAMPLES and heights[3] > heights[1] > 0.0 and heights[0] == heights[2] == 0.0
+    assert len(times) == widgets.CONTACT_SAMPLES and heights[0] == heights[2] == 0.0
+    assert heights[3] == pytest.approx(heights[1], abs=EXACT) and heights[1] > 0.0, "bars of one height"
 
 
 def test_unusable_addresses_are_refused():
@@ -175,6 +140,49 @@ def test_the_yaw_of_a_camera():
     assert camera_yaw([0.0, 1.0, -4.0], [0.0, 0.0, 0.0]) == 0.0
     assert camera_yaw([-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]) == pytest.approx(np.pi / 2)
     assert camera_yaw([0.0, 3.0, 0.0], [0.0, 0.0, 0.0]) is None
+
+
+def test_no_zero_has_a_sign():
+    assert [widgets.plain_number(value, 2) for value in (-0.0, -0.004, 0.004, -0.006)] == ["0.00"] * 3 + ["-0.01"]
+
+
+def test_the_pace_of_a_tab():
+    """Full while the character moves, fewer pictures while it stands, nothing when it rests or is hidden."""
+    pacer = pace.Pacer()
+
+    def at(now: float, moving: bool = False, touched: bool = False, visible: bool = True) -> pace.Pace:
+        return pacer.pace(now, visible=visible, moving=moving, touched=touched)
+
+    assert at(0.0, moving=True) == pace.Pace(True, pace.FRAME, 0.0)
+    assert at(1.0) == pace.Pace(True, pace.FRAME, pace.STANDING_INTERVAL)
+    assert not at(0.1 + pace.AWAKE).steps and at(0.2 + pace.AWAKE).wait == pace.ASLEEP
+    assert at(1.0 + pace.AWAKE, touched=True).steps and at(2.0 + pace.AWAKE).steps
+    assert not at(2.1 + pace.AWAKE, moving=True, visible=False).steps
+
+
+def test_framing_keeps_the_character_beside_the_panels():
+    for width, height in ((1440, 900), (0, 0)):
+        position, target = frame_character(width, height)
+        assert np.allclose(position, CAMERA_POSITION) and np.allclose(target, CAMERA_TARGET)
+    ahead = np.array(CAMERA_TARGET) - np.array(CAMERA_POSITION)
+    for width, height in ((390, 844), (844, 390)):
+        position, target = frame_character(width, height)
+        assert np.allclose(target - position, ahead, atol=EXACT), "the camera looks in the same direction"
+        x, y = on_screen(position, target, np.array([0.0, 0.9, 0.0]), width, height)
+        if width < height:
+            assert abs(x) < 0.1 * width and y < -0.1 * height, "above the middle, because the sheet is below"
+        else:
+            assert x < -0.1 * width, "left of the middle, because the controls are at the right"
+
+
+def on_screen(position: np.ndarray, target: np.ndarray, point: np.ndarray, width: int, height: int) -> tuple:
+    """Returns where a camera sees a point, in pixels to the right of the middle and below it."""
+    ahead = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(ahead, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    seen = point - position
+    scale = 0.5 * height / np.tan(CAMERA_FIELD / 2.0) / (seen @ ahead)
+    return seen @ right * scale, -(seen @ np.cross(right, ahead)) * scale
 
 
 def test_values_set_by_the_server_are_not_changes():

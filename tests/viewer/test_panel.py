@@ -17,9 +17,10 @@ from pfnn_jax.motion.synthetic.walks import synthesise
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
-from pfnn_jax.viewer.page import panel as panel_module  # noqa: E402
+from pfnn_jax.viewer.page import downloads, widgets  # noqa: E402
 from pfnn_jax.viewer.page import tab as tab_module  # noqa: E402
-from pfnn_jax.viewer.page import widgets  # noqa: E402
+from pfnn_jax.viewer.page.learning import LearningBoard  # noqa: E402
+from pfnn_jax.viewer.page.pace import UNSEEN  # noqa: E402
 from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
 from pfnn_jax.viewer.page.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
 from pfnn_jax.viewer.page.tab import Tab  # noqa: E402
@@ -40,12 +41,21 @@ class Library:
 
     def __init__(self) -> None:
         self.styles = {"run": ("angry", "neutral", "proud"), "two": ("neutral", "old")}
-        self.runs, self.version = tuple(self.styles), 0
+        self.runs, self.version, self.learning = tuple(self.styles), 0, LearningBoard()
+        self.strafing: dict[str, bool] = {}
 
     def get(self, run: str) -> SimpleNamespace:
         if run not in self.styles:
             raise InputError("library", "run", run, "must be known")
-        return SimpleNamespace(styles=self.styles[run])
+        names = self.styles[run]
+        present = lambda name: name if name in names else names[0]  # noqa: E731
+        return SimpleNamespace(styles=names, present_style=present, is_learned=lambda name: name == "zombie")
+
+    def strafes(self, run: str, style: str) -> bool:
+        return self.strafing.get(style, True)
+
+    def deleted_style(self, run: str) -> None:
+        return None
 
     def join(self, run: str, style: str) -> None:
         self.styles[run] += (style,)
@@ -84,6 +94,7 @@ class Client:
 
     def __init__(self, server: Any) -> None:
         self.gui, self.scene = server.gui, server.scene
+        self.camera = SimpleNamespace(image_width=0, image_height=0, update_timestamp=0.0)
         self.received: list[tuple[str, ...]] = []
 
     def send_file_download(self, name: str, content: bytes, save_immediately: bool) -> None:
@@ -101,7 +112,7 @@ def client(server) -> Iterator[Client]:
 
 @pytest.fixture
 def panel(client) -> Any:
-    return Panel(client, any_of(Library()), any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0)))
+    return Panel(client, any_of(Library()), any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0, outfit=None)))
 
 
 def any_of(stand_in: object) -> Any:
@@ -173,24 +184,101 @@ def test_a_style_chosen_while_standing_has_a_hint(panel):
     assert hinted() and hinted() and not hinted(wanted_speed=1.0) and not hinted()
     panel._picker.select("run", "proud")
     assert not hinted()
-    panel.learned("run", LearnedUpload("neutral"))
+    learned(panel, "neutral")
     assert hinted() and widgets.UNSEEN in panel._message.content and not hinted(speed=0.5)
 
 
+def learned(panel: Any, style: str, *lines: tuple[str, ...], run: str = "run") -> None:
+    """Does what a tab does when a style has been learned for it."""
+    upload, board = LearnedUpload(style, *lines), panel._library.learning
+    panel.learned(run, upload)
+    board.end(board.begin(run, style), upload)
+    panel.serve(0.0)
+
+
 def test_a_style_learned_with_warnings_is_not_shown_as_a_success(panel, client):
-    panel.learned("run", LearnedUpload("neutral"))
+    learned(panel, "neutral")
     assert not client.received
     assert 'data-message="good"' in panel._message.content and "Warning" not in panel._message.content
-    panel.learned("run", LearnedUpload("neutral", ("retargeted",), ("it falls", "it is not a walk")))
+    learned(panel, "neutral", ("retargeted",), ("it falls", "it is not a walk"))
     assert 'data-message="warning"' in panel._message.content and "is learned" not in panel._message.content
     assert "Warning: it falls.\nWarning: it is not a walk.\nNote: retargeted." in panel._message.content
     assert [title for title, _ in client.received] == ["neutral may look poor"]
 
 
 def test_notes_are_shown_with_a_success(panel):
-    panel.learned("run", LearnedUpload("neutral", ("retargeted from 59 to 22 joints",)))
+    learned(panel, "neutral", ("retargeted from 59 to 22 joints",))
     assert 'data-message="good"' in panel._message.content
     assert panel._message.content.count("\nNote: retargeted from 59 to 22 joints.") == 1
+
+
+def test_every_tab_shows_what_is_learned_and_its_outcome(client):
+    library = any_of(Library())
+    library.learning.clock = lambda: 100.0
+    job = library.learning.begin("run", "<zombie>")
+    opened_later = Panel(client, library, any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0, outfit=None)))
+    opened_later.serve(0.0)
+    assert "Learning &lt;zombie&gt; on run" in opened_later._jobs.content
+    assert "about 40 s left" in opened_later._jobs.content
+    library.learning.clock = lambda: 120.0
+    library.learning.report(job, 0.5, False)
+    opened_later.serve(0.1)
+    assert "about 20 s left" in opened_later._jobs.content
+    library.learning.report(job, 0.5, True)
+    opened_later.serve(0.2)
+    assert "waits for another style" in opened_later._jobs.content
+    library.learning.end(job, error="walk.bvh: no feet")
+    opened_later.serve(0.3)
+    assert opened_later._jobs.content == "" and "no feet" in opened_later._message.content
+    assert 'data-message="bad"' in opened_later._message.content
+
+
+def test_an_old_outcome_is_not_shown():
+    board = LearningBoard(clock=lambda: 0.0)
+    board.end(board.begin("run", "walk"), LearnedUpload("walk"))
+    assert board.outcome() is not None
+    board.clock = lambda: 10_000.0
+    assert board.outcome() is None
+
+
+def test_what_a_style_cannot_do_is_greyed_out(panel):
+    panel.serve(0.0)
+    assert not panel._strafe.disabled and panel._cannot.content == ""
+    panel._library.strafing["proud"] = False
+    panel._picker.select("run", "proud")
+    panel.serve(0.1)
+    assert panel._strafe.disabled and "proud of run: cannot sidestep" in panel._cannot.content
+    panel._picker.select("run", "angry")
+    panel.serve(0.2)
+    assert not panel._strafe.disabled
+
+
+def test_only_learned_styles_can_be_renamed_and_deleted(panel):
+    assert not panel._picker._manage.visible
+    panel._library.join("run", "zombie")
+    panel.serve(0.0)
+    panel._picker.select("run", "zombie")
+    panel.serve(0.1)
+    assert panel._picker._manage.visible
+
+
+def test_a_style_is_named_before_it_is_learned(panel, client, monkeypatch):
+    names = []
+    monkeypatch.setattr(tab_module, "learn_upload", lambda _, __, name, *___: names.append(name) or LearnedUpload("ok"))
+    panel._name.value = " my walk "
+    for _ in range(2):
+        tab_of(client, panel._library)._learn(panel._character, panel, "take 1.bvh", b"")
+    assert names == ["my walk.bvh", "take 1.bvh"], "a name is used once"
+
+
+def test_a_tab_counts_as_hidden_when_it_says_so_or_is_silent(panel):
+    assert panel.visible(0.0), "until the script has spoken"
+    panel._channel.value = "1 0 0 0 0 60 1"
+    panel.serve(1.0)
+    assert panel.visible(1.0) and not panel.visible(1.0 + UNSEEN)
+    panel._channel.value = "2 0 0 0 0 60 0"
+    panel.serve(2.0)
+    assert not panel.visible(2.0)
 
 
 def test_an_ended_recording_can_be_downloaded(panel):
@@ -205,21 +293,19 @@ def test_a_learned_style_is_not_selected_after_a_change_of_run(panel):
     library, character = panel._library, panel._character
     panel.serve(0.0)
     library.join("run", "zombie")
-    panel.learned("run", LearnedUpload("zombie"))
-    panel.serve(0.1)
+    learned(panel, "zombie")
     assert character.shares == {"zombie": 1.0} and "zombie is learned" in panel._message.content
     panel._picker._run.value = "two"
     panel.serve(0.2)
     library.join("run", "weary")
-    panel.learned("run", LearnedUpload("weary"))
-    panel.serve(0.3)
+    learned(panel, "weary")
     assert (character.run, character.shares) == ("two", {"neutral": 1.0})
     assert "weary" in panel._message.content and "Choose that run" in panel._message.content
 
 
 def test_a_download_is_written_in_the_background(panel, client, monkeypatch):
-    written, free = panel_module.bvh_bytes, threading.Event()
-    monkeypatch.setattr(panel_module, "bvh_bytes", lambda clip: free.wait(SOON) and written(clip))
+    written, free = downloads.recording_bytes, threading.Event()
+    monkeypatch.setattr(downloads, "recording_bytes", lambda *given: free.wait(SOON) and written(*given))
     panel._record_or_stop()
     assert panel._character.recording and not client.received
     panel._character.clip = synthesise("zombie", np.zeros(30), np.ones(30))[0]
@@ -229,8 +315,8 @@ def test_a_download_is_written_in_the_background(panel, client, monkeypatch):
     assert soon(lambda: client.received) == [("angry_30.bvh", "HIERARCHY")]
 
 
-def tab_of(client: Any) -> Tab:
-    return Tab(client, any_of(Library()))
+def tab_of(client: Any, library: Any = None) -> Tab:
+    return Tab(client, library or any_of(Library()))
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
@@ -240,13 +326,14 @@ def test_an_unexpected_error_of_an_upload_is_shown(panel, client, monkeypatch):
 
     monkeypatch.setattr(tab_module, "learn_upload", fail)
     with pytest.raises(RuntimeError):
-        tab_of(client)._learn(panel._character, panel, "walk.bvh", b"")
+        tab_of(client, panel._library)._learn(panel._character, panel, "walk.bvh", b"")
+    panel.serve(0.0)
     assert "walk.bvh: RuntimeError: out of paper" in panel._message.content
     assert not panel.upload.disabled and panel.samples.visible
 
 
 def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
-    tab, begun, free = tab_of(client), threading.Event(), threading.Event()
+    tab, begun, free = tab_of(client, panel._library), threading.Event(), threading.Event()
 
     def learn(*_: Any) -> LearnedUpload:
         begun.set()

@@ -238,6 +238,15 @@ class Retargeter:
         roots, moved = self.world_poses(*one, np.array([floor]))
         return place_joints(self.target, roots[0], moved[0]), moved[0]
 
+    @property
+    def carriers(self) -> np.ndarray:
+        """The joint [K] of the target with which each moves rigidly in all motions; itself if it is moved."""
+        if self.bodies is None:
+            return np.arange(self.target.num_joints)
+        source, target = self.bodies.source_map, self.bodies.target_map
+        still = np.zeros((1, self.source.num_joints, 4))
+        return _carriers(self.bodies.target, target, set(part_turns(still, source, target)))[: self.target.num_joints]
+
     def sole_heights(self, positions: np.ndarray) -> np.ndarray:
         """Returns the height [T] in metres of the lower sole of the source in positions [T, J, 3]."""
         if self.bodies is None:

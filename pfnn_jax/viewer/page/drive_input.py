@@ -65,26 +65,32 @@ class ClientMessage:
     Attributes:
         stick: ahead, left and turn in -1..1, and whether to run.
         rate: pictures per second that the browser manages, 0 before it knows.
+        visible: whether the tab can be seen.
     """
 
     stick: tuple[float, float, float, bool]
     rate: float
+    visible: bool = True
 
 
 def parse_message(text: str) -> ClientMessage | None:
-    """Parses a count and five numbers: ahead, left, turn, run, pictures per second; returns None for anything else."""
+    """Parses a count and six numbers; returns None for anything else.
+
+    Args:
+        text: the count, ahead, left, turn, faster (0 or 1), pictures per second, visible (0 or 1).
+    """
     parts = text.split()
-    if len(parts) != 6 or len(text) > 100:
+    if len(parts) != 7 or len(text) > 100:
         return None
     try:
-        ahead, left, turn, run, rate = (float(part) for part in parts[1:])
+        ahead, left, turn, run, rate, visible = (float(part) for part in parts[1:])
     except ValueError:
         return None
-    if not all(math.isfinite(value) and abs(value) <= 1.0 for value in (ahead, left, turn, run)):
+    if not all(math.isfinite(value) and abs(value) <= 1.0 for value in (ahead, left, turn, run, visible)):
         return None
     if not 0.0 <= rate < 1e4:
         return None
-    return ClientMessage((ahead, left, turn, run > 0.0), rate)
+    return ClientMessage((ahead, left, turn, run > 0.0), rate, visible > 0.0)
 
 
 @dataclass

@@ -12,6 +12,8 @@
   const held = new Set();
   let shift = false, latched = false, stick = null, count = 0, timer = 0, rate = 0;
 
+  const NARROW = matchMedia("(max-width: 575.9px)"), LOW = matchMedia("(max-height: 430.9px)"); // as in framing.py
+
   const field = (label) => {
     const found = [...document.querySelectorAll("label")].find((element) => element.textContent === label);
     if (!found) return null;
@@ -29,6 +31,38 @@
   const hide = () => { // the field only transports messages
     const box = field(DRIVE);
     if (box) box.parentElement.style.display = "none";
+  };
+
+  // On a phone the controls are a sheet at the bottom (upright) or a small panel (sideways), and show the stick and the
+  // list of styles until they are opened. `pfnn-more` is what a closed one hides.
+  const KEEP = "[data-stick], [data-start], [data-learning]";
+  const kept = (element) => element.matches(KEEP) || element.querySelector(KEEP) ||
+    [...element.querySelectorAll("label")].some((label) => label.textContent === "Style" || label.textContent === "Run");
+  const mark = (container) => {
+    for (const item of container?.children ?? []) {
+      const folder = item.hasAttribute("data-with-border") ? item.children[1] : null;
+      const keep = Boolean(kept(item));
+      item.classList.toggle("pfnn-more", !keep);
+      if (keep && folder) mark(folder.firstElementChild?.firstElementChild);
+    }
+  };
+  const arrange = () => {
+    const names = document.querySelector("[data-run]")?.dataset.run;
+    document.title = names ? `pfnn_jax \u2014 ${names}` : "pfnn_jax";
+    const pad = document.querySelector("[data-stick]"), first = pad ?? document.querySelector("[data-start]");
+    if (!first) return;
+    let sheet = first;
+    while (sheet && sheet.style.position !== "fixed" && !sheet.dataset.floatingWindow) sheet = sheet.parentElement;
+    sheet?.classList.add("pfnn-controls");
+    sheet?.classList.toggle("pfnn-sheet", NARROW.matches);
+    sheet?.classList.toggle("pfnn-compact", NARROW.matches || LOW.matches);
+    document.querySelector("[data-readout]")?.closest("[data-floating-window]")?.classList.add("pfnn-readouts");
+    mark(pad?.closest("[data-with-border]")?.parentElement);
+  };
+  const openSheet = () => {
+    const sheet = document.querySelector(".pfnn-controls");
+    const open = sheet?.classList.toggle("pfnn-open");
+    for (const grip of document.querySelectorAll("[data-sheet]")) grip.setAttribute("aria-expanded", String(open));
   };
 
   const drags = new Map(); // by pointer (every finger is one): { key } or { move }
@@ -49,7 +83,11 @@
       knob.style.transform = `translate(${(-left / size) * 26}px, ${(-ahead / size) * 26}px)`;
     }
   };
-  const send = () => write(DRIVE, `${++count} ${input()} ${rate.toFixed(1)}`);
+  let sent = -Infinity;
+  const send = () => {
+    sent = performance.now();
+    return write(DRIVE, `${++count} ${input()} ${rate.toFixed(1)} ${document.hidden ? 0 : 1}`);
+  };
   const report = (more = 1) => { // at once, then while anything is held; a release is sent twice, as messages can be merged
     send();
     show();
@@ -89,6 +127,10 @@
       return;
     }
     if (event.key === "Escape" || event.key === "Enter") setTimeout(leave, 0);
+    if (event.code === "KeyK" && (event.ctrlKey || event.metaKey)) { // viser's list of commands
+      event.stopImmediatePropagation();
+      event.preventDefault();
+    }
     const key = KEYS[event.code];
     if (!key) return;
     if (event.type === "keyup") {
@@ -116,7 +158,12 @@
   window.addEventListener("keydown", onKey, true);
   window.addEventListener("keyup", onKey, true);
   window.addEventListener("blur", releaseAll);
-  document.addEventListener("visibilitychange", () => document.hidden && releaseAll());
+  document.addEventListener("visibilitychange", () => { // nothing is computed for a hidden tab
+    if (document.hidden) releaseAll();
+    frames = rate = 0;
+    since = performance.now();
+    send();
+  });
 
   // Pointers: buttons, the stick, the triangle.
   const toStick = (event) => {
@@ -150,14 +197,16 @@
   };
   const start = (event) => {
     if (event.button !== 0) return;
-    const target = event.target.closest?.("[data-drive], [data-stick], [data-triangle]");
+    const target = event.target.closest?.("[data-drive], [data-stick], [data-triangle], [data-sheet]");
     if (!target) {
       if (event.target.tagName === "CANVAS") document.activeElement?.blur();
       return;
     }
     event.preventDefault();
     document.activeElement?.blur();
-    if ("drive" in target.dataset) {
+    if ("sheet" in target.dataset) {
+      openSheet();
+    } else if ("drive" in target.dataset) {
       const key = target.dataset.drive;
       if (key === "shift") latched = !latched;
       else drags.set(event.pointerId, { key });
@@ -203,12 +252,19 @@
   setInterval(() => { // twice in a row, because short interruptions recover by themselves
     pale = document.querySelector("[data-stick]")?.closest(PALE) ? pale + 1 : 0;
     ended.hidden = pale < 2;
+    arrange();
+    if (performance.now() - sent > 1500) send(); // also where the browser draws rarely
   }, 700);
+  for (const change of [NARROW, LOW]) change.addEventListener("change", () => arrange());
 
-  window.pfnnPage = () => {
+  const settle = () => {
     hide();
-    setTimeout(hide, 300);
+    arrange();
+  };
+  window.pfnnPage = () => {
+    settle();
+    for (const delay of [50, 150, 300]) setTimeout(settle, delay);
   };
   window.pfnnPage();
-  new MutationObserver(hide).observe(document.body, { childList: true, subtree: false });
+  new MutationObserver(settle).observe(document.body, { childList: true, subtree: false });
 })();

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import queue
 import threading
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.viewer.draw.palette import BUTTON, HEEL, LEFT, RIGHT, TOE, rgb
-from pfnn_jax.viewer.page import widgets
+from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.character import Character
+from pfnn_jax.viewer.page.downloads import Downloads
 from pfnn_jax.viewer.page.drive_input import parse_message
-from pfnn_jax.viewer.page.recording import bvh_bytes
+from pfnn_jax.viewer.page.framing import Framing
+from pfnn_jax.viewer.page.pace import UNSEEN
 from pfnn_jax.viewer.page.restyle_panel import RestylePanel
 from pfnn_jax.viewer.page.run_library import RunLibrary
-from pfnn_jax.viewer.page.scene import PageScene, camera_yaw, look_from_behind
+from pfnn_jax.viewer.page.scene import PageScene, camera_yaw
 from pfnn_jax.viewer.page.style_picker import StylePicker
-from pfnn_jax.viewer.page.uploads import LearnedUpload
+from pfnn_jax.viewer.page.uploads import ACCEPTED, NICENESS, LearnedUpload
 from pfnn_jax.viewer.page.view import View
+from pfnn_jax.viewer.page.wardrobe import Wardrobe
 from pfnn_jax.viewer.page.widgets import CONTACT_SECONDS, FieldChanges, Timeline
 from pfnn_jax.workflows.samples import sample_clips
 
@@ -33,6 +37,8 @@ DRIVE = "Stick and keys"
 TIMEOUT = 1.0
 """Seconds without a message after which everything counts as released: the script sends five messages a second while
 something is held."""
+
+CANNOT_STRAFE = "cannot sidestep. It was not shown side steps; told to, it turns and walks ahead."
 
 SPEEDS = (0.3, 3.0)  # metres per second
 KEYS = {
@@ -67,6 +73,7 @@ class Panel:
         samples: the buttons of the sample clips.
         restyle: the controls that restyle a clip.
         rate: pictures per second that the browser manages, 0 while unknown.
+        wake: set whenever a person does something, to end a pause of the tab.
     """
 
     def __init__(self, client: viser.ClientHandle, library: RunLibrary, character: Character, scene: PageScene) -> None:
@@ -79,27 +86,35 @@ class Panel:
         )
         self.clicks: queue.Queue[Any] = queue.Queue(QUEUED)
         self.rate = 0.0
-        self._held, self._heard = "", -math.inf
+        self.wake = threading.Event()
+        self._held, self._heard, self._said = "", -math.inf, -math.inf
+        self._visible, self._touched, self._inputs = True, True, FieldChanges()
         self._look: float | None = None
         self._walked = (character.run, character.shares)
+        self._outcome, self._mine = 0, ""
+        self._trying: threading.Thread | None = None
         self._values = FieldChanges()
+        self._framing = Framing(client)
         self._build_readouts()
         self._drive()
         with self._gui.add_folder("Style"):
             self._picker = StylePicker(self._gui, library, character)
+            self._picker.on_manage(self._queued)
         self._files()
+        self.wardrobe = Wardrobe(client, scene, self.clicks, self.wake)
         self.restyle = RestylePanel(client)
         self._gait()
         self._camera()
         self._commands()
-        self._gui.add_html(widgets.script())
 
     def serve(self, now: float) -> None:
         """Applies everything pressed and chosen since the last call; `now` in seconds of the character's clock."""
         self._picker.refresh()
+        self._show_learning()
         for _ in range(QUEUED):
             try:
                 self.clicks.get_nowait()()
+                self._touched = True
             except queue.Empty:
                 break
             except InputError as error:
@@ -107,8 +122,19 @@ class Panel:
         self._read_stick(now)
         try:
             self._read_fields(now)
+            self._framing.update()
         except (InputError, ValueError) as error:  # a browser can send values that its page does not offer
             self.show_message("bad", str(error))
+
+    def visible(self, now: float) -> bool:
+        """Returns whether the browser shows the tab; it counts as shown until the page's script has spoken once."""
+        return self._said == -math.inf or (self._visible and now - self._said < UNSEEN)
+
+    def take_touched(self) -> bool:
+        """Returns whether the person has done anything since the last call: pressed, chosen, or turned the camera."""
+        moved = self._inputs.changed("inputs", (self._character.run, self._character.shares, self._camera_moment()))
+        touched, self._touched = self._touched or moved, False
+        return touched
 
     def show(self, view: View, now: float, drawn: float) -> None:
         """Updates the readouts.
@@ -118,9 +144,11 @@ class Panel:
             now: seconds of the character's clock.
             drawn: pictures per second.
         """
-        self._readout.content = widgets.readout(view, drawn, self.rate, widgets.UNSEEN if self._unseen(view) else "")
+        self._readout.content = widgets.readout(view, widgets.UNSEEN if self._unseen(view) else "")
+        self._details.content = widgets.details(view, drawn, self.rate)
         self._dial.content = widgets.phase_dial(view.dials)
         self._timeline.show(now)
+        self._downloads.refresh()
         seconds = view.recorded_seconds
         stop = "Stop and download" if view.recording else "Download"
         self._record.label = "Record" if seconds is None else f"{stop} ({seconds:.1f} s)"
@@ -137,37 +165,55 @@ class Panel:
         """Shows a notice above everything until it is closed."""
         self._client.add_notification(title, text, color=color)
 
-    def progress(self, share: float, text: str) -> None:
-        """Shows the fraction of learning that is done, 0 to 1; callable from any thread."""
-        self._bar.value = 100.0 * min(max(share, 0.0), 1.0)
-        self.show_message("plain", text)
-
     def learning(self, active: bool) -> None:
-        """Shows or hides the progress bar; meanwhile no other clip can be learned."""
-        self._bar.visible = active
+        """Notes whether this tab learns a style; meanwhile it takes no other clip."""
         self.upload.disabled = active
         self.samples.visible = not active  # viser cannot disable these buttons
+
+    def take_name(self) -> str:
+        """Returns the name that was entered for the next style, and empties its field; "" for that of the file.
+
+        A character that a file name cannot have ends up as in the name of a file.
+        """
+        name, self._name.value = str(self._name.value).strip(), ""
+        return name
 
     def learned(self, run: str, learned: LearnedUpload) -> None:
         """Changes the character to a style that was learned for it, unless another run has been chosen meanwhile.
 
         Args:
             run: the run that has learned it.
-            learned: the style. Its notes are shown below the message of success, its warnings in place of it, with a
-                notice, as the message may be out of sight.
+            learned: the style.
         """
-        stays = self._character.run == self._picker.run == run
         self._picker.refresh()
-        if stays:
+        if self._character.run == self._picker.run == run:
             self._picker.select(run, learned.style)
-        then = f"; it is selected: {widgets.UNSEEN}." if stays else ". Choose that run to see it."
+            self._mine = learned.style
+        if learned.warnings:
+            self.notify(f"{learned.style} may look poor", "The message under Clips says why.", "yellow")
+
+    def _show_learning(self) -> None:
+        """Shows what any tab learns, and the last outcome, also in a tab that was opened or loaded again since."""
+        jobs = [(job.name, job.run, job.share, job.waiting, left) for job, left in self._library.learning.jobs()]
+        self._jobs.content = "".join(widgets.learning_note(*job) for job in jobs)
+        outcome = self._library.learning.outcome()
+        if outcome is None or outcome.number == self._outcome:
+            return
+        self._outcome, learned = outcome.number, outcome.learned
+        if learned is None:
+            self.show_message("bad", outcome.error)
+            return
+        if self._character.run != outcome.run:
+            then = ". Choose that run to see it."
+        elif learned.style in (self._mine, *self._character.shares):
+            then = f"; it is selected: {widgets.UNSEEN}."
+        else:
+            then = "; choose it in the list of styles."
         kind, said = ("warning", "") if learned.warnings else ("good", "is learned and ")
-        lines = [f"{learned.style} {said}is now a style of {run}{then}"]
+        lines = [f"{learned.style} {said}is now a style of {outcome.run}{then}"]
         lines += [f"Warning: {line}." for line in learned.warnings]
         lines += [f"Note: {line}." for line in learned.notes]
         self.show_message(kind, "\n".join(lines))
-        if learned.warnings:
-            self.notify(f"{learned.style} may look poor", "The message under Clips says why.", "yellow")
 
     def _unseen(self, view: View) -> bool:
         """Returns whether the style was changed while the character stands, so that it still looks as before."""
@@ -182,6 +228,7 @@ class Panel:
         with self._gui.add_folder("Drive"):
             self._gui.add_html(widgets.pad())
             self._channel = self._gui.add_text(DRIVE, "")
+            self._channel.on_update(self._woken())
             self._gui.add_button("Reset", color=rgb(BUTTON)).on_click(self._queued(self._reset))
 
     def _gait(self) -> None:
@@ -189,6 +236,7 @@ class Panel:
             self._own = self._gui.add_checkbox("Natural speed", True, hint="Walk at the style's natural speed.")
             self._speed = self._gui.add_slider("Speed", *SPEEDS, step=0.05, initial_value=1.2, disabled=True)
             self._strafe = self._gui.add_checkbox("Sidestep", False, hint="Keep facing ahead while walking sideways.")
+            self._cannot = self._gui.add_html("")
 
     def _build_readouts(self) -> None:
         """Builds the panel of the readouts."""
@@ -198,16 +246,21 @@ class Panel:
             self._dial = self._gui.add_html("")
             self._timeline = Timeline(self._gui)
             self._gui.add_html(widgets.legend(FEET, f"last {CONTACT_SECONDS:.0f} s"))
+            with self._gui.add_folder("Details", expand_by_default=False):
+                self._details = self._gui.add_html("")
         panel.float(x=15, y=15, width=widgets.READOUT_WIDTH)
 
     def _files(self) -> None:
         with self._gui.add_folder("Clips"):
-            self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Record the motion as a BVH file.")
+            self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Record the motion to download it.")
             self._record.on_click(self._queued(self._record_or_stop))
-            self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
+            self._downloads = Downloads(self._client, self._scene, self.show_message)
+            hint = "Of the style that is learned next; empty: as the file is called."
+            self._name = self._gui.add_text("Name", "", hint=hint)
+            self.upload = self._gui.add_upload_button("Upload a clip", mime_type=ACCEPTED)
             hint = "Learn the style of a clip that comes with the package."
             self.samples = self._gui.add_button_group("Try a sample", tuple(sample_clips()), hint=hint)
-            self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
+            self._jobs = self._gui.add_html("")
             note = "Upload a walk of a few seconds to learn its style, or try a sample."
             self._message = self._gui.add_html(widgets.message("plain", note))
 
@@ -232,12 +285,19 @@ class Panel:
 
     def _queued(self, action: Any) -> Any:
         async def put(_: Any) -> None:
+            self.wake.set()
             try:
                 self.clicks.put_nowait(action)
             except queue.Full:
                 pass  # more than anybody can press between two pictures
 
         return put
+
+    def _woken(self) -> Any:
+        async def wake(_: Any) -> None:
+            self.wake.set()
+
+        return wake
 
     def _read_stick(self, now: float) -> None:
         text = self._channel.value
@@ -246,21 +306,50 @@ class Panel:
             message = parse_message(text)
             if message is not None:
                 self._character.set_stick(*message.stick)
-                self.rate = message.rate
+                self.rate, self._visible, self._said = message.rate, message.visible, now
+                self._touched |= any(message.stick) or self._values.changed("visible", message.visible)
         elif now - self._heard > TIMEOUT:
             self._heard = math.inf
             self._character.set_stick(0.0, 0.0)
 
     def _read_fields(self, now: float) -> None:
         own, speed = self._own.value, float(self._speed.value)
+        camera = (self._follow.value, self._turn.value)
+        self._touched |= self._inputs.changed("fields", (own, speed, self._strafe.value, camera))
         if self._values.changed("speed", (own, speed)):
             self._speed.disabled = own
             self._character.set_speed(None if own else speed)
-        if self._values.changed("strafe", self._strafe.value):
-            self._character.set_strafe(self._strafe.value)
-        self._scene.follow, self._scene.turn = self._follow.value, self._turn.value
+        self._show_abilities()
+        strafe = self._strafe.value and not self._strafe.disabled
+        if self._values.changed("strafe", strafe):
+            self._character.set_strafe(strafe)
+        self._scene.follow, self._scene.turn = camera
         self._read_camera()
         self._picker.apply_changes(now)
+
+    def _show_abilities(self) -> None:
+        """Greys out sidestepping, with the reason, where one of the character's styles cannot."""
+        run, library = self._character.run, self._library
+        known = {style: library.strafes(run, style) for style in self._character.shares}
+        unknown = next((style for style, strafes in known.items() if strafes is None), None)
+        if unknown is not None:
+            self._try_strafe(run, unknown)
+            return
+        cannot = [style for style, strafes in known.items() if not strafes]
+        self._strafe.disabled = bool(cannot)
+        self._cannot.content = widgets.note(f"{cannot[0]} of {run}: {CANNOT_STRAFE}") if cannot else ""
+
+    def _try_strafe(self, run: str, style: str) -> None:
+        """Finds out in the background whether a style can sidestep."""
+        if self._trying is not None and self._trying.is_alive():
+            return
+
+        def find() -> None:
+            with contextlib.suppress(InputError):  # deleted meanwhile
+                background.do(partial(self._library.try_strafe, run, style), niceness=NICENESS)
+
+        self._trying = threading.Thread(target=find, name="abilities", daemon=True)
+        self._trying.start()
 
     def _read_camera(self) -> None:
         """Makes a camera that is turned by hand set the heading, unless the camera turns along."""
@@ -273,6 +362,13 @@ class Panel:
             self._look = yaw
             self._character.set_heading(math.remainder(yaw + self._scene.yaw, 2.0 * math.pi))
 
+    def _camera_moment(self) -> float:
+        """Returns when the camera was moved last."""
+        try:
+            return float(self._client.camera.update_timestamp)
+        except AssertionError:  # the browser has not said where it is
+            return 0.0
+
     def _reset(self) -> None:
         self._character.reset()
         self._scene.jump_to(self._character.advance(time.monotonic()))
@@ -282,15 +378,7 @@ class Panel:
         if clip is None:
             self._character.start_recording()
             return
-        name = f"{'_'.join(self._character.shares)[:60]}_{clip.num_frames}.bvh"
-        # Ten minutes of motion take seconds to write, during which the character would not move.
-        threading.Thread(target=self._send, args=(name, clip), name="download", daemon=True).start()
-
-    def _send(self, name: str, clip: MotionClip) -> None:
-        try:
-            self._client.send_file_download(name, bvh_bytes(clip), save_immediately=True)
-        except (InputError, OSError) as error:
-            self.show_message("bad", f"{name}: {error}")
+        self._downloads.send("_".join(self._character.shares), clip)
 
     def _look_again(self) -> None:
-        look_from_behind(self._client)
+        self._framing.apply()

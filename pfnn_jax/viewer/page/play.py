@@ -6,6 +6,7 @@ import contextlib
 import io
 import signal
 import socket
+import sys
 import threading
 import warnings
 import webbrowser
@@ -18,8 +19,10 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.run_config import check_finished
 from pfnn_jax.viewer.draw.palette import ACCENT, rgb
 from pfnn_jax.viewer.page import background, widgets
+from pfnn_jax.viewer.page.compilation_cache import StartTimes, use_private_cache
+from pfnn_jax.viewer.page.first_sight import FirstSight, StartProgress, Ticker, Waiting, first_sight
 from pfnn_jax.viewer.page.guard import guarded
-from pfnn_jax.viewer.page.run_library import RunLibrary
+from pfnn_jax.viewer.page.run_library import RunLibrary, run_names
 from pfnn_jax.viewer.page.scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
 from pfnn_jax.viewer.page.tab import Tab
 from pfnn_jax.viewer.page.uploads import cancel_learning, prepare_learning
@@ -29,9 +32,6 @@ if TYPE_CHECKING:
 
 LOCAL = "127.0.0.1"
 """The default address, which only this machine can reach."""
-
-SOON = "in about half a minute"
-"""Time until the page is ready: loading and compiling took 35 to 44 s on two cores."""
 
 STOP_TIMEOUT = 1.5
 """Seconds to wait for the server to stop: a tab that does not answer would delay it for longer."""
@@ -44,21 +44,31 @@ files that are far too large are dropped on purpose."""
 class Page:
     """A server with a tab for every browser that connects. Use as a context manager, or `close` it.
 
-    The server answers at once, so that its port is taken: a browser that connects before the runs are loaded sees a
-    message, and gets its character as soon as they are.
+    The server answers at once, so that its port is taken: a browser that connects before the runs are loaded sees the
+    ground, a standing body and the progress, and its character moves as soon as they are.
 
     Args:
         library: the runs; None if they follow with `begin`.
         host, port: address to listen at; port 0 takes a free one.
+        sight: the body that is shown before the runs are loaded; None shows only the progress.
+        progress: of loading.
 
     Raises:
         InputError: if viser is missing, or the address cannot be used.
     """
 
-    def __init__(self, library: RunLibrary | None = None, host: str = LOCAL, port: int = 8080) -> None:
-        self._library = library
+    def __init__(
+        self,
+        library: RunLibrary | None = None,
+        host: str = LOCAL,
+        port: int = 8080,
+        *,
+        sight: FirstSight | None = None,
+        progress: StartProgress | None = None,
+    ) -> None:
+        self._library, self._sight, self._progress = library, sight, progress or StartProgress()
         self._tabs: dict[int, Tab] = {}
-        self._waiting: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
+        self._waiting: dict[int, Waiting] = {}
         self._lock = threading.Lock()
         self._closed = False
         self._server = _serve(host, port)
@@ -71,11 +81,16 @@ class Page:
             brand_color=rgb(ACCENT),
         )
         self._server.gui.set_panel_label("pfnn_jax")
+        names = ", ".join(library.runs) if library is not None else sight.run if sight is not None else ""
+        # Of the server, not of a tab: they reach a browser with the first messages.
+        self._server.gui.add_html(widgets.script(names))
+        self._note = None if library is not None else self._server.gui.add_html(self._progress.html())
         self._server.scene.set_up_direction("+y")
         camera = self._server.initial_camera
         camera.fov, camera.position, camera.look_at = CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
         self._server.on_client_connect(self._open)
         self._server.on_client_disconnect(self._close)
+        self._ticker = Ticker(self._show_progress) if library is None else None
 
     @property
     def url(self) -> str:
@@ -94,14 +109,27 @@ class Page:
         with self._lock:
             self._library = library
             waiting, self._waiting = self._waiting, {}
-            tabs = {number: Tab(client, library) for number, (client, _) in waiting.items()}
+            tabs = {number: Tab(tab.client, library, tab.scene) for number, tab in waiting.items()}
             self._tabs |= tabs
-        for number, (_, note) in waiting.items():
+            note, self._note = self._note, None
+        if self._ticker is not None:
+            self._ticker.stop()
+        if note is not None:
             note.remove()
-            tabs[number].start()
+        for tab in tabs.values():
+            tab.start()
+
+    def _show_progress(self) -> None:
+        with self._lock:
+            if self._note is not None and not self._closed:
+                self._note.content = self._progress.html()
+                for tab in self._waiting.values():
+                    tab.update()
 
     def close(self) -> None:
         """Ends all tabs and the server."""
+        if self._ticker is not None:
+            self._ticker.stop()
         with self._lock:
             self._closed = True
             self._waiting = {}
@@ -129,8 +157,7 @@ class Page:
             if self._closed:
                 return
             if self._library is None:
-                note = client.gui.add_html(widgets.message("plain", f"Compiling: your character appears {SOON}."))
-                self._waiting[client.client_id] = client, note
+                self._waiting[client.client_id] = Waiting(client, self._sight)
                 return
             tab = self._tabs[client.client_id] = Tab(client, self._library)
         tab.start()
@@ -143,7 +170,14 @@ class Page:
             tab.close(wait=0.0)
 
 
-def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080, open_browser: bool = False) -> None:
+def play(
+    run_paths: Sequence[str | Path],
+    *,
+    host: str = LOCAL,
+    port: int = 8080,
+    open_browser: bool = False,
+    keep_compiled: bool = True,
+) -> None:
     """Serves a page to drive characters of some runs, until Ctrl-C or SIGTERM.
 
     Either signal ends it at once, even while something is compiled or learned; an unfinished style is not saved.
@@ -153,6 +187,8 @@ def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080
         host: address to listen at; with anything but the default, other machines can reach the page.
         port: TCP port; 0 takes a free one.
         open_browser: whether to open the page in this machine's browser.
+        keep_compiled: whether to keep compiled code in the user's cache folder, so that later starts are faster; see
+            `compilation_cache`.
 
     Raises:
         InputError: for a folder that is not a run directory, if the address cannot be used, or if viser is missing.
@@ -160,7 +196,7 @@ def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080
     code = 1
     try:
         with _ended_by_signals() as ending, contextlib.suppress(KeyboardInterrupt):
-            _play(run_paths, host, port, open_browser, ending)
+            _play(run_paths, host, port, open_browser, keep_compiled, ending)
         print("Ended.", flush=True)
         code = 0
     except InputError:
@@ -171,27 +207,48 @@ def play(run_paths: Sequence[str | Path], *, host: str = LOCAL, port: int = 8080
 
 
 def _play(
-    run_paths: Sequence[str | Path], host: str, port: int, open_browser: bool, ending: Callable[[], None]
+    run_paths: Sequence[str | Path],
+    host: str,
+    port: int,
+    open_browser: bool,
+    keep_compiled: bool,
+    ending: Callable[[], None],
 ) -> None:
     background.do(check_viser)
     for path in run_paths:
         check_finished(path)
+    names = run_names([Path(path) for path in run_paths])
+    times = StartTimes([str(Path(path).resolve()) for path in run_paths], _cache() if keep_compiled else None)
+    progress = StartProgress(times.expected)
+    sight = background.do(partial(first_sight, run_paths[0], names[0]))
     library = None
-    with Page(host=host, port=port) as page:  # before anything is loaded, so that a taken port is reported at once
+    # The page is there before anything is loaded, so that a taken port is reported at once.
+    with Page(host=host, port=port, sight=sight, progress=progress) as page:
         try:
-            print(f"compiling; the page opens at {page.url} {SOON}", flush=True)
+            print(f"compiling; the page is open at {page.url}: about {times.expected:.0f} s", flush=True)
             if open_browser:
                 webbrowser.open(page.url)
-            library = background.do(partial(RunLibrary, run_paths))
+            library = background.do(partial(RunLibrary, run_paths, progress.report))
             threading.Thread(target=_precompile, args=(library,), name="precompile", daemon=True).start()
             background.do(library.warm_up)
             page.begin(library)
+            times.note(progress.seconds)
             print(f"{', '.join(library.runs)}: {len(library.styles)} styles at {page.url}  (Ctrl-C ends)", flush=True)
             threading.Event().wait()
         finally:
             ending()
             if library is not None:
                 cancel_learning(library)
+                library.empty_trash()
+
+
+def _cache() -> Path | None:
+    """Returns the folder in which compiled code is kept; where it is refused, says so and keeps nothing."""
+    try:
+        return use_private_cache()
+    except InputError as error:
+        print(f"nothing that is compiled is kept: {error}", file=sys.stderr, flush=True)
+        return None
 
 
 @contextlib.contextmanager

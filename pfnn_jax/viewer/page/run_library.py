@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from pfnn_jax.control.abilities import can_strafe
 from pfnn_jax.control.controller import Command, Controller, make_controller, with_calibrated_speeds
 from pfnn_jax.control.controller_state import ControllerParams
 from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.errors import InputError
 from pfnn_jax.run import Run, load_run, load_style
 from pfnn_jax.run_config import list_styles
+from pfnn_jax.viewer.page.learning import LearningBoard
+from pfnn_jax.viewer.page.style_files import DeletedStyle, delete_style, empty_trash, rename_style, restore_style
 from pfnn_jax.viewer.page.view import phase_scale
 from pfnn_jax.workflows.base import is_base
+
+DELETED = "\0"
+"""First character of the name of a bank's row whose style was deleted. No style can have such a name."""
 
 SPARE = 8
 """Spare rows of a bank of styles: this many can be learned before the step must be compiled again."""
@@ -36,6 +42,7 @@ class LoadedRun:
         controller: of all of its styles, with spare rows.
         speeds: style -> its natural speed, m/s.
         phase_scale: [4] amplitudes of local phases that are shown as one, or None.
+        renamed: earlier name of a style -> its present one.
     """
 
     name: str
@@ -43,11 +50,21 @@ class LoadedRun:
     controller: Controller
     speeds: Mapping[str, float]
     phase_scale: np.ndarray | None
+    renamed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def styles(self) -> tuple[str, ...]:
         """Names of the styles, in the order of the bank; those learned last come last."""
-        return self.controller.styles
+        return tuple(name for name in self.controller.styles if not name.startswith(DELETED))
+
+    def present_style(self, name: str) -> str:
+        """Returns the present name of a style; for one that was deleted, the style in which a character begins."""
+        name = self.renamed.get(name, name)
+        return name if name in self.styles else self.first_style
+
+    def is_learned(self, name: str) -> bool:
+        """Returns whether a style was learned later than the run, and is saved in it: it can be renamed and deleted."""
+        return name in self.styles and name not in self.run.config.styles and name in list_styles(self.run.path)
 
     @property
     def first_style(self) -> str:
@@ -63,14 +80,22 @@ class LoadedRun:
             return 0.0
 
     @classmethod
-    def load(cls, name: str, path: Path) -> LoadedRun:
+    def load(cls, name: str, path: Path, report: Callable[[str], None] = lambda what: None) -> LoadedRun:
         """Loads a run with the controller of all of its styles.
+
+        Args:
+            name, path: of the run.
+            report: called with what is being done, a few words.
 
         Raises:
             InputError: if the folder is not a run directory, or its styles cannot be loaded.
         """
+        report(f"Reading the network of {name}")
         run = load_run(path)
         styles = list_styles(run.path)
+        report(
+            f"Measuring how fast the {len(styles)} styles of {name} walk" if len(styles) > 1 else f"Preparing {name}"
+        )
         controller = _on_device(make_controller(run, styles, capacity=len(styles) + SPARE))
         return cls(name, run, controller, _speeds(controller), phase_scale(run.normaliser))
 
@@ -80,9 +105,25 @@ class LoadedRun:
         Raises:
             InputError: for an unknown style, or a style of another kind than the run's.
         """
-        controller = add_to_bank(self.run, self.controller, style, load_style(self.run, style))
+        free = next((name for name in self.controller.styles if name.startswith(DELETED)), None)
+        reused = self if free is None or style in self.controller.styles else self._with_names({free: style})
+        controller = add_to_bank(self.run, reused.controller, style, load_style(self.run, style))
         if controller.capacity != self.controller.capacity:
             compile_step(controller)  # now, so that no character waits for it
+        renamed = {old: new for old, new in self.renamed.items() if old != style}
+        return replace(self, controller=controller, speeds=_speeds(controller), renamed=renamed)
+
+    def with_renamed(self, old: str, new: str) -> LoadedRun:
+        """Returns the run with another name for a style."""
+        renamed = {before: new if after == old else after for before, after in self.renamed.items() if before != new}
+        return replace(self._with_names({old: new}), renamed={**renamed, old: new})
+
+    def without_style(self, style: str) -> LoadedRun:
+        """Returns the run without a style; its row of the bank stays, so that nothing is compiled again."""
+        return self._with_names({style: f"{DELETED}{style}"})
+
+    def _with_names(self, names: Mapping[str, str]) -> LoadedRun:
+        controller = replace(self.controller, styles=tuple(names.get(name, name) for name in self.controller.styles))
         return replace(self, controller=controller, speeds=_speeds(controller))
 
 
@@ -91,23 +132,30 @@ class RunLibrary:
 
     Args:
         run_paths: run directories, at least one; loaded by `load_run`, which unpickles nothing.
+        report: called with what is being done, a few words, while they are loaded and warmed up.
 
     Raises:
         InputError: for a folder that is not a run directory, a run given twice, or one whose styles cannot be loaded.
 
     Attributes:
         closing: set when the page ends; no style is learned after that.
+        learning: what is being learned, for all tabs.
     """
 
-    def __init__(self, run_paths: Sequence[str | Path]) -> None:
+    def __init__(self, run_paths: Sequence[str | Path], report: Callable[[str], None] = lambda what: None) -> None:
         if not run_paths:
             raise InputError("play", "runs", "none", "pass at least one run directory")
         paths = [Path(path) for path in run_paths]
         self._lock = threading.RLock()
-        self._loaded = {name: LoadedRun.load(name, path) for name, path in zip(_names(paths), paths, strict=True)}
+        self._report = report
+        names = run_names(paths)
+        self._loaded = {name: LoadedRun.load(name, path, report) for name, path in zip(names, paths, strict=True)}
         self._preparations = {name: threading.Lock() for name in self._loaded}
         self._version = 0
-        self.closing = threading.Event()
+        self._deleted: list[tuple[str, DeletedStyle]] = []
+        self._strafes: dict[tuple[str, str], bool] = {}
+        self.closing, self.learning = threading.Event(), LearningBoard()
+        self.empty_trash()
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -121,7 +169,7 @@ class RunLibrary:
 
     @property
     def version(self) -> int:
-        """Counts the styles that have been added."""
+        """Counts the changes of styles."""
         return self._version
 
     def get(self, run: str) -> LoadedRun:
@@ -145,6 +193,7 @@ class RunLibrary:
     def warm_up(self) -> None:
         """Compiles one step of every run, so that the first character does not wait for it."""
         for name in self.runs:
+            self._report(f"Compiling a step of {name} for this machine")
             compile_step(self.get(name).controller)
 
     def add_style(self, run: str, style: str) -> None:
@@ -154,8 +203,85 @@ class RunLibrary:
             InputError: for an unknown run or style, or a style of another kind than the run's.
         """
         with self._lock:
-            self._loaded = {**self._loaded, run: self.get(run).with_style(style)}
-            self._version += 1
+            self._replace(run, self.get(run).with_style(style))
+
+    def rename_style(self, run: str, old: str, new: str) -> None:
+        """Renames a learned style, in the run's folder and for all characters.
+
+        Raises:
+            InputError: for a style that was not learned here, or a name that cannot be a folder's or is taken.
+        """
+        with self._lock:
+            loaded = self._need_learned(run, old)
+            if new in loaded.styles:
+                raise InputError(run, "style name", new, "is taken by another style; choose another name")
+            rename_style(loaded.run.path, old, new)
+            self._replace(run, loaded.with_renamed(old, new))
+
+    def delete_style(self, run: str, name: str) -> None:
+        """Deletes a learned style; characters that walk in it take another. `restore_style` brings it back.
+
+        Raises:
+            InputError: for a style that was not learned here or is the only one, or a run that cannot be written.
+        """
+        with self._lock:
+            loaded = self._need_learned(run, name)
+            if len(loaded.styles) == 1:
+                raise InputError(run, "style", name, "is the only style of the run, which needs one")
+            self._deleted.append((run, delete_style(loaded.run.path, name)))
+            self._replace(run, loaded.without_style(name))
+
+    def deleted_style(self, run: str) -> str | None:
+        """Returns the style of a run that was deleted last and can be restored, or None."""
+        return next((deleted.name for name, deleted in reversed(self._deleted) if name == run), None)
+
+    def restore_style(self, run: str) -> str:
+        """Restores the style of a run that was deleted last; returns its name.
+
+        Raises:
+            InputError: if there is none, its name has been taken meanwhile, or the run cannot be written.
+        """
+        with self._lock:
+            found = next((entry for entry in reversed(self._deleted) if entry[0] == run), None)
+            if found is None:
+                raise InputError(run, "style", "none", "nothing was deleted that could be restored")
+            restore_style(self.get(run).run.path, found[1])
+            self._deleted.remove(found)
+            self.add_style(run, found[1].name)
+            return found[1].name
+
+    def strafes(self, run: str, style: str) -> bool | None:
+        """Returns whether a style can sidestep; None until `try_strafe` has found out."""
+        return self._strafes.get((run, style))
+
+    def try_strafe(self, run: str, style: str) -> bool:
+        """Finds out whether a style can sidestep, by commanding it to: takes a fraction of a second.
+
+        Raises:
+            InputError: for an unknown run or style.
+        """
+        found = can_strafe(self.get(run).controller, style)
+        self._strafes = {**self._strafes, (run, style): found}
+        return found
+
+    def empty_trash(self) -> None:
+        """Removes what was deleted for good."""
+        self._deleted.clear()
+        for loaded in self._loaded.values():
+            empty_trash(loaded.run.path)
+
+    def _need_learned(self, run: str, name: str) -> LoadedRun:
+        loaded = self.get(run)
+        if not loaded.is_learned(name):
+            raise InputError(
+                run, "style", ascii(name)[:60], "must be a style that was learned; the run's own ones stay"
+            )
+        return loaded
+
+    def _replace(self, run: str, loaded: LoadedRun) -> None:
+        self._loaded = {**self._loaded, run: loaded}
+        self._strafes = {}  # a name can be that of another style now
+        self._version += 1
 
 
 def compile_calibration(controller: Controller) -> None:
@@ -247,7 +373,7 @@ def _speeds(controller: Controller) -> dict[str, float]:
     return {name: float(speed) for name, speed in zip(controller.styles, controller.params.speeds, strict=False)}
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
+def run_names(paths: Sequence[Path]) -> list[str]:
     """Returns short, distinct names of runs: as many of the last parts of each path as that takes.
 
     The base network is `base`, as on the command line: its folder is named by a fingerprint.

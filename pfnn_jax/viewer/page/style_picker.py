@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
+from pfnn_jax.errors import InputError
+from pfnn_jax.viewer.draw.palette import BUTTON, rgb
 from pfnn_jax.viewer.page import widgets
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.run_library import RunLibrary
@@ -39,7 +41,7 @@ class StylePicker:
         self._version = library.version
         self._mixing, self._shares = False, (1 / 3, 1 / 3, 1 / 3)
         self._redraw_at = math.inf
-        self._values = FieldChanges()
+        self._values, self._managed = FieldChanges(), FieldChanges()
         runs, names = library.runs, self._names(character.run)
         self._run = gui.add_dropdown("Run", runs, initial_value=character.run, visible=len(runs) > 1)
         self._style = gui.add_dropdown("Style", (*names, MIXTURE), initial_value=next(iter(character.shares)))
@@ -51,9 +53,29 @@ class StylePicker:
                     for label, name in zip(("Top", "Left", "Right"), spread(("",) * 3, names), strict=True)
                 ]
                 self._share_field = gui.add_text(SHARES, " ".join(map(str, widgets.percents(self._shares))))
+        self._manage = gui.add_folder("Rename or delete", expand_by_default=False)
+        with self._manage:
+            self._new_name = gui.add_text("New name", "")
+            self._rename = gui.add_button("Rename", color=rgb(BUTTON))
+            self._delete = gui.add_button("Delete", color=rgb(BUTTON))
+        self._restore = gui.add_button("Undo", color=rgb(BUTTON), visible=False)
         self._set_seen(self._run.value, self._style.value)
         self._values.set(shares=self._share_field.value)
         self._draw()
+        self._show_manage()
+
+    def on_manage(self, queued: Callable[[Callable[[], None]], Any]) -> None:
+        """Lets the buttons that rename, delete and restore act.
+
+        Args:
+            queued: returns a callback of a button for an action of the tab's thread.
+        """
+        for button, action in (
+            (self._rename, self._rename_style),
+            (self._delete, self._delete_style),
+            (self._restore, self._restore_style),
+        ):
+            button.on_click(queued(action))
 
     @property
     def run(self) -> str:
@@ -61,10 +83,17 @@ class StylePicker:
         return self._run.value
 
     def refresh(self) -> None:
-        """Adds the styles that any tab has learned; choices made meanwhile are left to `apply_changes`."""
+        """Follows the styles that any tab has learned, renamed or deleted.
+
+        Choices made meanwhile are left to `apply_changes`.
+        """
         if self._library.version != self._version:
             self._version = self._library.version
+            before = self._corner_names()
             self._offer(self._character.run)
+            if self._corner_names() != before and not self._mixing:  # changed by the server, not by the person
+                self._values.set(corners=self._corner_names())
+            self._show_manage()
 
     def apply_changes(self, now: float) -> None:
         """Applies what has been chosen since the last call to the character; `now` in seconds of its clock.
@@ -81,6 +110,8 @@ class StylePicker:
         moved = self._values.changed("corners", corners) | self._values.changed("shares", self._share_field.value)
         if moved or (chosen and self._style.value == MIXTURE):
             self._mix(corners, now)
+        if self._managed.changed("style", (self._run.value, self._style.value)):
+            self._show_manage()
         if now >= self._redraw_at:
             self._draw()
 
@@ -97,6 +128,38 @@ class StylePicker:
         self._set_seen(run, style)
         self._draw()
 
+    def _rename_style(self) -> None:
+        run, old, new = self._character.run, self._style.value, str(self._new_name.value).strip()
+        if not new:
+            raise InputError("page", "new name", "empty", "enter the style's new name first")
+        self._library.rename_style(run, old, new)
+        self._new_name.value = ""
+        self.refresh()
+        if old in self._character.shares:
+            self.select(run, new)
+
+    def _delete_style(self) -> None:
+        run, name = self._character.run, self._style.value
+        self._library.delete_style(run, name)
+        self.refresh()
+        if name in self._character.shares:
+            self.select(run, self._library.get(run).present_style(name))
+
+    def _restore_style(self) -> None:
+        run = self._character.run
+        name = self._library.restore_style(run)
+        self.refresh()
+        self.select(run, name)
+
+    def _show_manage(self) -> None:
+        """Offers renaming and deleting for learned styles only, and the style that can be restored."""
+        run, style = self._run.value, self._style.value
+        learned = style != MIXTURE and self._library.get(run).is_learned(style)
+        self._manage.visible = learned
+        deleted = self._library.deleted_style(run)
+        self._restore.visible = deleted is not None
+        self._restore.label = f"Undo: restore {deleted}" if deleted else "Undo"
+
     def _mix(self, corners: tuple[str, ...], now: float) -> None:
         shares = widgets.shares_of(self._share_field.value)
         if shares is None:
@@ -109,11 +172,12 @@ class StylePicker:
 
     def _offer(self, run: str) -> None:
         """Offers the options of a run; fields keep their values if the run has them."""
-        names, corners = self._names(run), self._corner_names()
-        if not set(self._corners[0].options) <= set(names):  # another run, not one that has learned a style
+        names, library = self._names(run), self._library.get(run)
+        corners = tuple(library.present_style(corner) for corner in self._corner_names())
+        if not set(self._corner_names()) <= set(names):  # of another run, or of a style that was renamed or deleted
             corners = spread(corners, names)
         style = self._style.value
-        values = (*corners, style if style in (*names, MIXTURE) else names[0])
+        values = (*corners, style if style == MIXTURE else library.present_style(style))
         for field, value in zip((*self._corners, self._style), values, strict=True):
             options = names if field is not self._style else (*names, MIXTURE)
             if tuple(field.options) != options:

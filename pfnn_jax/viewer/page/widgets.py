@@ -58,17 +58,58 @@ _LANE_GAP = 0.18  # of a lane's height
 _FONT = "font-family:system-ui,-apple-system,'Segoe UI',Roboto,sans-serif"
 
 
-def script() -> str:
-    """Returns an invisible element that runs the page's script (page.js); it takes effect once in a page."""
+def script(run: str = "") -> str:
+    """Returns an invisible element that runs the page's script (page.js); it takes effect once in a page.
+
+    Args:
+        run: name of the run, for the tab's title.
+    """
     code = resources.files("pfnn_jax.viewer.page").joinpath("page.js").read_text(encoding="utf-8")
     image = f'<img alt="" src="data:," style="display:none" onerror="{html.escape(code, quote=True)}">'
-    return f"<style>{_PAGE_STYLE}</style>{image}"
+    title = f'<i hidden data-run="{html.escape(run, quote=True)}"></i>'
+    return f"<style>{_PAGE_STYLE}</style>{title}{image}"
+
+
+def start_note(what: str, seconds: float, expected: float | None) -> str:
+    """Returns what a start is doing, a bar, the seconds so far and those still expected."""
+    share = 0.0 if not expected else min(seconds / expected, 0.98)
+    if not expected:
+        rest = ""
+    elif seconds < expected:
+        rest = f"about {max(expected - seconds, 1.0):.0f} s to go"
+    else:
+        rest = "a little longer than expected"
+    bar = f'<div class="pfnn-bar"><div style="width:{100.0 * share:.1f}%"></div></div>'
+    counted = f"<span>{seconds:.0f} s so far</span><span>{rest}</span>"
+    return (
+        f'<div data-start style="{_FONT};font-size:12.5px;color:{INK};padding:4px 12px 12px">'
+        f"<div>{html.escape(what)}&#8230;</div>{bar}"
+        f'<div style="display:flex;justify-content:space-between;color:{MUTED}">{counted}</div></div>'
+    )
+
+
+def learning_note(name: str, run: str, share: float, waiting: bool, left: float) -> str:
+    """Returns a bar for a style that is being learned.
+
+    Args:
+        name, run: of the style.
+        share: 0 to 1, the part that is done.
+        waiting: whether another style is learned first.
+        left: seconds that it probably still takes.
+    """
+    rest = "waits for another style" if waiting else f"about {max(5.0 * math.ceil(left / 5.0), 5.0):.0f} s left"
+    bar = f'<div class="pfnn-bar"><div style="width:{100.0 * share:.0f}%"></div></div>'
+    words = f"<span>Learning {html.escape(name)} on {html.escape(run)}</span><span>{rest}</span>"
+    return (
+        f'<div data-learning style="{_FONT};font-size:12.5px;color:{INK};padding:2px 12px 8px">'
+        f'<div style="display:flex;justify-content:space-between;gap:8px">{words}</div>{bar}</div>'
+    )
 
 
 def phase_dial(dials: Sequence[Dial]) -> str:
     """Returns the phases as clock faces; for the gait cycle, noon is the right foot's contact."""
     if not dials:
-        return _note("This network is gated by velocities and has no phase.")
+        return note("This network is gated by velocities and has no phase.")
     if len(dials) == 1:
         return _svg(240, 104, _clock(dials[0], 120.0, 52.0, 42.0, ticks=True))
     width = 240 / len(dials)
@@ -78,7 +119,7 @@ def phase_dial(dials: Sequence[Dial]) -> str:
 
 
 def pad() -> str:
-    """Returns the stick with W, A, S and D at its rim, and the keys for turning and running."""
+    """Returns the stick with W, A, S and D at its rim, and the keys for turning and going faster."""
     letter = "position:absolute;pointer-events:none;font-weight:600;font-size:12px"
     letters = "".join(
         f'<span class="pfnn-letter" data-drive="{key}" style="{letter};{place}">{key.upper()}</span>'
@@ -96,10 +137,12 @@ def pad() -> str:
         for key, sign, label, title in (
             ("q", "&#8630;", "Q", "Turn left"),
             ("e", "&#8631;", "E", "Turn right"),
-            ("shift", "&#8679;", "Shift: run", "Faster until pressed again"),
+            ("shift", "&#8679;", "Shift: faster", "Faster until pressed again"),
         )
     )
-    return f'<style>{_PAD_STYLE}</style><div class="pfnn-pad">{stick}<div class="pfnn-keys">{keys}</div></div>'
+    grip = '<div class="pfnn-grip" data-sheet role="button" aria-expanded="false" title="More controls"><i></i></div>'
+    pad = f'<div class="pfnn-pad">{stick}<div class="pfnn-keys">{keys}</div></div>'
+    return f"<style>{_PAD_STYLE}</style>{grip}{pad}"
 
 
 def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str:
@@ -132,37 +175,62 @@ def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str
     return _svg(240, 172, shape + texts, attributes, TRIANGLE_WIDTH)
 
 
-def readout(view: View, drawn: float, browser: float, hint: str = "") -> str:
-    """Returns the numbers of a moment: position, speed, style, and the computing time of a step.
+def readout(view: View, hint: str = "") -> str:
+    """Returns the style and the speed of a moment.
+
+    Args:
+        view: the moment.
+        hint: text after the style.
+    """
+    styles = ", ".join(
+        html.escape(name.lstrip("\0")) + (f" {weight:.0%}" if weight < 0.995 else "")
+        for name, weight in sorted(view.style_weights.items(), key=lambda item: -item[1])[:3]
+    )
+    wanted = f"<span style='color:{MUTED}'>of {plain_number(view.wanted_speed, 2)} wanted</span>"
+    after = f' <span data-hint style="color:{ACCENT};white-space:nowrap">· {hint}</span>' if hint else ""
+    return _rows(
+        {"Style": ("style", styles, after), "Speed": ("speed", f"{plain_number(view.speed, 2)} m/s {wanted}", "")}
+    )
+
+
+def details(view: View, drawn: float, browser: float) -> str:
+    """Returns the numbers of a moment that are folded away: position, facing, and how fast everything is computed.
 
     Args:
         view: the moment.
         drawn: pictures sent per second.
         browser: pictures per second that the browser manages, 0 if unknown.
-        hint: text after the style.
     """
-    styles = ", ".join(
-        html.escape(name) + (f" {weight:.0%}" if weight < 0.995 else "")
-        for name, weight in sorted(view.style_weights.items(), key=lambda item: -item[1])[:3]
+    left, ahead = float(view.root[0]), float(view.root[1])
+    sideways = f"{plain_number(abs(left), 2)} m {'left' if left >= 0.0 else 'right'}"
+    along = f"{plain_number(abs(ahead), 2)} m {'ahead' if ahead >= 0.0 else 'behind'}"
+    yaw = math.degrees(math.atan2(view.facing[0], view.facing[1]))
+    turned = "as at the start" if abs(yaw) < 0.5 else f"{abs(yaw):.0f}° to the {'left' if yaw > 0.0 else 'right'}"
+    pictures = f"{drawn:.0f} a second" + (f", the browser shows {browser:.0f}" if browser else "")
+    place = f'<i hidden data-value="{left:.3f} {ahead:.3f} {yaw:.2f}"></i>'
+    return _rows(
+        {
+            "Position": ("root", f"{along}, {sideways}", place),
+            "Facing": ("facing", turned, ""),
+            "Pictures": ("pictures", pictures, ""),
+            "Steps": ("steps", f"{view.steps_per_second:.0f} a second, {view.step_milliseconds:.1f} ms each", ""),
+        }
     )
-    rows = {
-        "Style": styles,
-        "Root": f"x {view.root[0]:+.2f} m, z {view.root[1]:+.2f} m",
-        "Facing": f"{math.degrees(math.atan2(view.facing[0], view.facing[1])):+.0f}°",
-        "Speed": f"{view.speed:.2f} m/s <span style='color:{MUTED}'>of {view.wanted_speed:.2f} wanted</span>",
-        "Steps": f"{view.steps_per_second:.0f} per s",
-        "Pictures": f"{drawn:.0f} per s" + (f", browser {browser:.0f}" if browser else ""),
-        "Inference": f"{view.step_milliseconds:.2f} ms per step",
-    }
-    after = f' <span data-hint style="color:{ACCENT};white-space:nowrap">· {hint}</span>' if hint else ""
+
+
+def _rows(rows: Mapping[str, tuple[str, str, str]]) -> str:
+    """Returns lines: title -> (key, content, what follows it)."""
     cells = "".join(
-        f'<div style="color:{MUTED}">{name}</div><div><span data-readout="{name.lower()}">{value}</span>'
-        + (after if name == "Style" else "")
-        + "</div>"
-        for name, value in rows.items()
+        f'<div style="color:{MUTED}">{title}</div><div><span data-readout="{key}">{content}</span>{after}</div>'
+        for title, (key, content, after) in rows.items()
     )
     grid = "display:grid;grid-template-columns:68px 1fr;gap:1px 6px;font-variant-numeric:tabular-nums"
     return f'<div style="{_FONT};font-size:12.5px;line-height:1.45;padding:2px 12px 8px;{grid}">{cells}</div>'
+
+
+def plain_number(value: float, digits: int) -> str:
+    """Returns a number with some digits after the point, and no sign in front of zero."""
+    return f"{round(float(value), digits) + 0.0:.{digits}f}"
 
 
 def message(kind: str, text: str) -> str:
@@ -232,13 +300,13 @@ class Timeline:
         )
 
     def add(self, seconds: float, contacts: np.ndarray) -> None:
-        """Appends a moment.
+        """Appends a moment; contacts above one half are drawn, all at one height.
 
         Args:
             seconds: of any one clock.
             contacts: [4] in 0..1, in the order of `View.contacts`.
         """
-        self._seen.append((seconds, contacts[list(_LANE_ORDER)]))
+        self._seen.append((seconds, (contacts[list(_LANE_ORDER)] > 0.5).astype(float)))
         if len(self._seen) > 2 * CONTACT_SAMPLES * 4:
             self._seen = [seen for seen in self._seen if seen[0] >= seconds - CONTACT_SECONDS - 0.1]
 
@@ -307,7 +375,8 @@ def _text(x: float, y: float, text: str, size: float, anchor: str = "middle", co
     )
 
 
-def _note(text: str) -> str:
+def note(text: str) -> str:
+    """Returns a line of small text."""
     return f'<div style="{_FONT};font-size:12px;color:{MUTED};padding:2px 12px 8px">{html.escape(text)}</div>'
 
 
@@ -316,9 +385,31 @@ def _short(name: str, length: int) -> str:
 
 
 _PAGE_STYLE = f"""
+.pfnn-bar {{ height: 6px; margin: 7px 0 5px; border-radius: 3px; background: {FAINT}; overflow: hidden; }}
+.pfnn-bar > div {{ height: 100%; border-radius: 3px; background: {ACCENT}; transition: width 0.9s linear; }}
 @media (min-width: 990px) {{ /* notices between the panels if there is room, so that they do not cover the readouts */
   .mantine-Notifications-root[data-position=top-left] {{ left: {READOUT_WIDTH + 30:g}px !important; }}
 }}
+/* Tools of viser: list of commands, address and scene tree, the sign of the connection. The page has its own words. */
+.mantine-ActionIcon-root:has(.tabler-icon-adjustments), .mantine-ActionIcon-root:has(.tabler-icon-list-search),
+.tabler-icon-cloud-check, div:has(> .tabler-icon-cloud-check) > div:nth-child(-n+2) {{ display: none !important; }}
+.pfnn-grip {{ display: none; }}
+.pfnn-compact .pfnn-grip {{ display: flex; justify-content: center; padding: 2px 0 9px; cursor: pointer;
+  touch-action: none; }}
+.pfnn-grip i {{ width: 44px; height: 5px; border-radius: 3px; background: {PASSIVE}; }}
+.pfnn-compact:not(.pfnn-open) .pfnn-more, .pfnn-compact:not(.pfnn-open) .mantine-Tabs-root {{
+  display: none !important; }}
+.pfnn-compact:not(.pfnn-open) [data-with-border] {{ border: 0; margin: 0 !important; }}
+.pfnn-compact:not(.pfnn-open) [data-with-border] > .mantine-Paper-root {{ display: none; }} /* the folder's title */
+.pfnn-sheet {{ left: 0 !important; width: 100% !important; max-height: 72% !important;
+  border-radius: 14px 14px 0 0 !important; }}
+.pfnn-sheet .mantine-ScrollArea-content > div {{ width: 100% !important; }}
+.pfnn-sheet:not(:has([data-start])) .mantine-ScrollArea-content > div > div:first-child {{ /* the title */
+  display: none !important; }}
+@media (max-height: 430.9px) {{
+  .pfnn-readouts, #webgl-software-rendering {{ display: none !important; }}
+}}
+@media (max-width: 575.9px) {{ #webgl-software-rendering {{ display: none !important; }} }}
 .pfnn-ended {{ position: fixed; left: 50%; top: 38%; transform: translate(-50%, -50%); z-index: 1000;
   box-sizing: border-box; width: min(380px, 90vw); padding: 14px 18px; border-radius: 9px; text-align: center;
   background: {MESSAGES["bad"][1]}; color: {MESSAGES["bad"][0]}; font-size: 14px; line-height: 1.5; {_FONT};

@@ -1,0 +1,115 @@
+"""Renaming, deleting and restoring learned styles: on disk, in the bank, and for characters that walk in them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pfnn_jax.control.abilities import can_strafe
+from pfnn_jax.run import load_run, load_style, save_style
+from pfnn_jax.run_config import list_styles, style_note
+from pfnn_jax.viewer.page.character import Character
+from pfnn_jax.viewer.page.run_library import RunLibrary
+from pfnn_jax.viewer.page.style_files import empty_trash
+from tests.raising import assert_refused
+
+FRAME = 1.0 / 60.0
+
+
+@pytest.fixture
+def library(trained_run, tmp_path) -> RunLibrary:
+    """A run that has learned a style from an uploaded clip."""
+    path = Path(shutil.copytree(trained_run, tmp_path / "run"))
+    save_style(path, "mine", load_style(load_run(path), "proud"), {"speed": 1.0})
+    (path / "uploads").mkdir()
+    (path / "uploads" / "mine.bvh").write_text("a clip")
+    return RunLibrary([path])
+
+
+def path_of(library: RunLibrary) -> Path:
+    return library.get("run").run.path
+
+
+def shown(character: Character, seconds: float) -> set[str]:
+    """Returns the styles that are shown when a character has walked until `seconds`."""
+    for frame in range(6):
+        view = character.advance(seconds + frame * FRAME)
+    return set(view.style_weights)
+
+
+def test_a_renamed_style_is_the_same_style_under_its_new_name(library):
+    character = Character(library, style="mine")
+    character.advance(0.0)
+    before = np.asarray(library.get("run").controller.style_weights("mine"))
+    library.rename_style("run", "mine", "My walk")
+    assert shown(character, 0.1) == {"My walk"} and character.shares == {"My walk": 1.0}
+    np.testing.assert_array_equal(library.get("run").controller.style_weights("My walk"), before)
+    assert list_styles(path_of(library)) == ("My walk", "depressed", "neutral", "proud")
+    assert style_note(path_of(library), "My walk")["name"] == "My walk"
+    assert RunLibrary([path_of(library)]).get("run").first_style == "My walk"
+    library.rename_style("run", "My walk", "again")
+    assert shown(character, 1.0) == {"again"}, "a name that has changed twice"
+
+
+def test_a_deleted_style_can_be_restored_and_is_gone_when_the_program_ends(library):
+    character, run = Character(library, style="mine"), path_of(library)
+    character.advance(0.0)
+    library.delete_style("run", "mine")
+    assert "mine" not in list_styles(run) and not (run / "uploads" / "mine.bvh").exists()
+    assert "mine" not in library.get("run").styles and library.deleted_style("run") == "mine"
+    shown(character, 0.1)
+    assert character.shares == {"depressed": 1.0}, "its character walks on in another style"
+    assert library.restore_style("run") == "mine" and library.deleted_style("run") is None
+    assert (run / "uploads" / "mine.bvh").read_text() == "a clip"
+    character.choose("run", "mine")
+    shown(character, 1.0)
+    library.delete_style("run", "mine")
+    library.empty_trash()
+    assert library.deleted_style("run") is None and not list(run.glob(".deleted*"))
+    assert_refused(lambda: library.restore_style("run"), place="style")
+
+
+def test_the_row_of_a_deleted_style_is_used_again(library):
+    run = path_of(library)
+    capacity, count = library.get("run").controller.capacity, len(library.get("run").controller.styles)
+    for number in range(3):
+        library.delete_style("run", "mine")
+        save_style(run, "mine", load_style(load_run(run), "neutral"), {"speed": 1.0 + number})
+        library.add_style("run", "mine")
+    controller = library.get("run").controller
+    assert (controller.capacity, len(controller.styles)) == (capacity, count)
+    assert_refused(lambda: library.restore_style("run"), value="mine", rule_mentions="taken")
+
+
+def test_names_and_styles_that_cannot_be_used_are_refused(library):
+    for name in ("", "a/b", ".hidden", "neutral", "NEUTRAL", "x" * 101):
+        assert_refused(lambda name=name: library.rename_style("run", "mine", name))
+    for style in ("proud", "unknown", "../mine"):
+        assert_refused(lambda style=style: library.rename_style("run", style, "new"), place="style")
+        assert_refused(lambda style=style: library.delete_style("run", style), place="style")
+    assert list_styles(path_of(library)) == ("depressed", "mine", "neutral", "proud")
+
+
+def test_what_ended_programs_have_deleted_is_removed(tmp_path):
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+    running = os.getppid()
+    for number in (ended.stdout.strip(), str(running)):
+        (tmp_path / f".deleted.{number}" / "0").mkdir(parents=True)
+    (tmp_path / ".deleted.notes").mkdir()
+    empty_trash(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f".deleted.{running}", ".deleted.notes"]
+
+
+def test_a_style_that_was_shown_walks_only_cannot_strafe(library):
+    """The data of the run walks ahead and turns."""
+    assert not can_strafe(library.get("run").controller, "neutral")
+    assert not library.try_strafe("run", "neutral")
+    assert library.strafes("run", "neutral") is False and library.strafes("run", "proud") is None
+    library.rename_style("run", "mine", "other")
+    assert library.strafes("run", "neutral") is None, "a name can be that of another style"
