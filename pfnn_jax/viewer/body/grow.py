@@ -17,7 +17,8 @@ from pfnn_jax.viewer.body.limbs import ARM_PROFILE, ARM_STATIONS, LEG_PROFILE, L
 from pfnn_jax.viewer.body.part import Part
 from pfnn_jax.viewer.body.sticks import grow_sticks
 from pfnn_jax.viewer.body.trunk import grow_trunk
-from pfnn_jax.viewer.draw.palette import INK, SIDES as COLOURS, rgb
+from pfnn_jax.viewer.draw.palette import INK, rgb
+from pfnn_jax.viewer.draw.palette import SIDES as COLOURS
 
 DARKER = 0.28  # share of ink in the colour of hands and feet
 
