@@ -9,7 +9,7 @@ import numpy as np
 SUN = np.array([-0.45, 0.75, 0.55])
 """Direction to the light, in the picture's axes: right, up, towards the viewer."""
 AMBIENT, SKY, DIFFUSE, GLOSS, RIM = 0.62, 0.2, 0.5, 0.07, 0.3
-SHININESS = 24.0
+SHININESS = 5  # times that the highlight is squared
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,21 +39,18 @@ def draw_surface(surface: Surface, width: int, height: int, samples: int = 2) ->
         width, height: pixels.
         samples: per pixel and direction, against jagged edges.
     """
-    face, at, depth, shares = _fragments(
-        surface.pixels * samples, surface.depth, surface.faces, samples * width, samples * height
-    )
-    nearest = np.full(samples * samples * width * height, np.inf)
+    wide = samples * width
+    face, at, depth, shares = _fragments(surface.pixels * samples, surface.depth, surface.faces, wide, samples * height)
+    nearest = np.full(wide * samples * height, np.inf, np.float32)
     np.minimum.at(nearest, at, depth)
-    seen = depth == nearest[at]
-    face, at, shares = face[seen], at[seen], shares[seen]
-    corners = surface.faces[face]
-    normals = np.einsum("pk,pkc->pc", shares, surface.normals[corners])
-    colours = shade(normals, np.einsum("pk,pkc->pc", shares, surface.colours[corners]))
-    picture = np.zeros((samples * samples * width * height, 4))
-    picture[at, :3], picture[at, 3] = colours, 1.0
-    picture = picture.reshape(height, samples, width, samples, 4).mean(axis=(1, 3))
-    picture[..., :3] /= np.maximum(picture[..., 3:], 1e-9)
-    return picture
+    seen = np.flatnonzero(depth == nearest[at])
+    at, shares, corners = at[seen], shares[:, seen], surface.faces[face[seen]]
+    normals, colours = (_blend(shares, values, corners) for values in (surface.normals, surface.colours))
+    pixel = at // wide // samples * width + at % wide // samples
+    sums = [np.bincount(pixel, values, width * height) for values in shade(normals, colours)]
+    count = np.bincount(pixel, minlength=width * height)
+    picture = np.stack([*(values / np.maximum(count, 1) for values in sums), count / samples**2], axis=-1)
+    return np.minimum(picture, 1.0).reshape(height, width, 4)
 
 
 def cover(pixels: np.ndarray, faces: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -65,21 +62,33 @@ def cover(pixels: np.ndarray, faces: np.ndarray, width: int, height: int) -> np.
 
 
 def shade(normals: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """Returns the colours [P, 3] of lit points.
+    """Returns the colours [3, P] of lit points.
 
     Args:
-        normals: [P, 3] of any length, in the axes of the picture.
-        colours: [P, 3] of the surface, in 0..1.
+        normals: [3, P] of any length, in the axes of the picture.
+        colours: [3, P] of the surface, in 0..1.
     """
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
+    normals = normals / np.sqrt(np.maximum(np.sum(normals * normals, axis=0), 1e-12))
     sun = SUN / np.linalg.norm(SUN)
     half = sun + np.array([0.0, 0.0, 1.0])
     half /= np.linalg.norm(half)
-    facing = np.clip(normals @ sun, 0.0, None)
-    light = AMBIENT + SKY * (0.5 + 0.5 * normals[:, 1]) + DIFFUSE * facing
-    light = light * (1.0 - RIM * np.clip(1.0 - normals[:, 2], 0.0, 1.0) ** 2.5)
-    gloss = GLOSS * np.clip(normals @ half, 0.0, None) ** SHININESS
-    return np.clip(colours * light[:, None] + gloss[:, None], 0.0, 1.0)
+    facing = np.maximum(_along(normals, sun), 0.0)
+    edge = np.clip(1.0 - normals[2], 0.0, 1.0)
+    light = (AMBIENT + SKY * (0.5 + 0.5 * normals[1]) + DIFFUSE * facing) * (1.0 - RIM * edge * edge * edge)
+    gloss = np.maximum(_along(normals, half), 0.0)
+    for _ in range(SHININESS):
+        gloss = gloss * gloss
+    return np.clip(colours * light + GLOSS * gloss, 0.0, 1.0)
+
+
+def _along(vectors: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    return vectors[0] * direction[0] + vectors[1] * direction[1] + vectors[2] * direction[2]
+
+
+def _blend(shares: np.ndarray, values: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Returns values [3, P] between those [V, 3] of the corners [P, 3] of faces, by shares [3, P]."""
+    values = values.T.astype(np.float32)
+    return sum(share * values[:, corner] for share, corner in zip(shares, corners.T, strict=True))  # type: ignore
 
 
 def _fragments(
@@ -88,7 +97,7 @@ def _fragments(
     """Returns what every face that looks at the viewer covers.
 
     Returns:
-        (face [P], index of the pixel [P], depth [P], shares of the face's corners [P, 3]).
+        (face [P], index of the pixel [P], depth [P], shares of the face's corners [3, P]).
     """
     x, y = pixels[faces, 0], pixels[faces, 1]  # [F, 3]
     area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
@@ -112,13 +121,17 @@ def _fragments(
     right = np.clip(np.ceil(-ends[1] - 0.5), 0, width).astype(int)
     span, column = _ranges(left, right)
     number, row = number[span], row[span]
-    px, py = column + 0.5, row + 0.5
-    x, y = x[number], y[number]
-    second = ((px - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (py - y[:, 0])) / area[number]
-    third = ((x[:, 1] - x[:, 0]) * (py - y[:, 0]) - (px - x[:, 0]) * (y[:, 1] - y[:, 0])) / area[number]
-    shares = np.stack([1.0 - second - third, second, third], axis=-1)
+    # shares of the second and the third corner are linear in the picture
+    x0, y0 = x[:, 0], y[:, 0]
+    slopes = np.stack([y[:, 2] - y0, x0 - x[:, 2], y0 - y[:, 1], x[:, 1] - x0]) / area
+    at_corner = np.stack([slopes[0] * x0 + slopes[1] * y0, slopes[2] * x0 + slopes[3] * y0])
+    terms = np.concatenate([slopes, at_corner]).astype(np.float32)[:, number]
+    px, py = (column + 0.5).astype(np.float32), (row + 0.5).astype(np.float32)
+    second, third = terms[0] * px + terms[1] * py - terms[4], terms[2] * px + terms[3] * py - terms[5]
     face = shown[number]
-    return face, row * width + column, np.sum(shares * depth[faces[face]], axis=-1), shares
+    shares = np.stack([1.0 - second - third, second, third])
+    corner_depth = depth[faces].T.astype(np.float32)[:, face]
+    return face, row * width + column, np.sum(shares * corner_depth, axis=0), shares
 
 
 def _ranges(first: np.ndarray, past: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
