@@ -59,7 +59,7 @@ def tube(rings: np.ndarray, weights: Sequence[Weights], colour: np.ndarray) -> P
     return Part(vertices, _outward(vertices, np.concatenate(faces)), joints, shares, colours)
 
 
-def ball(centre: np.ndarray, radius: float, joint: int, colour: np.ndarray, corners: int = 8, rows: int = 5) -> Part:
+def ball(centre: np.ndarray, radius: float, joint: int, colour: np.ndarray, corners: int = 8, rows: int = 4) -> Part:
     """Returns a ball that one joint moves."""
     polar = np.pi * np.arange(1, rows + 1) / (rows + 1)
     angles = 2 * np.pi * np.arange(corners) / corners
