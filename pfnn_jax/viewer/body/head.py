@@ -50,6 +50,7 @@ VISOR = np.radians(64.0)  # to either side
 VISOR_HEIGHT = (-0.010, 0.026)
 HEAD = 0.233  # metres from chin to crown
 JOINT = np.array([0.0, -0.088, -0.014])  # of the head joint, from the middle of the head
+LARGEST, LONG_NECK = 2.5, 0.3  # head in comparison with the body; shoulders to head joint, metres
 CROWN = 0.12  # share of the size from which on a bone above the head joint reaches to the crown
 
 
@@ -66,12 +67,14 @@ def grow_head(anatomy: Anatomy, colour: np.ndarray, dark: np.ndarray) -> list[Pa
 def _place(anatomy: Anatomy, joint: int) -> tuple[float, np.ndarray]:
     """Returns the size of the head relative to a person's, and its middle [3]."""
     size, at = anatomy.size, anatomy.at(joint)
-    tips = anatomy.tips(joint) if joint == anatomy.body.head else np.zeros((0, 3))
-    crown = max((float(tip[1] - at[1]) for tip in tips), default=0.0)
-    if crown > CROWN * size:
-        size = float(np.clip(crown / (HEAD / 2 - JOINT[1]), 0.85 * size, 2.5 * size))
     if joint != anatomy.body.head:
-        at = at + np.array([0.0, 0.3 * HEAD * size, 0.0])
+        return size, at + np.array([0.0, 0.3 * HEAD * size, 0.0]) - size * JOINT
+    neck = float(at[1] - anatomy.shoulder_middle[1])
+    if neck > LONG_NECK * size:  # of a cartoon, whose head joint is in the middle of a large head
+        return size * min(neck / (LONG_NECK * size), LARGEST), at
+    crown = max((float(tip[1] - at[1]) for tip in anatomy.tips(joint)), default=0.0)
+    if crown > CROWN * size:
+        size = float(np.clip(crown / (HEAD / 2 - JOINT[1]), 0.85 * size, LARGEST * size))
     return size, at - size * JOINT
 
 

@@ -76,8 +76,7 @@ def _neck(anatomy: Anatomy, top: np.ndarray, up: np.ndarray) -> tuple[np.ndarray
     if (head - top) @ up < 0.03 * anatomy.size:  # no neck: the head sits on the trunk
         return top, top + 0.03 * anatomy.size * up
     base = anatomy.at(chain[0]) if len(chain) > 1 else top
-    along = (base - top) @ up
-    return (top if abs(along) > 0.05 * anatomy.size else base), head
+    return (base if 0.0 < (base - top) @ up < 0.05 * anatomy.size else top), head
 
 
 def _rings(widths: np.ndarray) -> np.ndarray:
