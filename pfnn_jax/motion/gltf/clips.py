@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from pfnn_jax.errors import InputError
 from pfnn_jax.motion.assumptions import decide_up
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.gltf.animations import Sampled, choose_clip, read_tracks, sample_nodes
-from pfnn_jax.motion.gltf.character import Character, read_character
+from pfnn_jax.motion.gltf.character import Character, character_of, read_character
+from pfnn_jax.motion.gltf.container import read_document
 from pfnn_jax.motion.gltf.nodes import read_nodes
+from pfnn_jax.motion.gltf.vrm import humanoid_nodes
 from pfnn_jax.motion.humanoid.map import LEG, SIDES
 from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import forward_kinematics, joint_positions, quat_conjugate, quat_multiply
@@ -20,6 +23,9 @@ from pfnn_jax.motion.retargeting.reference import some_poses
 from pfnn_jax.motion.roles import missing_roles, roles_of
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.up_axis import stand_up
+
+RIG_FPS = 30.0
+"""Frames per second of a character that stands for one frame."""
 
 STRETCH = 0.05
 """Of a leg: joints that move away from where rigid bones carry them by more than this are noted."""
@@ -41,9 +47,40 @@ def read_gltf_clip(path: str | Path, options: ReadOptions, roles_file: str | Pat
         InputError: for a malformed file, one without clip or humanoid, or a clip that is not there.
     """
     check_options(options, path)
-    character = read_character(path, unit=options.metres, roles_file=roles_file)
-    number, several = choose_clip(character.document, options.clip_name)
+    document = read_document(path)
+    number, several = choose_clip(document, options.clip_name)
+    joints: set[int] = set()
+    if not document.items("skins"):  # exported without its mesh: what turns is a joint
+        joints = {track.node for track in read_tracks(document, number) if track.path == "rotation"}
+        joints |= set(humanoid_nodes(document).values())
+        if not joints:
+            raise InputError(document.path, f"animations[{number}]", "turns no node", "must animate joints")
+    character = character_of(document, unit=options.metres, roles_file=roles_file, joints=joints)
     return clip_of(character, number, options, several, "" if roles_file is None else str(roles_file))
+
+
+def read_gltf_rig(path: str | Path, options: ReadOptions, roles_file: str | Path | None = None) -> MotionClip:
+    """Reads a character, with or without clips, as one frame of it in its bind pose.
+
+    Joint 0 is the hips.
+
+    Args:
+        path: file to read.
+        options: what is known about the file; of it the unit counts.
+        roles_file: as in `read_gltf_clip`.
+
+    Raises:
+        InputError: as `read_character`.
+    """
+    check_options(options, path)
+    character = read_character(path, unit=options.metres, roles_file=roles_file)
+    skeleton, kept = below_hips(character.skeleton)
+    rotations = np.zeros((1, skeleton.num_joints, 4))
+    rotations[..., 0] = 1.0
+    named_by = "" if roles_file is None else str(roles_file)
+    reading = Reading(character.placement.scale, "y", RIG_FPS, 1, roles_file=named_by).noting(*character.notes)
+    place = character.bind_positions[kept[:1]]
+    return MotionClip(skeleton, RIG_FPS, place, rotations, source=str(path), reading=reading)
 
 
 def clip_of(
@@ -108,6 +145,7 @@ def below_hips(skeleton: Skeleton) -> tuple[Skeleton, np.ndarray]:
         np.array([rows.get(int(skeleton.mirror[joint]), rows[int(joint)]) for joint in kept]),
         roles=None if missing_roles(body) else roles_of(body, names),
         humanoid=body,
+        resting_heights=skeleton.resting_heights,
     )
     return part, kept
 
