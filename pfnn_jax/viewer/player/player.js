@@ -1,16 +1,23 @@
-// Plays motion clips next to each other, in step. Follows player_scene.js and player_strip.js; no outside resources.
+// Plays motion clips next to each other, in step. Follows the other scripts; no outside resources.
 // Drag to orbit, Ctrl + wheel to zoom, space to pause, arrow keys for single frames, press on a time line to jump there.
 
 const DEFAULT_VIEW = { yaw: 0.75, pitch: 0.28, distance: 4.6 };
 
 class Player {
-  constructor(root) {
+  static async load(root) {
     const data = JSON.parse(root.querySelector("script[type='application/json']").textContent);
+    const THREE = await loadRenderer();
+    const meshes = await Promise.all(data.meshes.map((mesh) => loadMesh(THREE, mesh)));
+    return new Player(root, THREE, await Promise.all(data.clips.map(loadClip)), meshes);
+  }
+
+  constructor(root, THREE, clips, meshes) {
     this.root = root;
-    this.clips = data.clips.map(decode);
+    this.clips = clips;
     this.duration = Math.max(...this.clips.map((clip) => (clip.frames - 1) / clip.fps), 1e-3);
     this.camera = { ...DEFAULT_VIEW };
-    this.scenes = [...root.querySelectorAll("canvas.scene")].map((canvas, i) => new Scene(canvas, this.clips[i]));
+    const scene = (canvas, i) => new Scene(THREE, canvas, clips[i], meshes[clips[i].mesh]);
+    this.scenes = [...root.querySelectorAll("canvas.scene")].map(scene);
     const strip = (canvas) => new Strip(canvas, this.clips[Number(canvas.dataset.clip)], this.duration);
     this.strips = [...root.querySelectorAll("canvas.strip")].map(strip);
     this.button = root.querySelector("button.play");
@@ -100,6 +107,7 @@ class Player {
 
   recolour() {
     this.colours = palette(this.root);
+    for (const scene of this.scenes) scene.recolour(this.colours);
     this.draw();
   }
 
@@ -127,9 +135,20 @@ class Player {
   }
 }
 
+// Says in the scenes' place why nothing can be drawn, such as a browser without WebGL.
+function explain(root, error) {
+  for (const canvas of root.querySelectorAll("canvas.scene")) {
+    const note = document.createElement("p");
+    note.className = "failure";
+    note.textContent = `This browser cannot draw the motion: ${error.message}`;
+    canvas.replaceWith(note);
+  }
+}
+
 const start = () => document.querySelectorAll(".motion-player").forEach((root) => {
-  if (!root.dataset.started) new Player(root);
-  root.dataset.started = "yes";
+  if (root.dataset.started) return;
+  root.dataset.started = "loading";
+  Player.load(root).then(() => (root.dataset.started = "yes"), (error) => explain(root, error));
 });
 if (document.readyState === "loading") document.addEventListener("DOMContentLoaded", start);
 else start();
