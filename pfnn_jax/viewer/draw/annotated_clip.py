@@ -19,7 +19,8 @@ from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import END_EFFECTORS
 from pfnn_jax.motion.labels.phase import PhaseLabels, label_phase, read_phase
-from pfnn_jax.viewer.draw.body import upright
+from pfnn_jax.motion.skinned_mesh import SkinnedMesh
+from pfnn_jax.viewer.draw.upright import upright
 
 FEET = ("left", "right")
 SHORTEST = 3  # frames; fewer have no speed to detect contacts by
@@ -65,6 +66,7 @@ class AnnotatedClip:
             frames without a phase; or None.
         contacts: [T, 4] bool: left heel, left toe, right heel, right toe; or [T, 2]: left and right foot; or None.
         note: small print after the name, such as the reason why there is no phase.
+        mesh: the character's own body, moved by the joints of the clip's skeleton; by default one is grown around them.
 
     Raises:
         ValueError: for a phase or contacts of another shape.
@@ -76,6 +78,7 @@ class AnnotatedClip:
     phase: np.ndarray | None = None
     contacts: np.ndarray | None = None
     note: str = ""
+    mesh: SkinnedMesh | None = None
 
     def __post_init__(self) -> None:
         require_motion(self.clip, self.name)
