@@ -32,7 +32,7 @@ def pack(values: np.ndarray, unit: float = 1.0) -> str:
     steps = np.diff(whole, axis=0, prepend=0).T
     coded = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4")
     planes = np.ascontiguousarray(coded).view(np.uint8).reshape(-1, 4).T
-    return base64.b64encode(gzip.compress(planes.tobytes(), 9, mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(planes.tobytes(), 6, mtime=0)).decode("ascii")
 
 
 def mesh_data(mesh: SkinnedMesh) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 // Drag to orbit, Ctrl + wheel to zoom, space to pause, arrow keys for single frames, press on a time line to jump there.
 
 const DEFAULT_VIEW = { yaw: 0.75, pitch: 0.28, distance: 4.6 };
+const SLOW = 60; // milliseconds: when pictures take longer, as without a graphics card, they get fewer pixels
+const COARSER = 0.7, COARSEST = 0.5; // pixels drawn per pixel shown: by how much fewer, and how few at the least
 
 class Player {
   static async load(root) {
@@ -26,6 +28,7 @@ class Player {
     this.rate = root.querySelector("select");
     this.time = 0;
     this.playing = false;
+    this.sharpness = 1;
     this.listen();
     this.recolour();
   }
@@ -120,6 +123,7 @@ class Player {
     const tick = (now) => {
       if (!this.playing) return;
       this.time = (this.time + ((now - (last ?? now)) / 1000) * Number(this.rate.value)) % this.duration;
+      this.coarsen(now - (last ?? now));
       last = now;
       this.draw();
       requestAnimationFrame(tick);
@@ -127,8 +131,17 @@ class Player {
     requestAnimationFrame(tick);
   }
 
+  // Draws fewer pixels when the average time between pictures is too long.
+  coarsen(passed) {
+    this.passed = 0.9 * (this.passed ?? 0) + 0.1 * Math.min(passed, 4 * SLOW); // a single long one is no reason
+    if (this.passed < SLOW || this.sharpness <= COARSEST) return;
+    this.sharpness = Math.max(COARSEST, COARSER * this.sharpness);
+    this.passed = 0;
+  }
+
   draw() {
-    for (const scene of this.scenes) scene.draw(this.time, this.camera, this.colours);
+    const sharpness = this.playing ? this.sharpness : 1;
+    for (const scene of this.scenes) scene.draw(this.time, this.camera, this.colours, sharpness);
     for (const strip of this.strips) strip.draw(this.time, this.colours);
     this.slider.value = (1000 * this.time) / this.duration;
     this.clock.textContent = `${this.time.toFixed(2)} / ${this.duration.toFixed(2)} s`;

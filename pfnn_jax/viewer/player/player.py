@@ -136,7 +136,7 @@ def _player_data(clips: Sequence[AnnotatedClip], fps: float) -> dict[str, Any]:
     meshes: dict[str, tuple[int, dict[str, Any]]] = {}
     tracks = []
     for annotated in clips:
-        scene = make_scene(annotated.clip)
+        scene = make_scene(annotated.clip, annotated.mesh)
         data = mesh_data(scene.mesh)
         number, _ = meshes.setdefault(json.dumps(data), (len(meshes), data))
         tracks.append({"mesh": number, **_track_data(annotated, scene, fps)})

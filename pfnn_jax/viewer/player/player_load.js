@@ -9,7 +9,7 @@ async function inflate(text) {
 // The opposite of `pack`: four planes of bytes, signs in the lowest bit, differences from row to row; by columns.
 async function unpack(text, columns, unit = 1) {
   const bytes = await inflate(text), count = bytes.length / 4, rows = count / columns;
-  const values = new Float64Array(count);
+  const values = new Float32Array(count);
   for (let column = 0; column < columns; column++) {
     let value = 0;
     for (let row = 0, i = column * rows; row < rows; row++, i++) {
@@ -43,11 +43,11 @@ async function loadMesh(THREE, data) {
     unpack(data.bones, 4), unpack(data.weights, 4, 1 / 255), unpack(data.colours, 3, 1 / 255), unpack(data.bind, 7),
   ]);
   const linear = (c) => (c < 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
-  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(vertices), 3));
-  geometry.setAttribute("normal", new THREE.BufferAttribute(new Float32Array(normals), 3));
-  geometry.setAttribute("color", new THREE.BufferAttribute(Float32Array.from(colours, linear), 3));
+  geometry.setAttribute("position", new THREE.BufferAttribute(vertices, 3));
+  geometry.setAttribute("normal", new THREE.BufferAttribute(normals, 3));
+  geometry.setAttribute("color", new THREE.BufferAttribute(colours.map(linear), 3));
   geometry.setAttribute("skinIndex", new THREE.BufferAttribute(new Uint16Array(bones), 4));
-  geometry.setAttribute("skinWeight", new THREE.BufferAttribute(new Float32Array(weights), 4));
+  geometry.setAttribute("skinWeight", new THREE.BufferAttribute(weights, 4));
   geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(faces), 1));
   const inverses = Array.from({ length: joints }, (_, j) => {
     const [x, y, z, qw, qx, qy, qz] = bind.subarray(7 * j, 7 * j + 7);

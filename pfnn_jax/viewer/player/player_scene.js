@@ -4,7 +4,7 @@ const TAU = 2 * Math.PI;
 const TRAIL = 20; // seconds of the path drawn before and after the present
 const REACH = 7; // steps of the ground's grid from the body to where it fades away
 const SHADOWED = 1.4; // half the width of what casts a shadow, in bodies of a person's size
-const SHARPEST = 2; // device pixels per pixel: more are not seen, but drawn
+const SHARPEST = 2; // device pixels per pixel: more are drawn, but not seen
 
 // The renderer that all players of a page share, because browsers allow a page few of them. A new one is made when the
 // browser has taken the old one's context away.
@@ -13,10 +13,11 @@ function sharedRenderer(THREE) {
   if (shared && !shared.getContext().isContextLost()) return shared;
   shared?.dispose();
   shared = new THREE.WebGLRenderer({ alpha: true, antialias: true });
+  shared.debug.checkShaderErrors = false; // would wait for the graphics card
   shared.setScissorTest(true);
   shared.outputEncoding = THREE.sRGBEncoding;
   shared.shadowMap.enabled = true;
-  shared.shadowMap.type = THREE.PCFSoftShadowMap;
+  shared.shadowMap.type = THREE.PCFShadowMap;
   return shared;
 }
 
@@ -41,7 +42,7 @@ class Scene {
 
   addLight() {
     const { THREE, scene } = this, reach = SHADOWED * this.clip.tall;
-    scene.add(new THREE.HemisphereLight("#ffffff", "#b9c0cc", 0.62));
+    scene.add(new THREE.HemisphereLight("#ffffff", "#aab2bf", 0.66));
     this.sun = new THREE.DirectionalLight("#ffffff", 0.75);
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(1024, 1024);
@@ -120,7 +121,7 @@ class Scene {
       this.bones[j].position.fromArray(clip.offsets, 3 * j);
       (parent < 0 ? scene : this.bones[parent]).add(this.bones[j]);
     });
-    const material = new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.72 });
+    const material = new THREE.MeshPhongMaterial({ vertexColors: true, shininess: 18, specular: "#2a2d33" });
     const body = new THREE.SkinnedMesh(geometry, material);
     body.bind(new THREE.Skeleton(this.bones, inverses), new THREE.Matrix4());
     body.frustumCulled = false;
@@ -169,7 +170,7 @@ class Scene {
     this.ground.position.set(target.x, 0, target.z);
     this.grid.material.uniforms.centre.value.copy(target);
     sun.target.position.copy(target);
-    sun.position.set(-0.5, 1.9, 0.9).applyAxisAngle(new this.THREE.Vector3(0, 1, 0), clip.facing).setLength(3 * reach).add(target);
+    sun.position.set(0.1, 1.9, 1.15).applyAxisAngle(new this.THREE.Vector3(0, 1, 0), clip.facing).setLength(3 * reach).add(target);
     const last = Math.floor((clip.frames - 1) / this.pathEvery), here = Math.round(now / this.pathEvery);
     const reached = Math.round((TRAIL * clip.fps) / this.pathEvery);
     const past = Math.max(0, here - reached), future = Math.min(last, here + reached);
@@ -178,8 +179,8 @@ class Scene {
     path.geometry.addGroup(6 * here, 6 * (future - here), 1);
   }
 
-  draw(time, view, colours) {
-    const { canvas, context, clip } = this, ratio = Math.min(window.devicePixelRatio || 1, SHARPEST);
+  draw(time, view, colours, sharpness) {
+    const { canvas, context, clip } = this, ratio = sharpness * Math.min(window.devicePixelRatio || 1, SHARPEST);
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
     if (!width || !height) return;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
