@@ -90,12 +90,11 @@ def _with_sparse(document: Document, accessor: dict[str, Any], values: np.ndarra
     sparse = accessor.get("sparse")
     if sparse is None:
         return values
-    parts = [sparse.get(name) if isinstance(sparse, dict) else None for name in ("indices", "values")]
-    count = sparse.get("count") if isinstance(sparse, dict) else None
-    if not is_index(count, len(values) + 1) or not all(isinstance(part, dict) for part in parts):
+    sparse = sparse if isinstance(sparse, dict) else {}
+    count, where, new = (sparse.get(name) for name in ("count", "indices", "values"))
+    if not is_index(count, len(values) + 1) or not isinstance(where, dict) or not isinstance(new, dict):
         rule = f"must replace at most {len(values)} elements, with indices and values"
         raise InputError(document.path, f"{at}.sparse", shown(count), rule)
-    where, new = parts
     kind = _dtype(document, where, f"{at}.sparse.indices")
     indices = _elements(document, where, kind, count, 1, f"{at}.sparse.indices")[:, 0].astype(np.int64)
     if kind.kind != "u" or (count and indices.max() >= len(values)):

@@ -15,7 +15,7 @@ import struct
 import urllib.parse
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeGuard
 
 from pfnn_jax.errors import InputError
 
@@ -78,9 +78,12 @@ class Document:
         Raises:
             InputError: unless `index`, which stands at `place`, is the number of one.
         """
-        items = self.items(name)
-        if not is_index(index, len(items)):
-            raise InputError(self.path, place, shown(index), f"must be one of the file's {len(items)} {name}")
+        items = self.json.get(name, [])  # not `items`, which looks at all of them
+        count = len(items) if isinstance(items, list) else 0
+        if not is_index(index, count):
+            raise InputError(self.path, place, shown(index), f"must be one of the file's {count} {name}")
+        if not isinstance(items[index], dict):
+            raise InputError(self.path, f"{name}[{index}]", shown(items[index]), "must be an object")
         return items[index]
 
 
@@ -99,7 +102,7 @@ def read_document(path: str | Path) -> Document:
     return Document(path, document.json, binary, _buffers(document))
 
 
-def is_index(value: Any, count: int) -> bool:
+def is_index(value: Any, count: int) -> TypeGuard[int]:
     """Returns whether a value of the JSON is a whole number from 0 up to `count`."""
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count
 

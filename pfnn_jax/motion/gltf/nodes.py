@@ -108,7 +108,7 @@ def _parents(document: Document, nodes: list[dict[str, Any]]) -> tuple[np.ndarra
                 raise InputError(document.path, f"nodes[{number}].children", found, "a node has one parent")
             parents[child] = number
         children.append(below)
-    order = list(np.flatnonzero(parents < 0))
+    order: list[int] = np.flatnonzero(parents < 0).tolist()
     for node in order:  # grows while it is walked
         order.extend(children[node])
     if len(order) < len(nodes):
@@ -145,12 +145,11 @@ def _numbers(
     found = node.get(name)
     if found is None and default is not None:
         return default
-    good = isinstance(found, list) and len(found) == size
-    good = good and all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= LARGEST for v in found)
-    if not good:
+    values = found if isinstance(found, list) else []
+    if len(values) != size or not all(type(value) in (int, float) and abs(value) <= LARGEST for value in values):
         rule = f"must be {size} finite numbers up to {LARGEST:g}"
         raise InputError(document.path, f"{place}.{name}", shown(found), rule)
-    return np.array(found, float)
+    return np.array(values, float)
 
 
 def _require_regular(document: Document, part: np.ndarray, place: str) -> None:
