@@ -24,7 +24,7 @@ from pfnn_jax.viewer.player.renderer import packed_renderer, renderer_licence
 
 RATES = ("0.25", "0.5", "1", "2")
 FPS = 30.0
-SCRIPTS = ("player_load.js", "player_scene.js", "player_strip.js", "player.js")  # in order: later ones use what earlier ones define
+SCRIPTS = ("player_load.js", "player_scene.js", "player_strip.js", "player.js")  # in order of their dependencies
 HINT = "Drag to look around, Ctrl + wheel to zoom; space pauses, arrow keys step through frames"
 MOST = 32_000_000  # characters of a page; larger ones make browsers and notebooks slow
 
