@@ -66,6 +66,20 @@ def read_skins(document: Document) -> list[Skin]:
     return found
 
 
+def mesh_nodes(document: Document, num_skins: int) -> list[int | None]:
+    """Returns a node that shows a mesh with each skin, or None.
+
+    Raises:
+        InputError: for a node with a skin that is not there.
+    """
+    found: list[int | None] = [None] * num_skins
+    for number, node in enumerate(document.items("nodes")):
+        if node.get("skin") is not None:
+            document.item("skins", node["skin"], f"nodes[{number}].skin")
+            found[node["skin"]] = number
+    return found
+
+
 def bind_matrices(tree: NodeTree, skins: list[Skin], mesh_nodes: list[int | None]) -> np.ndarray:
     """Returns the world matrices [N, 4, 4] of all nodes in the bind pose, in the space of the scene.
 

@@ -48,7 +48,7 @@ def grow_foot(anatomy: Anatomy, side: str, colour: np.ndarray) -> list[Part]:
     weights = [
         {joint: 1.0 - bend, (joint if toe is None else toe): bend} if bend else {joint: 1.0} for bend in bends.tolist()
     ]
-    return [tube(rings, weights, colour), ball(ankle, 0.037 * size, joint, colour)]
+    return [tube(rings, weights, colour), ball(ankle, 0.041 * size, joint, colour)]
 
 
 def _sections(size: float, high: float) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pfnn_jax.motion.retargeting.body import SIDES
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.skinned_mesh import SkinnedMesh
+from pfnn_jax.motion.skinned_mesh import SkinnedMesh, vertex_normals
 from pfnn_jax.viewer.body.anatomy import ARM, LEG, Anatomy, anatomy_of
 from pfnn_jax.viewer.body.feet import grow_foot
 from pfnn_jax.viewer.body.hands import grow_hand
@@ -70,13 +70,3 @@ def _mesh(parts: Sequence[Part], positions: np.ndarray, rotations: np.ndarray) -
         bind_positions=positions,
         bind_rotations=rotations,
     )
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Returns the normals [V, 3] of vertices: the mean of those of their faces, weighted by area."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    face = np.cross(b - a, c - a)
-    total = np.zeros_like(vertices)
-    for axis in range(3):
-        total[:, axis] = np.bincount(faces.ravel(), np.repeat(face[:, axis], 3), len(vertices))
-    return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-12)
