@@ -158,10 +158,16 @@ function explain(root, error) {
   }
 }
 
-const start = () => document.querySelectorAll(".motion-player").forEach((root) => {
-  if (root.dataset.started) return;
-  root.dataset.started = "loading";
-  Player.load(root).then(() => (root.dataset.started = "yes"), (error) => explain(root, error));
-});
+// Loads players when they come near the window: a report may hold many.
+const start = () => {
+  const near = new IntersectionObserver((entries) => {
+    for (const { target: root, isIntersecting } of entries) {
+      if (!isIntersecting) continue;
+      near.unobserve(root);
+      Player.load(root).then(() => (root.dataset.started = "yes"), (error) => explain(root, error));
+    }
+  }, { rootMargin: "200px" });
+  document.querySelectorAll(".motion-player").forEach((root) => near.observe(root));
+};
 if (document.readyState === "loading") document.addEventListener("DOMContentLoaded", start);
 else start();

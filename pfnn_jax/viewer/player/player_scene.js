@@ -33,6 +33,7 @@ class Scene {
   constructor(THREE, canvas, clip, mesh) {
     Object.assign(this, { THREE, canvas, clip, context: canvas.getContext("2d") });
     this.scene = new THREE.Scene();
+    this.scene.fog = new THREE.Fog(); // in which the path fades away, as the grid does
     this.camera = new THREE.PerspectiveCamera();
     this.addLight();
     this.addGround();
@@ -56,6 +57,7 @@ class Scene {
   addGround() {
     const { THREE, scene, clip } = this;
     const step = clip.tall > 3 || clip.tall < 0.3 ? 10 ** Math.round(Math.log10(clip.tall)) : 1;
+    this.reach = REACH * step;
     this.grid = new THREE.Mesh(
       new THREE.PlaneGeometry(2 * REACH * step, 2 * REACH * step).rotateX(-TAU / 4),
       new THREE.ShaderMaterial({
@@ -133,6 +135,7 @@ class Scene {
     this.grid.material.uniforms.colour.value.set(colours.grid);
     this.ground.material.color.set(colours.shadow.slice(0, 7));
     this.ground.material.opacity = 1.6 * (parseInt(colours.shadow.slice(7), 16) / 255);
+    this.scene.fog.color.set(colours.panel);
     for (const material of this.path.material) material.color.set(colours.ink);
   }
 
@@ -159,7 +162,8 @@ class Scene {
     camera.aspect = width / height;
     camera.fov = (2 * Math.atan(height / 2 / (1.75 * Math.min(height, 1.25 * width))) * 360) / TAU;
     camera.near = 0.05 * clip.tall;
-    camera.far = 40 * clip.tall + away;
+    camera.far = away + 2 * this.reach;
+    Object.assign(this.scene.fog, { near: away + 0.2 * this.reach, far: away + this.reach });
     camera.updateProjectionMatrix();
   }
 
