@@ -97,7 +97,7 @@ def test_a_body_from_the_side_does_not_depend_on_its_heading():
     for one, other in zip(
         SideView(0.0, 50.0, 1.0).project(points), SideView(np.pi / 2, 50.0, 1.0).project(turned), strict=True
     ):
-        np.testing.assert_allclose(one, two, atol=EXACT)
+        np.testing.assert_allclose(one, other, atol=EXACT)
 
 
 def test_the_camera_is_ahead_of_the_body_for_every_facing():

@@ -32,21 +32,26 @@ def own_mesh(path: str | Path, clip: MotionClip) -> SkinnedMesh | None:
     except InputError:  # it holds motion alone
         return None
     part, kept = below_hips(character.skeleton)
-    return mesh_on(mesh, kept) if part.names == clip.skeleton.names else None
+    if part.names != clip.skeleton.names:
+        return None
+    sizes = [float(np.linalg.norm(skeleton.offsets, axis=-1).sum()) for skeleton in (clip.skeleton, part)]
+    return mesh_on(mesh, kept, sizes[0] / sizes[1] if sizes[1] > 0 else 1.0)
 
 
-def mesh_on(mesh: SkinnedMesh, kept: np.ndarray) -> SkinnedMesh:
+def mesh_on(mesh: SkinnedMesh, kept: np.ndarray, scale: float = 1.0) -> SkinnedMesh:
     """Returns a mesh that follows only some of its joints; what follows another one follows the first of them.
 
     Args:
         mesh: on J joints.
         kept: [K] indices of the joints, which are joints 0 to K - 1 of the result.
+        scale: that of the result, as where a clip was read with another unit than its character.
     """
     rows = np.zeros(len(mesh.bind_positions), int)
     rows[kept] = np.arange(len(kept))
     return replace(
         mesh,
+        vertices=scale * mesh.vertices,
         joints=rows[mesh.joints],
-        bind_positions=mesh.bind_positions[kept],
+        bind_positions=scale * mesh.bind_positions[kept],
         bind_rotations=mesh.bind_rotations[kept],
     )

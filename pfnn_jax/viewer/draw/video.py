@@ -120,7 +120,7 @@ class _Pane:
         self.grid = LineCollection([], linewidths=0.8)
         self.past = LineCollection([], linewidths=1.6, colors=[_rgba(INK, 0.55)])
         self.future = LineCollection([], linewidths=1.6, colors=[_rgba(INK, 0.18)])
-        self.artists = [self.grid, self.past, self.future]
+        self.artists: list[Any] = [self.grid, self.past, self.future]
         for artist in self.artists:
             artist.set_animated(True)
             axes.add_artist(artist)
