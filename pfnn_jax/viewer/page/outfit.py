@@ -9,7 +9,7 @@ from __future__ import annotations
 import tempfile
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip_files import read_clip
-from pfnn_jax.motion.gltf.animations import Track, clip_names, read_tracks
+from pfnn_jax.motion.gltf.animations import Track, choose_clip, clip_names, read_tracks
 from pfnn_jax.motion.gltf.character import read_character
 from pfnn_jax.motion.gltf.container import read_document
 from pfnn_jax.motion.gltf.skin import read_mesh
@@ -47,7 +47,7 @@ class Offer(NamedTuple):
 
     Attributes:
         name: the file's name without suffix, reduced to harmless characters.
-        clips: names of its motions that can be learned from; a BVH file has one, "".
+        clips: names of its motions that can be learned from, the likely walk first; a BVH file has one, "".
         body: whether it holds a rigged body.
     """
 
@@ -91,6 +91,9 @@ def read_offer(filename: str, data: bytes) -> Offer:
     with _kept(name, suffix, data) as path:
         document = read_document(path)
         clips = tuple(clip for number, clip in enumerate(clip_names(document)) if _fits(read_tracks(document, number)))
+        with suppress(InputError):  # several motions, of which none is called a walk
+            likely = clip_names(document)[choose_clip(document, None)[0]]
+            clips = tuple(sorted(clips, key=lambda clip: clip != likely))
         if not clips and not document.items("skins"):
             rule = f"must hold a rigged character, or a motion of {SHORTEST:g} to {LONGEST:g} s"
             raise InputError(path, "file", "neither body nor motion", rule)

@@ -28,7 +28,7 @@ from pfnn_jax.viewer.draw.palette import (
 )
 from pfnn_jax.viewer.page.outfit import Fitting, Outfit, height_of
 from pfnn_jax.viewer.page.skinned_body import SkinnedBody
-from pfnn_jax.viewer.page.view import View
+from pfnn_jax.viewer.page.view import View, at_moment
 
 if TYPE_CHECKING:
     import viser
@@ -194,6 +194,7 @@ class PageScene:
             view: of a character with the skeleton that was set.
             seconds: since the last call.
         """
+        view = at_moment(view)
         if self._fitting is not None:
             view = self._fitting.dress(view)
         self._move_camera(view, seconds)

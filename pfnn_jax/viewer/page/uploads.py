@@ -183,7 +183,8 @@ def suffix_of(filename: str) -> str:
         InputError: for any other file.
     """
     last = _last_part(filename)
-    suffix = f".{last.lower().rpartition('.')[2]}"
+    _, dot, ending = last.lower().rpartition(".")
+    suffix = f"{dot}{ending}"
     if suffix not in CLIP_SUFFIXES:
         rule = f"must end in {', '.join(CLIP_SUFFIXES[:-1])} or {CLIP_SUFFIXES[-1]}"
         raise InputError("upload", "file name", ascii(last)[:60], rule)
