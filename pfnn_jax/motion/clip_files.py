@@ -23,6 +23,11 @@ def is_clip_file(path: str | Path) -> bool:
     return Path(path).suffix.lower() in CLIP_SUFFIXES
 
 
+def is_gltf_file(path: str | Path) -> bool:
+    """Returns whether a file's name ends as those of glTF files do, whose lengths are in metres."""
+    return Path(path).suffix.lower() in GLTF_SUFFIXES
+
+
 def read_clip(
     path: str | Path,
     *,
@@ -70,7 +75,7 @@ def read_whole_clip(path: str | Path, options: ReadOptions, roles_file: str | Pa
         InputError: as `read_clip`.
     """
     check_options(options, path)
-    if Path(path).suffix.lower() in GLTF_SUFFIXES:
+    if is_gltf_file(path):
         return read_gltf_clip(path, options, roles_file)
     if options.clip_name is not None:
         raise InputError(path, "clip name", ascii(options.clip_name), "a BVH file has one clip without a name")
@@ -89,8 +94,7 @@ def read_rig(path: str | Path, options: ReadOptions, roles_file: str | Path | No
     Raises:
         InputError: as `read_clip`.
     """
-    gltf = Path(path).suffix.lower() in GLTF_SUFFIXES
-    if gltf and options.clip_name is None and read_document(path).items("skins"):
+    if is_gltf_file(path) and options.clip_name is None and read_document(path).items("skins"):
         return read_gltf_rig(path, options, roles_file)
     return read_whole_clip(path, options, roles_file)
 
@@ -112,6 +116,6 @@ def read_joints(path: str | Path) -> Skeleton:
     Raises:
         InputError: if the file cannot be read.
     """
-    if Path(path).suffix.lower() in GLTF_SUFFIXES:
+    if is_gltf_file(path):
         return read_any_skeleton(path)
     return read_skeleton(path)

@@ -6,13 +6,19 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
+from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.clip_files import read_clip
+from pfnn_jax.motion.gltf.write import glb_bytes
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_axis_angle, quat_multiply, quat_rotate
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_skeleton
 from pfnn_jax.viewer.body import grow_body
+from pfnn_jax.viewer.draw.annotated_clip import annotate_clips
+from pfnn_jax.viewer.draw.own_mesh import own_mesh
 from pfnn_jax.viewer.draw.palette import BODY, INK, rgb
 from tests.motion.rigs import tree
 from tests.motion.skeletons import BODY as ADULT
@@ -21,6 +27,8 @@ EXACT = 1e-9
 MOST_FACES = 6000
 SOLE = 0.015  # metres: the soles of a person who walks are this close to the floor when they stand
 THICKEST = 0.2  # metres from the skin of a person to the nearest bone: at the head, whose joint is below it
+WRITTEN = 1e-4  # metres: files of glTF hold 32-bit numbers
+SYMMETRIC = 1e-6  # of the body's size
 FOLDED = 1.15  # factor by which this distance may grow where limbs bend
 
 Rows = list[tuple[str, int, tuple[float, float, float]]]
@@ -154,23 +162,12 @@ def test_bodies_of_symmetric_skeletons_are_symmetric(grown):
     _, mesh = grown
     swapped = {rgb(BODY[f"left {part}"]): rgb(BODY[f"right {part}"]) for part in ("limb", "end")}
     swapped |= {right: left for left, right in swapped.items()}
-    size = np.ptp(mesh.vertices, axis=0).max()
-
-    def keys(vertices: np.ndarray, colours: list[tuple[int, int, int]]) -> list[tuple]:
-        rounded = np.round(vertices / size * 1e5).astype(int) + 0
-        return sorted((*place, *colour) for place, colour in zip(rounded.tolist(), colours, strict=True))
-
     colours = [tuple(colour) for colour in mesh.colours.tolist()]
-    one = np.array(keys(mesh.vertices, colours))
-    other = np.array(keys(mesh.vertices * [-1.0, 1.0, 1.0], [swapped.get(colour, colour) for colour in colours]))
-    for values in (one, other):  # rounding may differ by one unit: compare sums over coarse cells
-        assert len(values) == len(mesh.vertices)
-    np.testing.assert_array_equal(np.unique(one[:, 3:], axis=0), np.unique(other[:, 3:], axis=0))
-    centre = [
-        np.array([values[(values[:, 3:] == c).all(axis=1), :3].mean(axis=0) for c in np.unique(one[:, 3:], axis=0)])
-        for values in (one, other)
-    ]
-    np.testing.assert_allclose(centre[0], centre[1], atol=1.0)
+    for colour in set(colours):
+        one = mesh.vertices[[c == colour for c in colours]]
+        other = mesh.vertices[[c == swapped.get(colour, colour) for c in colours]] * [-1.0, 1.0, 1.0]
+        apart, _ = KDTree(one).query(other)
+        assert len(one) == len(other) and apart.max() < SYMMETRIC * np.ptp(mesh.vertices, axis=0).max()
 
 
 def bones_of(skeleton: Skeleton, positions: np.ndarray) -> np.ndarray:
@@ -246,3 +243,30 @@ def test_skeletons_without_a_map_have_sticks_and_a_single_joint_is_a_ball():
     assert radius.min() == pytest.approx(radius.max()) and volumes(ball, ball.vertices) > 0
     nothing = dataclasses.replace(skeleton, offsets=0 * skeleton.offsets, end_sites=())
     assert np.isfinite(grow_body(nothing).vertices).all()
+
+
+def posed(mesh: SkinnedMesh, clip: MotionClip, frames: list[int]) -> np.ndarray:
+    """Vertices [F, V, 3] of a body, relative to the clip's root, by height."""
+    positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions[frames], clip.rotations[frames])
+    vertices = mesh.pose(positions, rotations) - positions[:, :1]
+    return np.sort(vertices, axis=1)
+
+
+def test_the_mesh_of_a_file_follows_the_clip_that_was_read_from_it(tmp_path):
+    clip, _ = synthesise("neutral", np.full(60, 0.3), np.full(60, 1.0))
+    path = tmp_path / "walk.glb"
+    mesh = grow_body(clip.skeleton)
+    path.write_bytes(glb_bytes(clip.skeleton, mesh, {"walk": clip}, root_motion=True))
+    (annotated,) = annotate_clips([path])
+    own, frames = annotated.mesh, [0, 20, 59]
+    assert own is not None and len(own.faces) == len(mesh.faces)
+    np.testing.assert_allclose(posed(own, annotated.clip, frames), posed(mesh, clip, frames), atol=WRITTEN)
+    doubled = own_mesh(path, read_clip(path, unit=2.0))
+    assert doubled is not None
+    np.testing.assert_allclose(np.ptp(doubled.vertices, axis=0), 2.0 * np.ptp(own.vertices, axis=0), rtol=WRITTEN)
+    assert own_mesh(path, clip_with_other_joints(clip)) is None and own_mesh("walk.bvh", clip) is None
+
+
+def clip_with_other_joints(clip: MotionClip) -> MotionClip:
+    names = tuple(f"{name}2" for name in clip.skeleton.names)
+    return dataclasses.replace(clip, skeleton=dataclasses.replace(clip.skeleton, names=names))

@@ -17,9 +17,8 @@ from pfnn_jax.motion.synthetic.walks import synthesise
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
-from pfnn_jax.viewer.page import panel as panel_module  # noqa: E402
+from pfnn_jax.viewer.page import downloads, widgets  # noqa: E402
 from pfnn_jax.viewer.page import tab as tab_module  # noqa: E402
-from pfnn_jax.viewer.page import widgets  # noqa: E402
 from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
 from pfnn_jax.viewer.page.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
 from pfnn_jax.viewer.page.tab import Tab  # noqa: E402
@@ -101,7 +100,7 @@ def client(server) -> Iterator[Client]:
 
 @pytest.fixture
 def panel(client) -> Any:
-    return Panel(client, any_of(Library()), any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0)))
+    return Panel(client, any_of(Library()), any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0, outfit=None)))
 
 
 def any_of(stand_in: object) -> Any:
@@ -218,8 +217,8 @@ def test_a_learned_style_is_not_selected_after_a_change_of_run(panel):
 
 
 def test_a_download_is_written_in_the_background(panel, client, monkeypatch):
-    written, free = panel_module.bvh_bytes, threading.Event()
-    monkeypatch.setattr(panel_module, "bvh_bytes", lambda clip: free.wait(SOON) and written(clip))
+    written, free = downloads.recording_bytes, threading.Event()
+    monkeypatch.setattr(downloads, "recording_bytes", lambda *given: free.wait(SOON) and written(*given))
     panel._record_or_stop()
     assert panel._character.recording and not client.received
     panel._character.clip = synthesise("zombie", np.zeros(30), np.ones(30))[0]

@@ -49,7 +49,9 @@ SKEWED = 1e-3
 """Largest cosine between the axes of a matrix, and relative difference of its scales, that count as none."""
 
 WALK = re.compile(r"(?<![a-z])walk(?:ing|s)?(?![a-z])", re.IGNORECASE)
-OTHER_WALK = re.compile(r"back|strafe|left|right|gun|shoot|turn|start|stop|jump|sneak|crouch|carry|up|down", re.IGNORECASE)
+OTHER_WALK = re.compile(
+    r"back|strafe|left|right|gun|shoot|turn|start|stop|jump|sneak|crouch|carry|up|down", re.IGNORECASE
+)
 """Words in the names of clips: a plain walk, and walks of other kinds."""
 
 

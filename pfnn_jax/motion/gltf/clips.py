@@ -161,7 +161,9 @@ def _doubts(clip: MotionClip, positions: np.ndarray, sampled: Sampled) -> list[s
     body, skeleton = clip.skeleton.humanoid, clip.skeleton
     assert body is not None
     notes = ["the scales of joints change in the clip: they are left out"] if sampled.scaled else []
-    joints = [j for each in body.joints().values() for j in (each if isinstance(each, tuple) else (each,)) if j is not None]
+    joints = [
+        j for each in body.joints().values() for j in (each if isinstance(each, tuple) else (each,)) if j is not None
+    ]
     rigid, _ = forward_kinematics(skeleton, clip.root_positions, clip.rotations)
     off = np.linalg.norm(rigid[:, joints] - positions[:, joints], axis=-1).max(axis=0)
     leg = sum(float(np.linalg.norm(skeleton.offsets[j])) for side in SIDES for j in body.limb(side, LEG)[1:3] if j) / 2

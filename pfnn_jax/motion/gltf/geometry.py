@@ -67,7 +67,9 @@ def read_parts(
         InputError: for accessors out of range, vertices or joints that are not there, or too large meshes.
     """
     rows = {int(node): row for row, node in enumerate(nodes)}
-    carriers = [next((rows[each] for each in tree.above(node) if each in rows), -1) for node in range(len(tree.parents))]
+    carriers = [
+        next((rows[each] for each in tree.above(node) if each in rows), -1) for node in range(len(tree.parents))
+    ]
     parts: list[Part] = []
     total = 0
     for number, node in enumerate(document.items("nodes")):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
 from pfnn_jax.viewer.draw.camera import SideView, View
@@ -127,6 +126,8 @@ def _shadow(
     frame: tuple[int, int, int, int],
     size: float,
 ) -> list[Picture]:
+    from scipy.ndimage import gaussian_filter
+
     sun = SUN @ view.axes
     slant = STEEP * sun * [1.0, 0.0, 1.0] / max(sun[1], 0.1)
     height = np.maximum(vertices[:, 1:2], 0.0)

@@ -9,9 +9,6 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.gltf.character import read_character
-from pfnn_jax.motion.gltf.clips import below_hips
-from pfnn_jax.motion.gltf.skin import read_mesh
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
@@ -26,6 +23,10 @@ def own_mesh(path: str | Path, clip: MotionClip) -> SkinnedMesh | None:
     """
     if Path(path).suffix.lower() not in SUFFIXES:
         return None
+    from pfnn_jax.motion.gltf.character import read_character  # with Pillow, which clips of BVH files do not need
+    from pfnn_jax.motion.gltf.clips import below_hips
+    from pfnn_jax.motion.gltf.skin import read_mesh
+
     try:
         character = read_character(path)
         mesh = read_mesh(character)

@@ -44,7 +44,8 @@ def draw_surface(surface: Surface, width: int, height: int, samples: int = 2) ->
     nearest = np.full(wide * samples * height, np.inf, np.float32)
     np.minimum.at(nearest, at, depth)
     seen = np.flatnonzero(depth == nearest[at])
-    at, shares, corners = at[seen], shares[:, seen], surface.faces[face[seen]]
+    at, shares = at[seen], shares[:, seen]
+    corners = np.ascontiguousarray(surface.faces.T).take(face[seen], axis=1)
     normals, colours = (_blend(shares, values, corners) for values in (surface.normals, surface.colours))
     pixel = at // wide // samples * width + at % wide // samples
     sums = [np.bincount(pixel, values, width * height) for values in shade(normals, colours)]
@@ -82,13 +83,14 @@ def shade(normals: np.ndarray, colours: np.ndarray) -> np.ndarray:
 
 
 def _along(vectors: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Returns the scalar products [P] of vectors [3, P] with one vector [3] or with as many."""
     return vectors[0] * direction[0] + vectors[1] * direction[1] + vectors[2] * direction[2]
 
 
 def _blend(shares: np.ndarray, values: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Returns values [3, P] between those [V, 3] of the corners [P, 3] of faces, by shares [3, P]."""
-    values = values.T.astype(np.float32)
-    return sum(share * values[:, corner] for share, corner in zip(shares, corners.T, strict=True))  # type: ignore
+    """Returns values [3, P] between those [V, 3] of the corners [3, P] of faces, by shares [3, P]."""
+    columns = np.ascontiguousarray(values.T, np.float32)
+    return np.stack([sum(s * column.take(c) for s, c in zip(shares, corners, strict=True)) for column in columns])
 
 
 def _fragments(
@@ -130,8 +132,7 @@ def _fragments(
     second, third = terms[0] * px + terms[1] * py - terms[4], terms[2] * px + terms[3] * py - terms[5]
     face = shown[number]
     shares = np.stack([1.0 - second - third, second, third])
-    corner_depth = depth[faces].T.astype(np.float32)[:, face]
-    return face, row * width + column, np.sum(shares * corner_depth, axis=0), shares
+    return face, row * width + column, _along(shares, depth[faces].T.astype(np.float32).take(face, axis=1)), shares
 
 
 def _ranges(first: np.ndarray, past: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
