@@ -145,9 +145,9 @@ def test_selecting_styles_refuses_an_unknown_one(tmp_path):
 def test_folders_of_no_convention_are_refused(tmp_path):
     assert_refused(partial(list_clips, tmp_path / "none"), place="folder", value="absent")
     call = partial(list_clips, tmp_path)
-    assert_refused(call, place="folder", value="no BVH files", rule_mentions="dataset-N")
+    assert_refused(call, place="folder", value="no BVH or glTF files", rule_mentions="dataset-N")
     fill(tmp_path, "walk.bvh", "angry_13_000.bvh")
-    assert_refused(call, place="folder", value="2 BVH files, such as angry_13_000.bvh", rule_mentions="dataset-N")
+    assert_refused(call, place="folder", value="2 clips, such as angry_13_000", rule_mentions="dataset-N")
     assert_refused(partial(call, "xia"), place="file name", value="walk.bvh", rule_mentions="STYLE_CONTENT_TAKE.bvh")
     assert_refused(partial(call, "folders"), place="folder", value="no clips", rule_mentions="folders")
     kinds = "auto, bandai, 100style, xia, pfnn, folders"
