@@ -183,29 +183,35 @@ class Scene {
     path.geometry.addGroup(6 * here, 6 * (future - here), 1);
   }
 
+  // Draws a moment with `sharpness` pixels per pixel shown.
   draw(time, view, colours, sharpness) {
-    const { canvas, context, clip } = this, ratio = sharpness * Math.min(window.devicePixelRatio || 1, SHARPEST);
+    const { canvas, context, clip } = this, ratio = Math.min(window.devicePixelRatio || 1, SHARPEST);
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
     if (!width || !height) return;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const now = this.pose(time), ended = time > clip.end; // longer clips go on playing
     this.aim(view, width, height);
     this.follow(now);
-    const renderer = sharedRenderer(this.THREE), whole = renderer.domElement;
+    context.clearRect(0, 0, width, height);
+    context.globalAlpha = ended ? 0.4 : 1;
+    this.render(Math.ceil(sharpness * width), Math.ceil(sharpness * height));
+    context.globalAlpha = 1;
+    if (ended) this.ended(colours, ratio);
+    else if (clip.phases.length === 1 && clip.phases[0].angle[now] !== null) {
+      this.dial(clip.phases[0].angle[now], colours, ratio);
+    }
+  }
+
+  // Draws with the shared renderer, whose canvas is as large as the largest scene, and copies the picture.
+  render(width, height) {
+    const { context, canvas } = this, renderer = sharedRenderer(this.THREE), whole = renderer.domElement;
     if (whole.width < width || whole.height < height) {
       renderer.setSize(Math.max(whole.width, width), Math.max(whole.height, height), false);
     }
     renderer.setViewport(0, 0, width, height);
     renderer.setScissor(0, 0, width, height);
     renderer.render(this.scene, this.camera);
-    context.clearRect(0, 0, width, height);
-    context.globalAlpha = ended ? 0.4 : 1;
-    context.drawImage(whole, 0, whole.height - height, width, height, 0, 0, width, height);
-    context.globalAlpha = 1;
-    if (ended) this.ended(colours, ratio);
-    else if (clip.phases.length === 1 && clip.phases[0].angle[now] !== null) {
-      this.dial(clip.phases[0].angle[now], colours, ratio);
-    }
+    context.drawImage(whole, 0, whole.height - height, width, height, 0, 0, canvas.width, canvas.height);
   }
 
   ended(colours, ratio) {
