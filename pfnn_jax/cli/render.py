@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,9 +77,11 @@ class Render(Command):
     def _annotated(self, path: Path, name: str) -> AnnotatedClip:
         from pfnn_jax.motion.clip_files import read_clip
         from pfnn_jax.viewer.draw.annotated_clip import annotate
+        from pfnn_jax.viewer.draw.own_mesh import own_mesh
 
         clip = read_clip(path, **asdict(self.reading), roles_file=self.roles)
         print_notes(path, clip.notes)
         phase = path.with_suffix(".phase")
         annotated = annotate(clip, name, phase if phase.is_file() else None)
+        annotated = replace(annotated, mesh=own_mesh(path, clip))
         return annotated.cut_seconds(self.start, self.seconds)

@@ -25,9 +25,10 @@ from pfnn_jax.motion.labels.local_phase import (
     toe_contacts,
 )
 from pfnn_jax.motion.skeleton import need_roles
-from pfnn_jax.viewer.draw.body import body_capsules, body_points, capsule_ends
-from pfnn_jax.viewer.draw.drawing import blank_figure, draw_body
+from pfnn_jax.viewer.draw.body_picture import body_image
+from pfnn_jax.viewer.draw.drawing import blank_figure, place_picture
 from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED, SERIES
+from pfnn_jax.viewer.draw.scene import PERSON, make_scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 PHASE, CONTACT, AXIS = SERIES[0], SERIES[2], SERIES[3]
 LEFT, RIGHT, TOP, BODIES, PANEL, GAP, BOTTOM = 1.0, 0.55, 0.62, 2.0, 0.85, 0.12, 0.5  # inches
 WIDTH = 11.0
+DPI = 288  # of the bodies, twice that of the file
 VIEW = np.deg2rad(62)  # angle of the view from the front, towards the right of the figure
 ARROW = 0.2  # half the length of a principal axis's arrow, metres
 REACH = 2.4  # limit of the vertical axis: normalised sources rarely exceed it (standard deviations)
@@ -125,18 +127,17 @@ def _shown(
 
 def _draw_bodies(axes: Axes, shown: _Shown, frames: np.ndarray) -> None:
     """Draws bodies above their moments on the time axis, in metres with the same scale on both axes."""
-    clip, capsules = shown.clip, body_capsules(shown.clip.skeleton)
-    points = body_points(clip)[frames]
-    hips = points[:, need_roles(clip.skeleton).hips]
-    ground = float(min(points[..., 1].min(), 0.0))
-    local = to_local(points - hips[:, None] * [1.0, 0.0, 1.0], facing_of(_facing(clip, points) - VIEW))
-    tops = [max(end[..., 1].max() for end in capsule_ends(local, c)) + c.end_radius for c in capsules]
-    metres = 1.1 * (float(max(tops)) - ground)
+    scene = make_scene(shown.clip)
+    scale = DPI * BODIES / (PERSON * scene.tall)
+    images = [body_image(scene, frame, VIEW, scale) for frame in frames]
+    ground = min(0.0, *(image.bottom for image in images))
+    metres = 1.1 * (max(image.top for image in images) - ground)
     across = metres * (WIDTH - LEFT - RIGHT) / BODIES
     places = across * (frames - shown.first) / max(shown.last - shown.first, 1)
-    for number, place in enumerate(places):
-        draw_body(axes, local[number] + [place, 0.0, 0.0], capsules)
-        _draw_axes(axes, shown, np.array([place, hips[number, 1], 0.0]))
+    hips = need_roles(shown.clip.skeleton).hips
+    for frame, place, image in zip(frames, places, images, strict=True):
+        place_picture(axes, image.colours, place + image.left, image.top, image.scale)
+        _draw_axes(axes, shown, np.array([place, scene.positions[frame, hips, 1], 0.0]))
     axes.axhline(0.0, color=GRID, linewidth=1.2, zorder=0)
     axes.set_xlim(0.0, across)
     axes.set_ylim(ground - 0.03 * metres, ground + 0.97 * metres)
@@ -157,13 +158,6 @@ def _draw_legend(figure: Figure, no_axes: bool, corner: tuple[float, float]) -> 
     style = {"frameon": False, "fontsize": 8, "labelcolor": MUTED, "borderaxespad": 0, "columnspacing": 1.4}
     handles = lines if no_axes else [arrow, *lines]
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=len(handles), **style)
-
-
-def _facing(clip: MotionClip, points: np.ndarray) -> np.ndarray:
-    """Returns the heading [F] of the hips in radians from body points [F, P, 3]."""
-    roles = need_roles(clip.skeleton)
-    across = points[:, roles.left_hip] - points[:, roles.right_hip]
-    return np.arctan2(-across[:, 2], across[:, 0])
 
 
 def _draw_axes(axes: Axes, shown: _Shown, hips: np.ndarray) -> None:

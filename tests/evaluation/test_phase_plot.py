@@ -42,7 +42,7 @@ def test_figure_has_a_panel_for_each_bone_and_axes_for_the_hands(walk):
     figure = phase_plot(walk, moments=5, title="a walk")
     assert [panel.get_ylabel() for panel in panels(figure)] == ["left hand", "right hand", "left toe", "right toe"]
     bodies = figure.axes[0]
-    assert len(bodies.collections) == 5
+    assert len(bodies.images) == 5
     assert len([text for text in bodies.texts if isinstance(text, Annotation)]) == 2 * 5
     assert figure.texts[0].get_text() == "a walk"
     assert png_bytes(figure, dpi=40).startswith(PNG)
@@ -55,7 +55,7 @@ def test_legend_explains_the_colours_and_overlaps_nothing(walk):
     assert [word.split()[0] for word in words] == ["axis", "movement", "phase,", "toe"]
     figure.draw_without_rendering()
     box, title = legend.get_window_extent(), figure.texts[0].get_window_extent()
-    bodies = [c.get_window_extent() for c in figure.axes[0].collections]
+    bodies = [c.get_window_extent() for c in figure.axes[0].images]
     assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1
     assert max(body.y1 for body in bodies) < box.y0 and box.y1 < title.y0
 

@@ -13,10 +13,8 @@ import pytest
 from matplotlib import _pylab_helpers
 
 from pfnn_jax.evaluation import plots, report
-from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.viewer.draw.body import body_points
 from pfnn_jax.viewer.draw.drawing import save_figure
-from pfnn_jax.viewer.draw.filmstrip import filmstrip, to_view
+from pfnn_jax.viewer.draw.filmstrip import filmstrip
 from tests.raising import assert_refused
 from tests.viewer.pages import check_page, make_annotated
 
@@ -39,13 +37,6 @@ def test_figures_are_saved_as_png_and_leave_matplotlib_state_unchanged(tmp_path:
     assert dict(matplotlib.rcParams) == before
     assert len(_pylab_helpers.Gcf.figs) == managers
     assert sorted(p.suffix for p in tmp_path.iterdir()) == [".png"] * 5
-
-
-def test_filmstrip_view_is_invariant_to_the_heading_of_the_body():
-    clip, _ = synthesise("neutral", np.zeros(60), np.ones(60))
-    points = body_points(clip)[7]
-    turned = points[:, [2, 1, 0]] * [1, 1, -1]  # a quarter to the left
-    np.testing.assert_allclose(to_view(turned, np.pi / 2), to_view(points, 0.0), atol=1e-12)
 
 
 @dataclasses.dataclass(frozen=True)

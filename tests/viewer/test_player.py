@@ -3,47 +3,73 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.clip import MotionClip, resample
 from pfnn_jax.motion.datasets.labelled import LabelledClip
-from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_multiply, quat_rotate
 from pfnn_jax.motion.labels.phase import label_phase
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_skeleton
+from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.motion.up_axis import TURNS
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate, annotate_clips
-from pfnn_jax.viewer.draw.body import body_capsules, body_points, capsule_ends, upright
 from pfnn_jax.viewer.draw.filmstrip import filmstrip
 from pfnn_jax.viewer.draw.scene import make_scene
+from pfnn_jax.viewer.draw.upright import upright
 from pfnn_jax.viewer.player import player
 from pfnn_jax.viewer.player.notebook import show
+from pfnn_jax.viewer.player.packing import pack
 from pfnn_jax.viewer.player.player import player_html, player_page
 from tests.raising import assert_refused
-from tests.viewer.pages import captions, check_page, decoded, make_annotated, payload
+from tests.viewer.pages import captions, check_page, make_annotated, payload, played, unpack
 
-QUANTUM = 0.00051  # metres: half a millimetre of rounding
+ROUNDED = 0.6e-4  # metres: half of a tenth of a millimetre
+NEAR = 1e-3  # metres: rounded rotations add up from the hips to a hand
+BLENDED = 4e-3  # metres: weights in 255 parts, too
 KILOBYTE = 1000
 LABELLED = 0.2  # radians: the labeller times contacts to a frame or two
 
 
-def test_player_contains_the_capsules_of_the_motion():
+def test_player_contains_the_body_and_the_motion():
     annotated = make_annotated()
-    data = payload(player_html([annotated], fps=30.0))["clips"][0]
-    points, capsules = body_points(annotated.clip)[::2], body_capsules(annotated.clip.skeleton)
-    shown = decoded(data)
-    assert data["fps"] == 30.0 and len(shown) == len(points) == len(data["phases"][0]["angle"])
-    assert len(data["capsules"]) == len(capsules)
-    for capsule, (start, end, first, second, side, *_) in zip(capsules, data["capsules"], strict=True):
-        np.testing.assert_allclose(shown[:, start], points[:, capsule.start], atol=QUANTUM)
-        np.testing.assert_allclose(shown[:, end], points[:, capsule.end], atol=QUANTUM)
-        assert (first, second) == pytest.approx((capsule.start_radius, capsule.end_radius), abs=1e-4)
-        assert side == capsule.side
+    data = payload(player_html([annotated], fps=30.0))
+    scene, shown = make_scene(annotated.clip), played(data)
+    every = slice(None, None, 2)
+    assert data["clips"][0]["fps"] == 30.0 and len(shown.positions) == len(data["clips"][0]["phases"][0]["angle"])
+    np.testing.assert_allclose(shown.positions, scene.positions[every], atol=NEAR)
+    np.testing.assert_allclose(shown.focus, scene.focus[every], atol=ROUNDED)
+    skin = shown.mesh.pose(shown.positions, shown.rotations)
+    np.testing.assert_allclose(skin, scene.mesh.pose(scene.positions[every], scene.rotations[every]), atol=BLENDED)
+    np.testing.assert_array_equal(shown.mesh.faces, scene.mesh.faces)
+    np.testing.assert_array_equal(shown.mesh.colours, scene.mesh.colours)
+    np.testing.assert_allclose(shown.mesh.weights.sum(axis=1), 1.0, rtol=1e-12)
+
+
+def test_a_body_that_clips_share_is_written_once():
+    clip = make_annotated()
+    own = dataclasses.replace(make_scene(clip.clip).mesh, colours=np.zeros_like(make_scene(clip.clip).mesh.colours))
+    data = payload(player_html([clip, clip, dataclasses.replace(clip, mesh=own)]))
+    assert [shown["mesh"] for shown in data["clips"]] == [0, 0, 1] and len(data["meshes"]) == 2
+    assert played(data, 2).mesh.colours.max() == 0
+
+
+@given(
+    arrays(np.int64, st.tuples(st.integers(1, 9), st.integers(1, 5)), elements=st.integers(-(2**30), 2**30 - 1)),
+    st.sampled_from([1.0, 1e-4, 1 / 8191]),
+)
+def test_packed_numbers_come_back(values, unit):
+    text = pack(values * unit, unit)
+    np.testing.assert_array_equal(unpack(text, values.shape[1]), values)
+    assert re.fullmatch("[A-Za-z0-9+/=]+", text)
 
 
 @pytest.mark.parametrize("fps", [60.0, 30.0, 20.0])
@@ -58,13 +84,15 @@ def test_contacts_are_the_same_intervals_at_every_frame_rate(fps):
         np.testing.assert_array_equal(down, annotated.contacts[:, 2 * foot : 2 * foot + 2].any(axis=1))
 
 
-def test_a_second_takes_at_most_eight_kilobytes_and_a_kilometre_fits():
+def test_a_second_takes_at_most_four_kilobytes_and_kilometres_fit():
     annotated = make_annotated(frames=1200)
-    assert len(player_html([annotated], fps=30.0, assets=False)) < 20 * 8 * KILOBYTE
+    more = [len(player_html([annotated.cut_seconds(0, s)], assets=False)) for s in (10, 20)]
+    assert more[1] - more[0] < 10 * 4 * KILOBYTE
     far = synthesise("neutral", np.zeros(600), np.full(600, 100.0))[0]
-    data = payload(player_html([AnnotatedClip("fast", far)]))["clips"][0]
-    for values, true in ((decoded(data)[:, 0], body_points(far)[::2, 0]), (decoded(data, "focus")[:, 0, :1], 0.0)):
-        np.testing.assert_allclose(values, np.broadcast_to(true, values.shape), atol=1000 / 32767)
+    shown = played(payload(player_html([AnnotatedClip("fast", far)])))
+    scene = make_scene(far)
+    assert scene.positions[-1, 0].max() > 900
+    np.testing.assert_allclose(shown.positions, scene.positions[::2], atol=NEAR)
 
 
 def test_pages_beyond_the_size_limit_are_refused(monkeypatch):
@@ -193,7 +221,7 @@ def test_frames_without_local_phases_are_gaps(bones):
     annotated = AnnotatedClip("x", make_annotated().clip, phase=vectors)
     text = player_html([annotated], fps=60.0, assets=False)
     lines = payload(text)["clips"][0]["phases"]
-    assert len({line["name"] for line in lines}) == len(lines) == bones and "NaN" not in text
+    assert len({line["name"] for line in lines}) == len(lines) == bones
     for line in lines:
         assert [value is None for value in line["angle"]] == [30 <= t <= 60 for t in range(120)]
         assert line["weight"] is None  # all of it or none
@@ -236,38 +264,9 @@ def test_captions_are_style_and_content_or_the_file():
         annotate_clips([clip, clip], ["one"])
 
 
-def test_bodies_are_symmetric_and_equally_thin_without_roles():
-    skeleton = synthetic_skeleton()
-    capsules = {(c.start, c.end): c for c in body_capsules(skeleton)}
-    mirrored = [c for c in capsules.values() if c.end < skeleton.num_joints and c.side == "left"]
-    assert mirrored
-    for capsule in mirrored:
-        other = capsules[(int(skeleton.mirror[capsule.start]), int(skeleton.mirror[capsule.end]))]
-        assert (other.start_radius, other.side) == (capsule.start_radius, "right")
-    bare = dataclasses.replace(skeleton, roles=None)
-    (radius,) = {c.start_radius for c in body_capsules(bare)}
-    assert 0.02 < radius < 0.04
-    small = dataclasses.replace(bare, offsets=bare.offsets / 100, end_sites=())
-    assert all(c.start_radius < radius / 90 for c in body_capsules(small))
-
-
-def test_capsule_ends_lie_on_the_bone():
-    annotated = make_annotated()
-    head = next(c for c in body_capsules(annotated.clip.skeleton) if c.span != (0.0, 1.0))
-    points = body_points(annotated.clip)
-    a, b = capsule_ends(points, head)
-    bone = points[:, head.end] - points[:, head.start]
-    np.testing.assert_allclose(b - a, (head.span[1] - head.span[0]) * bone, atol=1e-12)
-
-
-def test_a_head_without_a_crown_is_in_line_with_the_neck():
-    skeleton = synthetic_skeleton()
-    assert skeleton.roles is not None
-    head = skeleton.roles.head
-    bald = dataclasses.replace(skeleton, end_sites=tuple(site for site in skeleton.end_sites if site[0] != head))
-    capsule = body_capsules(bald)[-1]
-    assert (capsule.end, capsule.side) == (head, "middle")
-    assert capsule.span[1] > capsule.span[0] > 1.0  # beyond the head joint
+def world(clip: MotionClip) -> np.ndarray:
+    """World positions [T, J, 3] of the joints."""
+    return forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)[0]
 
 
 def one_joint(frames: int = 40) -> MotionClip:
@@ -281,8 +280,9 @@ def one_joint(frames: int = 40) -> MotionClip:
 def test_a_single_joint_plays_as_a_dot(frames):
     annotated = annotate_clips([one_joint(frames)])[0]
     assert annotated.note == "no feet known: no contacts, no phase" and annotated.name == "clip 1"
-    data = payload(player_html([annotated]))["clips"][0]
-    assert decoded(data).shape == (frames, 1, 3) and data["tall"] > 0 and len(data["capsules"]) == 1
+    data = payload(player_html([annotated]))
+    shown = played(data)
+    assert shown.positions.shape == (frames, 1, 3) and data["clips"][0]["tall"] > 0 and len(shown.mesh.faces) > 3
 
 
 def test_z_up_clips_become_y_up():
@@ -294,7 +294,7 @@ def test_z_up_clips_become_y_up():
             [quat_multiply(quat_conjugate(TURNS["z"]), clip.rotations[:, :1]), clip.rotations[:, 1:]], axis=1
         ),
     )
-    np.testing.assert_allclose(body_points(upright(tipped)), body_points(clip), atol=1e-12)
+    np.testing.assert_allclose(world(upright(tipped)), world(clip), atol=1e-12)
     assert upright(clip) is clip and upright(tipped, "y") is tipped
     assert annotate_clips([tipped])[0].phase is not None  # steps are found only in an upright clip
 
@@ -302,13 +302,13 @@ def test_z_up_clips_become_y_up():
 def test_the_ground_is_below_the_feet():
     clip = make_annotated().clip
     low = dataclasses.replace(clip, root_positions=clip.root_positions - [0.0, 0.95, 0.0])
-    assert abs(make_scene(low).points[..., 1].min()) < 0.05
-    np.testing.assert_array_equal(make_scene(clip).points, body_points(clip))  # feet near 0: the ground is at 0
+    assert abs(make_scene(low).positions[..., 1].min()) < 0.1
+    np.testing.assert_array_equal(make_scene(clip).positions, world(clip))  # feet near 0: the ground is at 0
 
 
 def test_the_following_camera_does_not_lag_on_a_straight_path():
     clip, _ = synthesise("neutral", np.zeros(240), np.full(240, 1.2))
     scene = make_scene(clip)
-    assert np.abs(scene.focus[:, [0, 2]] - scene.points[:, 0][:, [0, 2]]).max() < 0.06  # the hips' own sway
+    assert np.abs(scene.focus[:, [0, 2]] - scene.positions[:, 0][:, [0, 2]]).max() < 0.06  # the hips' own sway
     half = make_scene(resample(clip, 30.0))
     assert np.abs(half.focus - scene.focus[::2]).max() < 0.02

@@ -24,9 +24,10 @@ from pfnn_jax.motion.labels.phase import label_phase, write_phase
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer import rendering
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate
-from pfnn_jax.viewer.draw.drawing import body_shapes, outlines
+from pfnn_jax.viewer.draw.camera import Camera, SideView
 from pfnn_jax.viewer.draw.filmstrip import NUMBER_SIZE, apart, even_moments, filmstrip
-from pfnn_jax.viewer.draw.scene import Camera, make_scene
+from pfnn_jax.viewer.draw.rasteriser import Surface, cover, draw_surface
+from pfnn_jax.viewer.draw.scene import make_scene
 from pfnn_jax.viewer.draw.video import Video
 from pfnn_jax.viewer.player.player import player_html
 from pfnn_jax.viewer.rendering import render
@@ -49,26 +50,54 @@ def short() -> AnnotatedClip:
     return make_annotated(frames=40)
 
 
-def test_outlines_touch_both_circles_and_enclose_them():
-    a, b = np.array([0.0, 0.0]), np.array([3.0, 1.0])
-    points = outlines(a, b, np.array(1.0), np.array(0.4))
-    distance = np.minimum(np.linalg.norm(points - a, axis=-1) - 1.0, np.linalg.norm(points - b, axis=-1) - 0.4)
-    np.testing.assert_allclose(distance, 0.0, atol=EXACT)
-    edges = np.roll(points, -1, axis=0) - points
-    turns = edges[:, 0] * np.roll(edges[:, 1], -1) - edges[:, 1] * np.roll(edges[:, 0], -1)
-    assert (turns > -EXACT).all()  # convex, counter-clockwise
-    inside = outlines(a, a + 0.1, np.array(1.0), np.array(0.2))  # one circle holds the other
-    assert (np.linalg.norm(inside - a, axis=-1) <= 1.0 + EXACT).all()
+def square(depth: float, colour: tuple[float, float, float], left: float = 2.0) -> Surface:
+    """A square of 4 pixels that faces the viewer."""
+    corners = np.array([[0.0, 0.0], [0.0, 4.0], [4.0, 4.0], [4.0, 0.0]]) + [left, 3.0]
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return Surface(corners, np.full(4, depth), np.tile([0.0, 0.0, 1.0], (4, 1)), faces, np.tile(colour, (4, 1)))
 
 
-def test_nearer_limbs_cover_farther_ones_and_highlights_stay_inside():
-    starts, ends = np.zeros((2, 2)), np.array([[1.0, 0.0], [0.0, 1.0]])
-    tones = np.arange(2 * 3 * 3, dtype=float).reshape(2, 3, 3)
-    tones = np.repeat(tones, 3, axis=1)
-    shapes, colours = body_shapes(starts, ends, np.full((2, 2), 0.1), np.array([5.0, -5.0]), tones)
-    np.testing.assert_array_equal(colours[:9], tones[1])
-    rim, light = shapes[0], shapes[8]
-    assert light.min(axis=0).min() >= rim.min(axis=0).min() - EXACT and (light.max(axis=0) <= rim.max(axis=0)).all()
+def joined(*surfaces: Surface) -> Surface:
+    faces = [surface.faces + 4 * number for number, surface in enumerate(surfaces)]
+    parts = {
+        name: np.concatenate([getattr(s, name) for s in surfaces]) for name in ("pixels", "depth", "normals", "colours")
+    }
+    return Surface(faces=np.concatenate(faces), **parts)
+
+
+def test_surfaces_cover_exactly_their_pixels():
+    picture = draw_surface(square(0.0, (1.0, 0.0, 0.0)), 10, 9, samples=3)
+    opacity = np.zeros((9, 10))
+    opacity[3:7, 2:6] = 1.0
+    np.testing.assert_allclose(picture[..., 3], opacity, atol=EXACT)
+    half = draw_surface(square(0.0, (1.0, 0.0, 0.0), left=2.5), 10, 9, samples=2)
+    np.testing.assert_allclose(half[4, 2:7, 3], [0.5, 1.0, 1.0, 1.0, 0.5], atol=EXACT)
+    np.testing.assert_array_equal(
+        cover(square(0.0, (1, 0, 0)).pixels, np.array([[0, 1, 2], [0, 2, 3]]), 10, 9), opacity
+    )
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_nearer_surfaces_hide_farther_ones_in_any_order(order):
+    surfaces = [square(1.0, (0.0, 0.0, 1.0)), square(0.0, (1.0, 0.0, 0.0), left=4.0)]
+    picture = draw_surface(joined(*(surfaces[number] for number in order)), 10, 9)
+    assert picture[4, 3, 2] > 0.3 > picture[4, 3, 0] and (picture[4, 4:8, 0] > 0.3).all()
+
+
+def test_faces_seen_from_behind_and_outside_of_the_picture_are_not_drawn():
+    away = square(0.0, (1.0, 0.0, 0.0))
+    assert not draw_surface(dataclasses.replace(away, faces=away.faces[:, ::-1]), 10, 9).any()
+    assert not draw_surface(square(0.0, (1.0, 0.0, 0.0), left=50.0), 10, 9).any()
+    assert draw_surface(square(0.0, (1.0, 0.0, 0.0), left=-2.0), 10, 9)[..., 3].sum() == 8
+
+
+def test_a_body_from_the_side_does_not_depend_on_its_heading():
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    turned = points[:, [2, 1, 0]] * [1, 1, -1]  # a quarter to the left
+    for one, other in zip(
+        SideView(0.0, 50.0, 1.0).project(points), SideView(np.pi / 2, 50.0, 1.0).project(turned), strict=True
+    ):
+        np.testing.assert_allclose(one, other, atol=EXACT)
 
 
 def test_the_camera_is_ahead_of_the_body_for_every_facing():
@@ -261,9 +290,31 @@ def test_a_single_joint_is_visible_in_a_video():
 
     annotated = AnnotatedClip("dot", one_joint())
     scene = make_scene(annotated.clip)
-    assert scene.capsules[0].start_radius == pytest.approx(0.07 * scene.tall)
+    assert np.ptp(scene.mesh.vertices, axis=0).max() / 2 == pytest.approx(0.07 * scene.tall)
     grey = Video([annotated], FPS, 60).frame_at(0.5).astype(int)
     assert (np.abs(grey - [138, 148, 163]).max(axis=-1) < 60).sum() > 20
+
+
+def test_scenes_stand_on_the_ground_and_pose_between_frames(short):
+    clip = short.clip
+    scene = make_scene(clip)
+    low = dataclasses.replace(clip, root_positions=clip.root_positions - [0.0, 0.95, 0.0])
+    sunk = make_scene(low)
+    np.testing.assert_allclose(sunk.positions[:, 0, 1], scene.positions[:, 0, 1], atol=0.05)
+    np.testing.assert_array_equal(scene.positions[:, 0], clip.root_positions)  # feet near 0: the ground is at 0
+    for second, frame in ((0.0, 0), (10 / clip.fps, 10), (99.0, -1)):
+        positions, rotations, focus = scene.pose_at(second)
+        np.testing.assert_allclose(positions, scene.positions[frame], atol=EXACT)
+        np.testing.assert_allclose(np.abs(np.sum(rotations * scene.rotations[frame], axis=-1)), 1.0, atol=EXACT)
+        np.testing.assert_allclose(focus, scene.focus[frame], atol=EXACT)
+
+
+def test_a_mesh_of_its_own_is_drawn_in_place_of_the_grown_body(short):
+    grown = make_scene(short.clip).mesh
+    red = dataclasses.replace(grown, colours=np.tile(np.array([250, 0, 0], np.uint8), (len(grown.vertices), 1)))
+    frame = Video([dataclasses.replace(short, mesh=red)], FPS, 60).frame_at(0.0).astype(int)
+    assert ((frame[..., 0] > 120) & (frame[..., 1] < 40)).sum() > 100
+    assert filmstrip(dataclasses.replace(short, mesh=red), moments=1).axes
 
 
 # Moments of a filmstrip

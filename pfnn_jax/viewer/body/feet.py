@@ -20,10 +20,8 @@ HEIGHT = (
     (-1.00, 0.030), (-0.93, 0.048), (-0.72, 0.072), (-0.30, 0.094), (0.10, 0.096), (0.40, 0.078), (0.80, 0.052),
     (1.00, 0.044), (1.35, 0.037), (1.70, 0.031), (1.92, 0.022), (2.00, 0.012),
 )  # fmt: skip
-STATIONS = np.array(
-    [-1.0, -0.93, -0.75, -0.45, -0.15, 0.1, 0.3, 0.5, 0.7, 0.88, 1.0, 1.15, 1.35, 1.55, 1.75, 1.92, 2.0]
-)
-CORNERS = 14
+STATIONS = np.array([-1.0, -0.93, -0.72, -0.35, 0.0, 0.25, 0.5, 0.75, 0.9, 1.05, 1.3, 1.6, 1.85, 2.0])
+CORNERS = 12
 
 
 def grow_foot(anatomy: Anatomy, side: str, colour: np.ndarray) -> list[Part]:
@@ -50,7 +48,7 @@ def grow_foot(anatomy: Anatomy, side: str, colour: np.ndarray) -> list[Part]:
     weights = [
         {joint: 1.0 - bend, (joint if toe is None else toe): bend} if bend else {joint: 1.0} for bend in bends.tolist()
     ]
-    return [tube(rings, weights, colour), ball(ankle, 0.037 * size, joint, colour)]
+    return [tube(rings, weights, colour), ball(ankle, 0.041 * size, joint, colour)]
 
 
 def _sections(size: float, high: float) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pfnn_jax.motion.retargeting.body import SIDES
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.skinned_mesh import SkinnedMesh
+from pfnn_jax.motion.skinned_mesh import SkinnedMesh, vertex_normals
 from pfnn_jax.viewer.body.anatomy import ARM, LEG, Anatomy, anatomy_of
 from pfnn_jax.viewer.body.feet import grow_foot
 from pfnn_jax.viewer.body.hands import grow_hand
@@ -17,9 +17,7 @@ from pfnn_jax.viewer.body.limbs import ARM_PROFILE, ARM_STATIONS, LEG_PROFILE, L
 from pfnn_jax.viewer.body.part import Part
 from pfnn_jax.viewer.body.sticks import grow_sticks
 from pfnn_jax.viewer.body.trunk import grow_trunk
-from pfnn_jax.viewer.draw.palette import INK, SIDES as COLOURS, rgb
-
-DARKER = 0.28  # share of ink in the colour of hands and feet
+from pfnn_jax.viewer.draw.palette import BODY, INK, rgb
 
 
 def grow_body(skeleton: Skeleton) -> SkinnedMesh:
@@ -38,17 +36,16 @@ def grow_body(skeleton: Skeleton) -> SkinnedMesh:
 
 
 def _mannequin(anatomy: Anatomy) -> list[Part]:
-    middle, ink = (np.array(rgb(colour), float) for colour in (COLOURS["middle"], INK))
-    parts = [grow_trunk(anatomy, middle), *grow_head(anatomy, middle, ink)]
+    trunk, visor = (np.array(rgb(colour), float) for colour in (BODY["trunk"], INK))
+    parts = [grow_trunk(anatomy, trunk), *grow_head(anatomy, trunk, visor)]
     for side in SIDES:
-        colour = np.array(rgb(COLOURS[side]), float)
-        dark = colour + DARKER * (ink - colour)
+        colour, dark = (np.array(rgb(BODY[f"{side} {part}"]), float) for part in ("limb", "end"))
         thigh, shin, upper, lower = anatomy.limb(side, "thigh", "shin", "upper_arm", "lower_arm")
         leg, arm = anatomy.leg(side), anatomy.arm(side)
-        parts += grow_limb(leg, (thigh, shin), LEG_PROFILE, _thick(anatomy, leg, LEG), colour, LEG_STATIONS, 14)
+        parts += grow_limb(leg, (thigh, shin), LEG_PROFILE, _thick(anatomy, leg, LEG), colour, LEG_STATIONS, 12)
         parts += grow_foot(anatomy, side, dark)
         if arm is not None:
-            parts += grow_limb(arm, (upper, lower), ARM_PROFILE, _thick(anatomy, arm, ARM), colour, ARM_STATIONS, 12)
+            parts += grow_limb(arm, (upper, lower), ARM_PROFILE, _thick(anatomy, arm, ARM), colour, ARM_STATIONS, 10)
             parts += grow_hand(anatomy, side, dark)
     return parts
 
@@ -73,13 +70,3 @@ def _mesh(parts: Sequence[Part], positions: np.ndarray, rotations: np.ndarray) -
         bind_positions=positions,
         bind_rotations=rotations,
     )
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Returns the normals [V, 3] of vertices: the mean of those of their faces, weighted by area."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    face = np.cross(b - a, c - a)
-    total = np.zeros_like(vertices)
-    for axis in range(3):
-        total[:, axis] = np.bincount(faces.ravel(), np.repeat(face[:, axis], 3), len(vertices))
-    return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-12)

@@ -43,7 +43,7 @@ def grow_hand(anatomy: Anatomy, side: str, colour: np.ndarray) -> list[Part]:
     return [tube(arm[2] + rings @ axes, [{joint: 1.0}] * len(rings), colour) for rings in parts]
 
 
-def _palm(corners: int = 12) -> np.ndarray:
+def _palm(corners: int = 10) -> np.ndarray:
     """Returns the rings [R, N, 3] of a person's palm: along the hand, to the thumb, to the palm."""
     angles = 2 * np.pi * np.arange(corners) / corners
     c, s = (np.sign(f) * np.abs(f) ** 0.8 for f in (np.cos(angles), np.sin(angles)))
@@ -65,12 +65,12 @@ def _thumb() -> np.ndarray:
     return _worm(np.array(THUMB), np.array(THUMB_RADII))
 
 
-def _worm(points: np.ndarray, radii: np.ndarray, corners: int = 7) -> np.ndarray:
+def _worm(points: np.ndarray, radii: np.ndarray, corners: int = 5) -> np.ndarray:
     """Returns the rings [R, N, 3] of a round tube through points [P, 3] with a round tip."""
     along = unit(np.gradient(points, axis=0))
-    points = np.concatenate([points, points[-1:] + 0.7 * radii[-1] * along[-1:], points[-1:] + radii[-1] * along[-1:]])
-    along = np.concatenate([along, along[-1:], along[-1:]])
-    radii = np.concatenate([radii, [0.68 * radii[-1], 0.0]])
+    points = np.concatenate([points, points[-1:] + 0.8 * radii[-1] * along[-1:]])
+    along = np.concatenate([along, along[-1:]])
+    radii = np.concatenate([radii, [0.55 * radii[-1]]])
     across = unit(np.cross(along, np.array([0.0, 0.0, 1.0])))
     upward = np.cross(across, along)
     angles = 2 * np.pi * np.arange(corners) / corners

@@ -8,31 +8,49 @@ from pfnn_jax.motion.retargeting.body import neck_chain, torso_chain
 from pfnn_jax.viewer.body.anatomy import Anatomy
 from pfnn_jax.viewer.body.part import Part, profile, tube
 
-CORNERS = 20
+CORNERS = 16
 # Metres of a person above the middle of the head: half the width, where the front and where the back is.
 PROFILE = (
-    (-0.116, 0.004, 0.060, 0.050),
-    (-0.110, 0.026, 0.082, 0.030),
-    (-0.097, 0.038, 0.091, 0.008),
-    (-0.075, 0.050, 0.092, -0.022),
-    (-0.050, 0.059, 0.092, -0.052),
-    (-0.022, 0.066, 0.091, -0.078),
-    (0.008, 0.072, 0.087, -0.094),
-    (0.034, 0.076, 0.094, -0.102),
-    (0.060, 0.075, 0.089, -0.101),
-    (0.086, 0.065, 0.070, -0.086),
-    (0.104, 0.046, 0.045, -0.062),
-    (0.114, 0.022, 0.016, -0.032),
-    (0.117, 0.004, -0.004, -0.012),
+    (-0.116, 0.004, 0.056, 0.036),
+    (-0.112, 0.030, 0.082, 0.000),
+    (-0.100, 0.045, 0.091, -0.036),
+    (-0.078, 0.057, 0.092, -0.064),
+    (-0.052, 0.065, 0.091, -0.083),
+    (-0.022, 0.070, 0.090, -0.095),
+    (0.008, 0.073, 0.086, -0.098),
+    (0.034, 0.075, 0.093, -0.102),
+    (0.060, 0.073, 0.088, -0.100),
+    (0.084, 0.064, 0.070, -0.086),
+    (0.102, 0.047, 0.045, -0.062),
+    (0.112, 0.026, 0.018, -0.036),
+    (0.115, 0.004, -0.006, -0.014),
 )
 STATIONS = np.array(
-    [-0.116, -0.110, -0.099, -0.082, -0.062, -0.044, -0.032, -0.018, 0.002, 0.018, 0.034, 0.05, 0.066, 0.082, 0.096, 0.107, 0.114, 0.117]
-)  # fmt: skip
-NOSE = ((-0.044, 0.0), (-0.034, 0.012), (-0.026, 0.021), (-0.010, 0.014), (0.012, 0.006), (0.03, 0.0))
+    [
+        -0.116,
+        -0.111,
+        -0.1,
+        -0.08,
+        -0.056,
+        -0.042,
+        -0.026,
+        -0.006,
+        0.012,
+        0.034,
+        0.055,
+        0.075,
+        0.092,
+        0.105,
+        0.112,
+        0.115,
+    ]
+)
+NOSE = ((-0.046, 0.0), (-0.034, 0.013), (-0.026, 0.020), (-0.006, 0.009), (0.012, 0.001), (0.03, 0.0))
 VISOR = np.radians(64.0)  # to either side
 VISOR_HEIGHT = (-0.010, 0.026)
 HEAD = 0.233  # metres from chin to crown
-JOINT = np.array([0.0, -0.092, -0.012])  # of the head joint, from the middle of the head
+JOINT = np.array([0.0, -0.088, -0.014])  # of the head joint, from the middle of the head
+LARGEST, LONG_NECK = 2.5, 0.3  # head in comparison with the body; shoulders to head joint, metres
 CROWN = 0.12  # share of the size from which on a bone above the head joint reaches to the crown
 
 
@@ -49,12 +67,14 @@ def grow_head(anatomy: Anatomy, colour: np.ndarray, dark: np.ndarray) -> list[Pa
 def _place(anatomy: Anatomy, joint: int) -> tuple[float, np.ndarray]:
     """Returns the size of the head relative to a person's, and its middle [3]."""
     size, at = anatomy.size, anatomy.at(joint)
-    tips = anatomy.tips(joint) if joint == anatomy.body.head else np.zeros((0, 3))
-    crown = max((float(tip[1] - at[1]) for tip in tips), default=0.0)
-    if crown > CROWN * size:
-        size = float(np.clip(crown / (HEAD / 2 - JOINT[1]), 0.85 * size, 2.5 * size))
     if joint != anatomy.body.head:
-        at = at + np.array([0.0, 0.3 * HEAD * size, 0.0])
+        return size, at + np.array([0.0, 0.3 * HEAD * size, 0.0]) - size * JOINT
+    neck = float(at[1] - anatomy.shoulder_middle[1])
+    if neck > LONG_NECK * size:  # of a cartoon, whose head joint is in the middle of a large head
+        return size * min(neck / (LONG_NECK * size), LARGEST), at
+    crown = max((float(tip[1] - at[1]) for tip in anatomy.tips(joint)), default=0.0)
+    if crown > CROWN * size:
+        size = float(np.clip(crown / (HEAD / 2 - JOINT[1]), 0.85 * size, LARGEST * size))
     return size, at - size * JOINT
 
 
@@ -78,7 +98,7 @@ def _visor() -> np.ndarray:
     middle, reach = np.mean(VISOR_HEIGHT), np.ptp(VISOR_HEIGHT) / 2
     shrink = np.sqrt(np.clip(1 - (np.abs(turns) / VISOR) ** 8, 0.02, 1))
     levels = middle + reach * shrink * np.array([-1.0, -0.4, 0.4, 1.0])
-    return np.concatenate([_face(turns, levels, 0.005), _face(turns, levels[:, ::-1], -0.012)], axis=1)
+    return np.concatenate([_face(turns, levels, 0.0065), _face(turns, levels[:, ::-1], -0.012)], axis=1)
 
 
 def _face(turns: np.ndarray, levels: np.ndarray, out: float) -> np.ndarray:

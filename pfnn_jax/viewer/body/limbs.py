@@ -40,7 +40,7 @@ ARM_PROFILE = (
     (1.88, 0.022, 0.027, 0.026),
     (2.00, 0.022, 0.026, 0.026),
 )
-CAP = np.radians((68.0, 42.0, 18.0))
+CAP, END = np.radians((68.0, 42.0, 18.0)), np.radians((20.0, 55.0))  # rings of the round ends
 BEND = 0.9  # half of the length over which skin passes from one bone to the next, in radii
 
 
@@ -71,7 +71,7 @@ def grow_limb(
     centres = points[bone] + (stations - bone)[:, None] * np.diff(points, axis=0)[bone]
     first, last = widths[0, 0], widths[-1].min()
     starts = [(-first * np.sin(a), np.full(3, first * np.cos(a))) for a in CAP]
-    ends = [(last * np.sin(a), widths[-1] * np.cos(a)) for a in CAP[::-1]]
+    ends = [(last * np.sin(a), widths[-1] * np.cos(a)) for a in END]
     along = unit(np.diff(points, axis=0))
     centres = np.concatenate(
         [
@@ -103,9 +103,5 @@ def ellipses(widths: np.ndarray, corners: int) -> np.ndarray:
     return np.stack([widths[:, :1] * across, depth * ahead], axis=-1)
 
 
-LEG_STATIONS = np.array(
-    [0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.82, 0.89, 0.95, 1.0, 1.05, 1.11, 1.2, 1.3, 1.42, 1.56, 1.7, 1.84, 2.0]
-)
-ARM_STATIONS = np.array(
-    [0.0, 0.14, 0.28, 0.42, 0.56, 0.7, 0.8, 0.88, 0.94, 1.0, 1.06, 1.13, 1.22, 1.36, 1.52, 1.7, 1.86, 2.0]
-)
+LEG_STATIONS = np.array([0.0, 0.14, 0.3, 0.5, 0.68, 0.82, 0.91, 0.97, 1.03, 1.09, 1.17, 1.29, 1.43, 1.6, 1.8, 2.0])
+ARM_STATIONS = np.array([0.0, 0.15, 0.32, 0.52, 0.7, 0.84, 0.92, 0.97, 1.03, 1.09, 1.2, 1.38, 1.6, 1.82, 2.0])

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 INFLUENCES = 4
 """Joints that move one vertex at the most."""
@@ -35,31 +34,40 @@ class Part:
 
 
 def tube(rings: np.ndarray, weights: Sequence[Weights], colour: np.ndarray) -> Part:
-    """Returns the closed surface through rings; its ends are closed by one vertex in the middle of the end ring.
+    """Returns the closed surface through rings; one vertex closes each end, in the middle of its ring.
 
     Args:
-        rings: [R, N, 3] metres, every ring in the same sense; the first and the last may be points (N equal vertices).
+        rings: [R, N, 3] metres, every ring in the same sense. The first and the last may be points (N equal vertices).
         weights: [R], or [R * N], of the rings or of their vertices.
-        colour: [3], [R, 3] or [R, N, 3], in 0..255.
+        colour: [3], in 0..255.
     """
-    count, corners = rings.shape[:2]
     ends = rings[[0, -1]].mean(axis=1)
+    points = np.ptp(rings[[0, -1]], axis=1).max(axis=1) == 0.0
+    kept = slice(int(points[0]), len(rings) - int(points[1]))
+    if len(weights) == len(rings):
+        weights = list(weights)[kept]
+    else:
+        weights = list(weights)[kept.start * rings.shape[1] : kept.stop * rings.shape[1]]
+    rings = rings[kept]
     vertices = np.concatenate([rings.reshape(-1, 3), ends])
+    joints, shares = _skin(weights, *rings.shape[:2])
+    colours = np.tile(np.asarray(colour).round().astype(np.uint8), (len(vertices), 1))
+    return Part(vertices, _outward(vertices, _faces(*rings.shape[:2])), joints, shares, colours)
+
+
+def _faces(count: int, corners: int) -> np.ndarray:
+    """Returns the faces [F, 3] of `count` rings, one after another, and of the two vertices after them."""
     here, after = np.arange(corners), (np.arange(corners) + 1) % corners
-    faces = []
-    for first in corners * np.arange(count - 1):
-        a, b, c, d = first + here, first + after, first + corners + here, first + corners + after
-        faces += [np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)]
-    last, poles = corners * (count - 1), count * corners
-    faces.append(np.stack([after, here, np.full(corners, poles)], axis=1))
-    faces.append(np.stack([last + here, last + after, np.full(corners, poles + 1)], axis=1))
-    joints, shares = _skin(weights, count, corners)
-    colours = np.broadcast_to(np.asarray(colour, float).reshape(_shape(colour)), (count, corners, 3)).reshape(-1, 3)
-    colours = np.concatenate([colours, colours[[0, -1]]]).round().astype(np.uint8)
-    return Part(vertices, _outward(vertices, np.concatenate(faces)), joints, shares, colours)
+    first = corners * np.arange(count - 1)[:, None]
+    a, b, c, d = first + here, first + after, first + corners + here, first + corners + after
+    sides = np.concatenate([np.stack([a, b, d], axis=-1), np.stack([a, d, c], axis=-1)]).reshape(-1, 3)
+    last, pole = corners * (count - 1), count * corners
+    start = np.stack([after, here, np.full(corners, pole)], axis=1)
+    end = np.stack([last + here, last + after, np.full(corners, pole + 1)], axis=1)
+    return np.concatenate([sides, start, end])
 
 
-def ball(centre: np.ndarray, radius: float, joint: int, colour: np.ndarray, corners: int = 8, rows: int = 5) -> Part:
+def ball(centre: np.ndarray, radius: float, joint: int, colour: np.ndarray, corners: int = 8, rows: int = 4) -> Part:
     """Returns a ball that one joint moves."""
     polar = np.pi * np.arange(1, rows + 1) / (rows + 1)
     angles = 2 * np.pi * np.arange(corners) / corners
@@ -84,8 +92,20 @@ def profile(keys: Sequence[Sequence[float]], at: np.ndarray) -> np.ndarray:
         at: [R] positions.
     """
     table = np.asarray(keys, float)
-    inside = np.clip(at, table[0, 0], table[-1, 0])
-    return PchipInterpolator(table[:, 0], table[:, 1:])(inside)
+    x, y = table[:, 0], table[:, 1:]
+    at = np.clip(at, x[0], x[-1])
+    step = np.diff(x)[:, None]
+    rise = np.diff(y, axis=0) / step
+    # slopes at the keys: the harmonic mean of those on either side, and none at an extreme (Fritsch and Butland 1984)
+    before, after = rise[:-1], rise[1:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.where(before * after > 0.0, 2.0 * before * after / (before + after), 0.0)
+    slopes = np.concatenate([rise[:1], mean, rise[-1:]])
+    cell = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+    width = step[cell]
+    t = ((at - x[cell])[:, None]) / width
+    low = y[cell] + t * t * (3.0 - 2.0 * t) * (y[cell + 1] - y[cell])
+    return low + width * t * (1.0 - t) * ((1.0 - t) * slopes[cell] - t * slopes[cell + 1])
 
 
 def smooth_step(x: np.ndarray | float) -> np.ndarray:
@@ -97,11 +117,6 @@ def smooth_step(x: np.ndarray | float) -> np.ndarray:
 def unit(vector: np.ndarray) -> np.ndarray:
     """Returns a vector [..., 3] of length 1 in the same direction."""
     return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-12)
-
-
-def _shape(colour: np.ndarray) -> tuple[int, ...]:
-    shape = np.shape(colour)
-    return (shape[0], 1, 3) if len(shape) == 2 else shape
 
 
 def _skin(weights: Sequence[Weights], count: int, corners: int) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,9 @@ from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.labels.local_phase import END_EFFECTORS
 from pfnn_jax.motion.labels.phase import PhaseLabels, label_phase, read_phase
-from pfnn_jax.viewer.draw.body import upright
+from pfnn_jax.motion.skinned_mesh import SkinnedMesh
+from pfnn_jax.viewer.draw.own_mesh import own_mesh
+from pfnn_jax.viewer.draw.upright import upright
 
 FEET = ("left", "right")
 SHORTEST = 3  # frames; fewer have no speed to detect contacts by
@@ -65,6 +67,7 @@ class AnnotatedClip:
             frames without a phase; or None.
         contacts: [T, 4] bool: left heel, left toe, right heel, right toe; or [T, 2]: left and right foot; or None.
         note: small print after the name, such as the reason why there is no phase.
+        mesh: the character's own body, moved by the joints of the clip's skeleton; by default one is grown around them.
 
     Raises:
         ValueError: for a phase or contacts of another shape.
@@ -76,6 +79,7 @@ class AnnotatedClip:
     phase: np.ndarray | None = None
     contacts: np.ndarray | None = None
     note: str = ""
+    mesh: SkinnedMesh | None = None
 
     def __post_init__(self) -> None:
         require_motion(self.clip, self.name)
@@ -201,6 +205,8 @@ def annotate(clip: MotionClip, name: str, phase_file: Path | None = None) -> Ann
 def annotate_clips(clips: Sequence[Showable], names: Sequence[str] | None = None) -> list[AnnotatedClip]:
     """Returns upright clips with their contacts and phases; clips that are annotated already keep their annotations.
 
+    Clips of glTF files are drawn with the character's own mesh, where the file has one.
+
     Args:
         clips: what to show.
         names: captions, one for each clip; by default style and content, or the file's name.
@@ -219,7 +225,9 @@ def annotate_clips(clips: Sequence[Showable], names: Sequence[str] | None = None
         if isinstance(clip, AnnotatedClip):
             annotated.append(clip if names is None else replace(clip, name=names[number]))
         else:
-            annotated.append(annotate(upright(motion), caption(motion, number) if names is None else names[number]))
+            name = caption(motion, number) if names is None else names[number]
+            mesh = own_mesh(clip, motion) if isinstance(clip, str | Path) else None
+            annotated.append(replace(annotate(upright(motion), name), mesh=mesh))
     return annotated
 
 

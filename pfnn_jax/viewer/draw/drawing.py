@@ -1,4 +1,4 @@
-"""Matplotlib drawing shared by pictures and videos: the body and its time line of contacts and phases.
+"""Matplotlib drawing shared by pictures and videos: figures, and time lines of contacts and phases.
 
 Matplotlib is imported inside the functions that draw, so that importing the viewer costs nothing.
 """
@@ -6,7 +6,6 @@ Matplotlib is imported inside the functions that draw, so that importing the vie
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,18 +13,12 @@ import numpy as np
 
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
-from pfnn_jax.viewer.draw.body import Capsule, capsule_ends
 from pfnn_jax.viewer.draw.palette import MUTED, PANEL, PHASE, SIDES, rgb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LIGHT = np.array([-0.5, 0.85])  # direction of the light on the page: from above left
-SMALLER = np.linspace(0.0, 0.72, 9)  # nested outlines of a capsule: the fraction by which each is smaller
-WHITE = np.interp(SMALLER, [0.3, 0.72], [0.0, 0.3])  # ... and its admixture of white
-BLACK = np.interp(SMALLER, [0.0, 0.3], [0.22, 0.0])  # ... and of black
-ARC = 11  # corners of each of an outline's two ends
 FOOT_ROW, PHASE_ROW, BONE_ROW, ROW_GAP = 0.11, 0.3, 0.17, 0.035  # inches
 
 
@@ -55,92 +48,23 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = 144) -> None:
     write_whole(Path(path), png_bytes(figure, dpi))
 
 
-def draw_body(axes: Axes, points: np.ndarray, capsules: Sequence[Capsule]) -> None:
-    """Draws a body in parallel projection along its third coordinate.
+def place_picture(axes: Axes, picture: np.ndarray, left: float, top: float, scale: float) -> None:
+    """Places a picture in axes, of which it may leave the edges, as an outstretched arm does.
 
     Args:
         axes: target, in metres.
-        points: [P, 3] metres: across, up, and towards the viewer.
-        capsules: from `body_capsules`.
+        picture: [H, W, 4] in 0..1.
+        left, top: of the picture's upper left corner, metres in the axes.
+        scale: pixels of the picture per metre.
     """
-    from matplotlib.collections import PolyCollection
+    from matplotlib.image import AxesImage
 
-    starts, ends = all_ends(points, capsules)
-    radii = radii_of(capsules)
-    shapes, colours = body_shapes(starts[:, :2], ends[:, :2], radii, starts[:, 2] + ends[:, 2], tones(capsules))
-    # not clipped: an outstretched arm may leave the axes
-    axes.add_collection(PolyCollection(list(shapes), facecolors=colours, edgecolors="none", clip_on=False, zorder=2))
-
-
-def all_ends(points: np.ndarray, capsules: Sequence[Capsule]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the centres [..., C, 3] of the first and of the second ends of all capsules, from points [..., P, 3]."""
-    ends = [capsule_ends(points, capsule) for capsule in capsules]
-    return np.stack([a for a, _ in ends], axis=-2), np.stack([b for _, b in ends], axis=-2)
-
-
-def radii_of(capsules: Sequence[Capsule]) -> np.ndarray:
-    """Returns the radii [C, 2] of both ends in metres."""
-    return np.array([(capsule.start_radius, capsule.end_radius) for capsule in capsules])
-
-
-def tones(capsules: Sequence[Capsule]) -> np.ndarray:
-    """Returns the colours [C, S, 3] in 0..1 of every capsule's nested outlines, from the dark rim to the light."""
-    base = np.array([rgb(SIDES[capsule.side]) for capsule in capsules])[:, None] / 255.0
-    return (base + WHITE[:, None] * (1.0 - base)) * (1.0 - BLACK[:, None])
-
-
-def body_shapes(
-    starts: np.ndarray, ends: np.ndarray, radii: np.ndarray, nearness: np.ndarray, colours: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the polygons of a body on the page, the farthest first.
-
-    Every capsule is a dark outline with lighter ones nested inside it, shifted towards the light, so that it looks
-    round.
-
-    Args:
-        starts: [C, 2] first ends on the page.
-        ends: [C, 2] second ends.
-        radii: [C, 2] on the page.
-        nearness: [C] greater for nearer capsules.
-        colours: [C, S, 3] from `tones`.
-
-    Returns:
-        (polygons [C * S, N, 2], colours [C * S, 3]).
-    """
-    order = np.argsort(nearness, kind="stable")
-    starts, ends, radii = starts[order], ends[order], radii[order]
-    along = ends - starts
-    length = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
-    along = along / length
-    # lit from the side if the limb is long on the page, from the light's own direction if it points at the viewer
-    seen = np.minimum(1.0, length / np.maximum(radii.sum(axis=-1, keepdims=True), 1e-9))
-    towards = LIGHT - seen * np.sum(LIGHT * along, axis=-1, keepdims=True) * along
-    inner = radii[:, None] * (1.0 - SMALLER[:, None])  # [C, S, 2]
-    shift = radii[:, None] * SMALLER[:, None]
-    a = starts[:, None] + shift[..., :1] * towards[:, None]
-    b = ends[:, None] + shift[..., 1:] * towards[:, None]
-    shapes = outlines(a, b, inner[..., 0], inner[..., 1])
-    return shapes.reshape(-1, *shapes.shape[-2:]), colours[order].reshape(-1, 3)
-
-
-def outlines(a: np.ndarray, b: np.ndarray, ra: np.ndarray, rb: np.ndarray) -> np.ndarray:
-    """Returns the convex outlines [..., N, 2] of pairs of circles, counter-clockwise.
-
-    Args:
-        a, b: [..., 2] centres.
-        ra, rb: [...] radii.
-    """
-    along = b - a
-    length = np.maximum(np.linalg.norm(along, axis=-1), 1e-9)
-    angle = np.arctan2(along[..., 1], along[..., 0])[..., None]
-    spread = np.arccos(np.clip((ra - rb) / length, -1.0, 1.0))[..., None]  # where the tangents touch
-    far = angle + spread * np.linspace(-1, 1, ARC)
-    near = angle + spread + (2 * np.pi - 2 * spread) * np.linspace(0, 1, ARC)
-
-    def circle(centre: np.ndarray, radius: np.ndarray, angles: np.ndarray) -> np.ndarray:
-        return centre[..., None, :] + radius[..., None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-
-    return np.concatenate([circle(b, rb, far), circle(a, ra, near)], axis=-2)
+    height, width = picture.shape[:2]
+    extent = (left, left + width / scale, top - height / scale, top)
+    image = AxesImage(axes, extent=extent, origin="upper", interpolation="antialiased", zorder=2)
+    image.set_data(picture)
+    axes.add_artist(image)
+    image.set_clip_on(False)
 
 
 def strip_height(annotated: AnnotatedClip) -> float:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, Showable, as_clip, detect_phase
-from pfnn_jax.viewer.draw.body import upright
-from pfnn_jax.viewer.draw.drawing import blank_figure, draw_body, draw_strip, strip_height
+from pfnn_jax.viewer.draw.body_picture import body_image
+from pfnn_jax.viewer.draw.drawing import blank_figure, draw_strip, place_picture, strip_height
 from pfnn_jax.viewer.draw.palette import GRID, INK, MUTED, SIDES
-from pfnn_jax.viewer.draw.scene import Scene, make_scene
+from pfnn_jax.viewer.draw.scene import PERSON, Scene, make_scene
+from pfnn_jax.viewer.draw.upright import upright
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,6 +27,8 @@ CLOSE, APART_BODIES = 0.78, 1.05  # least distance to the next body, in widths o
 EDGE, TITLE, CAPTION, LABELS, APART = 0.2, 0.4, 0.27, 0.28, 0.22  # inches
 TRAVELS = 0.5  # metres; a clip that travels less has no map
 NUMBER_SIZE, NUMBER_AHEAD = 7.5, 9.0  # points: font size of the map's numbers, and their distance from the path
+
+DPI = 288  # of the bodies, twice that of the file: they are drawn before the figure's own is known
 
 SHORTEST_SPAN = 0.75  # of the longest clip: the moments of a picture cover at least this much
 TRIED = 101  # spans that are compared
@@ -77,7 +80,7 @@ def filmstrip(*clips: Showable, moments: int = 8, title: str = "", span: tuple[i
     rows = [_row(annotated, times) for annotated in shown]
     left = NAMES if any(strip_height(annotated) for annotated in shown) else EDGE
     wide = STEP * max(len(times), LEAST)
-    with_map = any(np.ptp(row.scene.points[:, 0][:, [0, 2]], axis=0).max() > TRAVELS for row in rows)
+    with_map = any(np.ptp(row.scene.positions[:, 0][:, [0, 2]], axis=0).max() > TRAVELS for row in rows)
     width = left + wide + (MAP + APART if with_map else 0) + EDGE
     height = (TITLE if title else EDGE / 2) + sum(_height(row.annotated) for row in rows)
     figure = blank_figure(width, height)
@@ -147,7 +150,7 @@ def _annotated(clip: Showable, number: int) -> AnnotatedClip:
 def _row(annotated: AnnotatedClip, times: np.ndarray) -> _Row:
     there = times[times <= annotated.seconds + 0.5 / annotated.clip.fps]
     frames = np.minimum(np.round(there * annotated.clip.fps).astype(int), annotated.clip.num_frames - 1)
-    return _Row(annotated, make_scene(annotated.clip), frames, there)
+    return _Row(annotated, make_scene(annotated.clip, annotated.mesh), frames, there)
 
 
 def _height(annotated: AnnotatedClip) -> float:
@@ -195,21 +198,18 @@ def _draw_caption(figure: Figure, annotated: AnnotatedClip, top: float) -> None:
 def _draw_bodies(axes: Axes, row: _Row, across: np.ndarray, inches: float) -> None:
     """Draws the bodies at the fractions `across` [N] of the width of axes that are this many inches wide."""
     scene = row.scene
-    views = []
-    for frame in row.frames:
-        points = scene.points[frame]
-        views.append(to_view(points - points[0] * [1.0, 0.0, 1.0], float(scene.facings[frame])))
-    radius = max(max(c.start_radius, c.end_radius) for c in scene.capsules)
-    low, high = min(0.0, *(v[:, 1].min() for v in views)), max(v[:, 1].max() for v in views) + radius
-    reach = max(np.ptp(v[:, 0]) for v in views) + 2 * radius
+    scale = DPI * BODY / (PERSON * scene.tall)
+    images = [body_image(scene, frame, TURN, scale) for frame in row.frames]
+    low, high = min(0.0, *(image.bottom for image in images)), max(image.top for image in images)
+    reach = max(image.right - image.left for image in images)
     known = row.annotated.clip.skeleton.roles is not None
     tall = max((high - low) * HEADROOM, (CLOSE if known else APART_BODIES) * reach * BODY / STEP, 1e-6)
     per_inch = tall / BODY
     wide = per_inch * inches
     axes.axhline(0.0, color=GRID, linewidth=1.2, zorder=0)
-    for number, (view, share, second) in enumerate(zip(views, across, row.seconds, strict=True)):
-        middle = (0.3 if known else 1.0) * (view[:, 0].min() + view[:, 0].max()) / 2  # partly that of spread arms
-        draw_body(axes, view + [share * wide - middle, 0.0, 0.0], scene.capsules)
+    for number, (image, share, second) in enumerate(zip(images, across, row.seconds, strict=True)):
+        middle = (0.3 if known else 1.0) * (image.left + image.right) / 2  # partly that of spread arms
+        place_picture(axes, image.colours, share * wide - middle + image.left, image.top, image.scale)
         text = axes.annotate(
             f"{number + 1}", (share * wide, low - 0.35 * LABELS * per_inch), ha="right", va="top", fontsize=8,
             color=INK, fontweight="bold", xytext=(-3, 0), textcoords="offset points",
@@ -220,24 +220,9 @@ def _draw_bodies(axes: Axes, row: _Row, across: np.ndarray, inches: float) -> No
     axes.axis("off")
 
 
-def to_view(points: np.ndarray, facing: float, turn: float = TURN) -> np.ndarray:
-    """Returns points [P, 3] as (across, up, towards the viewer), with ahead to the right.
-
-    Args:
-        points: [P, 3] metres.
-        facing: radians, facing direction of the body.
-        turn: from the body's front to the viewer at its right: at 0 it faces the viewer, at 90 degrees it is seen
-            exactly from the right.
-    """
-    yaw = facing - turn
-    c, s = np.cos(yaw), np.sin(yaw)
-    x, y, z = points.T
-    return np.stack([c * x - s * z, y, s * x + c * z], axis=-1)
-
-
 def _path_on_page(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Returns the path [T, 2] and the facing directions [T, 2] seen from above, the longer extent across the page."""
-    path = scene.points[:, 0][:, [0, 2]] * [-1.0, 1.0]  # from above, with +Z up the page, +X is to the left
+    path = scene.positions[:, 0][:, [0, 2]] * [-1.0, 1.0]  # from above, with +Z up the page, +X is to the left
     facing = np.stack([-np.sin(scene.facings), np.cos(scene.facings)], axis=-1)
     if np.ptp(path[:, 1]) > np.ptp(path[:, 0]):
         quarter = np.array([[0.0, -1.0], [1.0, 0.0]])  # clockwise, so that ahead becomes right

@@ -6,6 +6,14 @@ INK, MUTED, GRID, PANEL = "#1f2733", "#667082", "#dfe4ea", "#f3f5f8"
 GROUND, PHASE = "#c3cbd6", "#2f9e77"
 SIDES = {"left": "#2f6fde", "right": "#e0662f", "middle": "#8a94a3"}
 """Colours of the body: left limbs blue, right limbs orange, trunk grey."""
+BODY = {
+    "trunk": "#aeb8c6",
+    "left limb": SIDES["left"],
+    "right limb": SIDES["right"],
+    "left end": "#254f9b",
+    "right end": "#9f4c2a",
+}
+"""Colours of the mannequin: its trunk and head, its limbs, and hands and feet at their ends."""
 SHADOW, SHADE = "#141e32", 0.16  # colour and opacity of the shadow on the ground
 
 SERIES = ("#2f6fde", "#e0662f", "#2f9e77", "#9a5bd0", "#c2892b", "#d04a78", "#4aa3c4", "#7a8699", "#5b7f2b", "#a0522d")

@@ -1,4 +1,7 @@
-"""A clip as a scene: the body above its ground, its size, where it faces, and the camera that follows it."""
+"""A clip as a scene: the body above its ground, its size, where it faces, and the point that a camera follows.
+
+Pictures, videos and HTML players draw this one description.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.viewer.draw.body import Capsule, body_capsules, body_points, capsule_ends, facing_angles
+from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_multiply, quat_rotate, quat_slerp
+from pfnn_jax.motion.skinned_mesh import SkinnedMesh
+from pfnn_jax.viewer.body import grow_body
+from pfnn_jax.viewer.draw.camera import Camera
+from pfnn_jax.viewer.draw.upright import facing_angles
 
 PERSON = 1.7  # metres
 WIDE = 0.55  # the height of a person with arms spread, as a fraction of the width
@@ -17,7 +24,6 @@ GROUND_PERCENTILE = 5.0  # of the lowest point over time: feet are on the ground
 NEAR_GROUND = 0.12  # relative to a person: feet this close to height 0 mean that the file's ground is at 0
 FOLLOW = 1.0  # seconds over which the camera's target is averaged, so that it does not sway with every step
 STRAIGHT = 0.7  # mean resultant length of the facing directions above which a clip has one direction
-NEAREST = 0.2  # metres in front of the eye; nearer points are not drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +31,9 @@ class Scene:
     """What pictures, videos and players draw of a clip.
 
     Attributes:
-        points: [T, P, 3] metres above the ground, Y up; point 0 is the root.
-        capsules: limbs between points.
+        positions: [T, J, 3] metres above the ground of the joints, Y up; joint 0 is the root.
+        rotations: [T, J, 4] world rotations of the joints.
+        mesh: the body, moved by these joints.
         fps: frames per second.
         tall: size relative to a person (1); distances of cameras scale with it.
         facings: [T] radians, facing direction of the body.
@@ -34,45 +41,119 @@ class Scene:
         focus: [T, 3] metres, target of a following camera.
     """
 
-    points: np.ndarray
-    capsules: list[Capsule]
+    positions: np.ndarray
+    rotations: np.ndarray
+    mesh: SkinnedMesh
     fps: float
     tall: float
     facings: np.ndarray
     facing: float
     focus: np.ndarray
 
+    @property
+    def num_frames(self) -> int:
+        """T."""
+        return len(self.positions)
 
-def make_scene(clip: MotionClip) -> Scene:
+    def pose_at(self, second: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Returns positions [J, 3], rotations [J, 4] and focus [3] at a second, between two frames of the clip."""
+        frame = min(max(second, 0.0) * self.fps, self.num_frames - 1.0)
+        before = int(frame)
+        after, share = min(before + 1, self.num_frames - 1), frame - before
+        position, focus = (
+            (1 - share) * values[before] + share * values[after] for values in (self.positions, self.focus)
+        )
+        return position, quat_slerp(self.rotations[before], self.rotations[after], share), focus
+
+    def camera(self, focus: np.ndarray, width: float, height: float) -> Camera:
+        """Returns the camera of a picture of width × height pixels that looks at a point [3]."""
+        return Camera(focus, self.facing, self.tall, width, height)
+
+
+def make_scene(clip: MotionClip, mesh: SkinnedMesh | None = None) -> Scene:
     """Returns the scene of a clip.
 
     The ground is at height 0 unless the body's lowest points are far from it, as in files that keep the hips in place;
     then it is just below them.
+
+    Args:
+        clip: T frames.
+        mesh: the body, moved by the joints of the clip's skeleton; by default one that is grown around them.
     """
-    points, capsules = body_points(clip), body_capsules(clip.skeleton)
-    ends = np.stack([np.stack(capsule_ends(points, c), axis=1) for c in capsules], axis=1)  # [T, C, 2, 3]
-    radii = np.array([(c.start_radius, c.end_radius) for c in capsules])
-    low, high = (ends[..., 1] - radii).min(axis=(1, 2)), (ends[..., 1] + radii).max(axis=(1, 2))
-    width = np.ptp(ends[..., [0, 2]].reshape(len(points), -1, 2), axis=1).max(axis=-1)
-    known = clip.skeleton.roles is not None
+    skeleton, mesh = clip.skeleton, grow_body(clip.skeleton) if mesh is None else mesh
+    positions, rotations = forward_kinematics(skeleton, clip.root_positions, clip.rotations)
+    skin = outermost_points(mesh, positions, rotations)
+    low, high = skin[..., 1].min(axis=1), skin[..., 1].max(axis=1)
+    width = np.ptp(skin[..., [0, 2]], axis=1).max(axis=-1)
+    known = skeleton.roles is not None
     tall = max(float(np.median(high - low)), (WIDE if known else 1.0) * float(np.median(width)))
     floor = float(np.percentile(low, GROUND_PERCENTILE))
     floor = 0.0 if abs(floor) < NEAR_GROUND * tall / PERSON else floor
-    across = points[:, 0] if known else (ends.min(axis=(1, 2)) + ends.max(axis=(1, 2))) / 2
+    across = positions[:, 0] if known else (skin.min(axis=1) + skin.max(axis=1)) / 2
     middle = np.stack([across[:, 0], (low + high) / 2 - floor, across[:, 2]], axis=-1)
     focus = _running_mean(middle, clip.fps)
     tall = max(tall, SWAY * float(np.abs(middle - focus).max())) / PERSON
-    capsules = [replace(c, start_radius=DOT * tall, end_radius=DOT * tall) if c.start == c.end else c for c in capsules]
-    facings = facing_angles(clip, points)
+    facings = facing_angles(positions, skeleton.roles)
     return Scene(
-        points=points - [0.0, floor, 0.0],
-        capsules=capsules,
+        positions=positions - [0.0, floor, 0.0],
+        rotations=rotations,
+        mesh=_visible(mesh, tall),
         fps=clip.fps,
         tall=tall,
         facings=facings,
         facing=_overall_facing(facings, clip.fps),
         focus=focus,
     )
+
+
+def outermost_points(mesh: SkinnedMesh, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Returns the outermost points [T, N, 3] of a posed body, close to those that all of its vertices would give.
+
+    Every joint carries rigidly the vertices that it moves most and that lie outermost in 26 directions.
+
+    Args:
+        mesh: the body.
+        positions: [T, J, 3] of its joints.
+        rotations: [T, J, 4] of its joints.
+    """
+    carriers = mesh.joints[np.arange(len(mesh.joints)), np.argmax(mesh.weights, axis=1)]
+    steps = np.array([-1.0, 0.0, 1.0])
+    directions = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    kept = []
+    for joint in np.unique(carriers):
+        own = np.flatnonzero(carriers == joint)
+        kept.append(own[np.unique(np.argmax(mesh.vertices[own] @ directions.T, axis=0))])
+    chosen = np.concatenate(kept)
+    joint = carriers[chosen]
+    local = quat_rotate(quat_conjugate(mesh.bind_rotations[joint]), mesh.vertices[chosen] - mesh.bind_positions[joint])
+    return positions[:, joint] + quat_rotate(rotations[:, joint], local)
+
+
+def skin_mesh(mesh: SkinnedMesh, positions: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the vertices [V, 3] and normals [V, 3] of a body in a pose.
+
+    Args:
+        mesh: the body.
+        positions: [J, 3] of its joints.
+        rotations: [J, 4] of its joints.
+    """
+    turns = quat_multiply(rotations, quat_conjugate(mesh.bind_rotations))
+    normals = np.zeros_like(mesh.normals)
+    for slot in range(mesh.joints.shape[1]):
+        moved = np.flatnonzero(mesh.weights[:, slot])
+        turned = quat_rotate(turns[mesh.joints[moved, slot]], mesh.normals[moved])
+        normals[moved] += mesh.weights[moved, slot, None] * turned
+    return mesh.pose(positions, rotations), normals
+
+
+def _visible(mesh: SkinnedMesh, tall: float) -> SkinnedMesh:
+    """Returns the body; a dot, which has no size of its own, with one that can be seen in its scene."""
+    reach = np.ptp(mesh.bind_positions, axis=0).max() if len(mesh.bind_positions) else 0.0
+    extent = float(np.ptp(mesh.vertices, axis=0).max()) / 2
+    if reach > 0.0 or extent <= 0.0:
+        return mesh
+    centre = mesh.bind_positions[0]
+    return replace(mesh, vertices=centre + (mesh.vertices - centre) * DOT * tall / extent)
 
 
 def _overall_facing(facings: np.ndarray, fps: float) -> float:
@@ -95,45 +176,3 @@ def _running_mean(points: np.ndarray, fps: float) -> np.ndarray:
     sums = np.concatenate([np.zeros((1, 3)), sums])
     means = (sums[2 * half + 1 :] - sums[: -2 * half - 1]) / (2 * half + 1)
     return means[len(before) : len(before) + len(points)]
-
-
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """A perspective camera ahead of a body, a little to its left and above; the same as in `player_scene.js`.
-
-    Attributes:
-        target: [3] metres, the point at the centre of the picture.
-        facing: radians, facing direction of the body.
-        tall: size of the body relative to a person; the camera's distance scales with it.
-        width, height: of the picture, pixels.
-        yaw: radians from `facing` to the camera.
-        pitch: radians above the ground.
-        away: distance from a person, metres.
-    """
-
-    target: np.ndarray
-    facing: float
-    tall: float
-    width: float
-    height: float
-    yaw: float = 0.75
-    pitch: float = 0.28
-    away: float = 4.6
-
-    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Projects points [..., 3] into the picture.
-
-        Returns:
-            (pixels [..., 2] right and up from the lower left corner, pixels per metre [...], nearness [...] metres in
-            front of the target). Pixels are NaN for points behind the eye.
-        """
-        yaw = self.yaw + self.facing
-        cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(self.pitch), np.sin(self.pitch)
-        x, y, z = np.moveaxis(points - self.target, -1, 0)
-        right, ahead = cy * x - sy * z, sy * x + cy * z
-        up, near = cp * y - sp * ahead, sp * y + cp * ahead
-        depth = self.away * self.tall - near
-        zoom = 1.75 * min(self.height, 1.25 * self.width)
-        scale = np.where(depth > NEAREST * self.tall, zoom / np.maximum(depth, 1e-9), np.nan)
-        middle = np.array([self.width, self.height]) / 2
-        return middle + np.stack([right, up], axis=-1) * scale[..., None], scale, near

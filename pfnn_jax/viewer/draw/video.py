@@ -9,18 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
-from pfnn_jax.viewer.draw.drawing import (
-    all_ends,
-    blank_figure,
-    body_shapes,
-    draw_strip,
-    outlines,
-    radii_of,
-    strip_height,
-    tones,
-)
-from pfnn_jax.viewer.draw.palette import GROUND, INK, MUTED, PANEL, SHADE, SHADOW, rgb
-from pfnn_jax.viewer.draw.scene import Camera, make_scene
+from pfnn_jax.viewer.draw.body_picture import draw_body
+from pfnn_jax.viewer.draw.camera import Camera
+from pfnn_jax.viewer.draw.drawing import blank_figure, draw_strip, strip_height
+from pfnn_jax.viewer.draw.palette import GROUND, INK, MUTED, PANEL, rgb
+from pfnn_jax.viewer.draw.scene import make_scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -94,20 +87,25 @@ class Video:
         self._canvas.restore_region(self._background)
         for pane in self._panes:
             pane.draw(second, self._canvas.get_renderer())
-        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+        picture = np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+        for pane in self._panes:
+            if isinstance(pane, _Pane):
+                pane.paint_body(second, picture)
+        return picture
 
 
 class _Pane:
     """One clip's scene, redrawn in pixels for every frame."""
 
     def __init__(self, axes: Axes, annotated: AnnotatedClip, dpi: int):
-        from matplotlib.collections import LineCollection, PolyCollection
-        from matplotlib.patches import FancyBboxPatch, PathPatch
-        from matplotlib.path import Path
+        from matplotlib.collections import LineCollection
+        from matplotlib.patches import FancyBboxPatch
 
-        self.scene, self.annotated, self.pixel = make_scene(annotated.clip), annotated, dpi / 100
-        box = axes.get_window_extent()
+        self.scene, self.annotated, self.pixel = make_scene(annotated.clip, annotated.mesh), annotated, dpi / 100
+        box, whole = axes.get_window_extent(), axes.figure.bbox
         self.size = (box.width, box.height)
+        self.origin = (box.x0, whole.height - box.y0)
+        self.frame = (math.ceil(box.x0), math.ceil(whole.height - box.y1), int(box.x1), int(whole.height - box.y0))
         axes.set_xlim(0, box.width)
         axes.set_ylim(0, box.height)
         axes.axis("off")
@@ -122,9 +120,7 @@ class _Pane:
         self.grid = LineCollection([], linewidths=0.8)
         self.past = LineCollection([], linewidths=1.6, colors=[_rgba(INK, 0.55)])
         self.future = LineCollection([], linewidths=1.6, colors=[_rgba(INK, 0.18)])
-        self.shadow = PathPatch(Path(np.zeros((0, 2))), facecolor=_rgba(SHADOW, SHADE), linewidth=0)
-        self.body = PolyCollection([], edgecolors="none")
-        self.artists = [self.grid, self.past, self.future, self.shadow, self.body]
+        self.artists: list[Any] = [self.grid, self.past, self.future]
         for artist in self.artists:
             artist.set_animated(True)
             axes.add_artist(artist)
@@ -132,22 +128,27 @@ class _Pane:
         self.clock = axes.text(0.985, 0.025, "", transform=axes.transAxes, ha="right", color=MUTED, fontsize=8.5)
         self.clock.set_animated(True)
         self.artists.append(self.clock)
-        self.radii, self.tones = radii_of(self.scene.capsules), tones(self.scene.capsules)
 
     def draw(self, time: float, renderer: Any) -> None:
+        """Draws everything but the body, which `paint_body` paints over it."""
         scene = self.scene
-        frame = min(time * scene.fps, len(scene.points) - 1)
-        before = int(frame)
-        after, share = min(before + 1, len(scene.points) - 1), frame - before
-        points, focus = ((1 - share) * values[before] + share * values[after] for values in (scene.points, scene.focus))
-        camera = Camera(focus, scene.facing, scene.tall, *self.size)
+        camera = scene.camera(scene.pose_at(time)[2], *self.size)
         ended = time > self.annotated.end
         self._draw_ground(camera)
-        self._draw_trail(camera, before)
-        self._draw_body(camera, points, ended)
+        self._draw_trail(camera, int(min(time * scene.fps, scene.num_frames - 1)))
         self.clock.set_text(f"ended at {self.annotated.seconds:.1f} s" if ended else f"{time:.1f} s")
         for artist in self.artists:
             artist.draw(renderer)
+
+    def paint_body(self, time: float, picture: np.ndarray) -> None:
+        """Paints the body and its shadow onto a picture [height, width, 3] of bytes of the whole video."""
+        positions, rotations, focus = self.scene.pose_at(time)
+        pale = _rgba(PANEL, PALE if time > self.annotated.end else 0.0)
+        camera, tall = self.scene.camera(focus, *self.size), self.scene.tall
+        for part in draw_body(
+            self.scene.mesh, positions, rotations, camera, self.origin, self.frame, pale=pale, shadow=tall
+        ):
+            part.paint_on(picture)
 
     def _draw_ground(self, camera: Camera) -> None:
         step = 1.0 if 0.3 <= self.scene.tall <= 3 else 10.0 ** round(math.log10(self.scene.tall))
@@ -170,29 +171,11 @@ class _Pane:
         reach, step = round(TRAIL * scene.fps), max(1, round(TRAIL_STEP * scene.fps))
         for lines, first, last in (
             (self.past, max(0, now - reach), now),
-            (self.future, now, min(len(scene.points) - 1, now + reach)),
+            (self.future, now, min(scene.num_frames - 1, now + reach)),
         ):
             frames = np.unique([*range(first, last, step), last])
             xy, size, _ = camera.project(scene.focus[frames] * [1.0, 0.0, 1.0])
             lines.set_segments([xy[np.isfinite(size)]])
-
-    def _draw_body(self, camera: Camera, points: np.ndarray, ended: bool) -> None:
-        from matplotlib.path import Path
-
-        starts, ends = all_ends(points, self.scene.capsules)
-        flat = np.array([1.0, 0.0, 1.0])
-        (a, size_a, _), (b, size_b, _) = camera.project(starts * flat), camera.project(ends * flat)
-        squash = np.array([1.0, max(0.25, math.sin(camera.pitch))])
-        ra, rb = (0.9 * self.radii[:, end] * size for end, size in enumerate((size_a, size_b)))
-        round_ = outlines(a / squash, b / squash, ra, rb) * squash
-        closed = np.concatenate([round_, round_[:, :1]], axis=1)
-        self.shadow.set_path(Path.make_compound_path(*(Path(outline) for outline in closed)))
-        (a, size_a, near_a), (b, size_b, near_b) = camera.project(starts), camera.project(ends)
-        shades = self.tones + PALE * (np.array(_rgba(PANEL)[:3]) - self.tones) if ended else self.tones
-        radii = self.radii * np.stack([size_a, size_b], axis=-1)
-        shapes, colours = body_shapes(a, b, radii, near_a + near_b, shades)
-        self.body.set_verts(list(shapes))
-        self.body.set_facecolor(list(colours))
 
 
 class _Strip:

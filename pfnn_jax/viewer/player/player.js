@@ -1,16 +1,25 @@
-// Plays motion clips next to each other, in step. Follows player_scene.js and player_strip.js; no outside resources.
+// Plays motion clips next to each other, in step. Follows the other scripts; no outside resources.
 // Drag to orbit, Ctrl + wheel to zoom, space to pause, arrow keys for single frames, press on a time line to jump there.
 
 const DEFAULT_VIEW = { yaw: 0.75, pitch: 0.28, distance: 4.6 };
+const SLOW = 60; // milliseconds: when pictures take longer, as without a graphics card, they get fewer pixels
+const COARSER = 0.7, COARSEST = 0.5; // pixels drawn per pixel shown: by how much fewer, and how few at the least
 
 class Player {
-  constructor(root) {
+  static async load(root) {
     const data = JSON.parse(root.querySelector("script[type='application/json']").textContent);
+    const THREE = await loadRenderer();
+    const meshes = await Promise.all(data.meshes.map((mesh) => loadMesh(THREE, mesh)));
+    return new Player(root, THREE, await Promise.all(data.clips.map(loadClip)), meshes);
+  }
+
+  constructor(root, THREE, clips, meshes) {
     this.root = root;
-    this.clips = data.clips.map(decode);
+    this.clips = clips;
     this.duration = Math.max(...this.clips.map((clip) => (clip.frames - 1) / clip.fps), 1e-3);
     this.camera = { ...DEFAULT_VIEW };
-    this.scenes = [...root.querySelectorAll("canvas.scene")].map((canvas, i) => new Scene(canvas, this.clips[i]));
+    const scene = (canvas, i) => new Scene(THREE, canvas, clips[i], meshes[clips[i].mesh]);
+    this.scenes = [...root.querySelectorAll("canvas.scene")].map(scene);
     const strip = (canvas) => new Strip(canvas, this.clips[Number(canvas.dataset.clip)], this.duration);
     this.strips = [...root.querySelectorAll("canvas.strip")].map(strip);
     this.button = root.querySelector("button.play");
@@ -19,6 +28,7 @@ class Player {
     this.rate = root.querySelector("select");
     this.time = 0;
     this.playing = false;
+    this.sharpness = 1;
     this.listen();
     this.recolour();
   }
@@ -100,6 +110,7 @@ class Player {
 
   recolour() {
     this.colours = palette(this.root);
+    for (const scene of this.scenes) scene.recolour(this.colours);
     this.draw();
   }
 
@@ -112,6 +123,7 @@ class Player {
     const tick = (now) => {
       if (!this.playing) return;
       this.time = (this.time + ((now - (last ?? now)) / 1000) * Number(this.rate.value)) % this.duration;
+      this.coarsen(now - (last ?? now));
       last = now;
       this.draw();
       requestAnimationFrame(tick);
@@ -119,17 +131,43 @@ class Player {
     requestAnimationFrame(tick);
   }
 
+  // Draws fewer pixels when the average time between pictures is too long.
+  coarsen(passed) {
+    this.passed = 0.9 * (this.passed ?? 0) + 0.1 * Math.min(passed, 4 * SLOW); // a single long one is no reason
+    if (this.passed < SLOW || this.sharpness <= COARSEST) return;
+    this.sharpness = Math.max(COARSEST, COARSER * this.sharpness);
+    this.passed = 0;
+  }
+
   draw() {
-    for (const scene of this.scenes) scene.draw(this.time, this.camera, this.colours);
+    const sharpness = this.playing ? this.sharpness : 1;
+    for (const scene of this.scenes) scene.draw(this.time, this.camera, this.colours, sharpness);
     for (const strip of this.strips) strip.draw(this.time, this.colours);
     this.slider.value = (1000 * this.time) / this.duration;
     this.clock.textContent = `${this.time.toFixed(2)} / ${this.duration.toFixed(2)} s`;
   }
 }
 
-const start = () => document.querySelectorAll(".motion-player").forEach((root) => {
-  if (!root.dataset.started) new Player(root);
-  root.dataset.started = "yes";
-});
+// Says in the scenes' place why nothing can be drawn, such as a browser without WebGL.
+function explain(root, error) {
+  for (const canvas of root.querySelectorAll("canvas.scene")) {
+    const note = document.createElement("p");
+    note.className = "failure";
+    note.textContent = `This browser cannot draw the motion: ${error.message}`;
+    canvas.replaceWith(note);
+  }
+}
+
+// Loads players when they come near the window: a report may hold many.
+const start = () => {
+  const near = new IntersectionObserver((entries) => {
+    for (const { target: root, isIntersecting } of entries) {
+      if (!isIntersecting) continue;
+      near.unobserve(root);
+      Player.load(root).then(() => (root.dataset.started = "yes"), (error) => explain(root, error));
+    }
+  }, { rootMargin: "200px" });
+  document.querySelectorAll(".motion-player").forEach((root) => near.observe(root));
+};
 if (document.readyState === "loading") document.addEventListener("DOMContentLoaded", start);
 else start();

@@ -1,12 +1,12 @@
 """Motion as HTML: one file that plays in a browser, without a server and without outside resources.
 
-The page holds quantised joint positions and a small script (`SCRIPTS`) that draws bodies of capsules on a ground grid,
-several clips next to each other and in step, with their foot contacts and phases on a time line below.
+The page holds skinned bodies, the rotations of their joints, the renderer (`renderer.py`), and a small script
+(`SCRIPTS`) that plays several clips next to each other and in step, with their foot contacts and phases on a time line
+below.
 """
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 from collections.abc import Sequence
@@ -17,15 +17,14 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
-from pfnn_jax.viewer.draw.body import Capsule
 from pfnn_jax.viewer.draw.palette import BRIGHT, DARK, css_variables
-from pfnn_jax.viewer.draw.scene import make_scene
+from pfnn_jax.viewer.draw.scene import Scene, make_scene
+from pfnn_jax.viewer.player.packing import mesh_data, motion_data
+from pfnn_jax.viewer.player.renderer import packed_renderer, renderer_licence
 
-MILLIMETRE = 0.001  # resolution of positions; scenes wider than ±32 m get a coarser one
-INT16 = 32767
 RATES = ("0.25", "0.5", "1", "2")
 FPS = 30.0
-SCRIPTS = ("player_scene.js", "player_strip.js", "player.js")  # in order: later ones use what earlier ones define
+SCRIPTS = ("player_load.js", "player_scene.js", "player_strip.js", "player.js")  # in order of their dependencies
 HINT = "Drag to look around, Ctrl + wheel to zoom; space pauses, arrow keys step through frames"
 MOST = 32_000_000  # characters of a page; larger ones make browsers and notebooks slow
 
@@ -51,8 +50,7 @@ def player_html(clips: Sequence[AnnotatedClip], *, fps: float = FPS, assets: boo
         raise ValueError("A player needs at least one clip.")
     if not fps > 0:
         raise ValueError(f"fps must be positive, got {fps}.")
-    data = {"clips": [_track_data(annotated, fps) for annotated in clips]}
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(_player_data(clips, fps), separators=(",", ":"), allow_nan=False)
     text = text.replace("<", "\\u003c")  # so that no name can close the script element
     _require_small(clips, len(text))
     panes = "".join(_pane(number, annotated) for number, annotated in enumerate(clips))
@@ -88,12 +86,21 @@ def player_page(clips: Sequence[AnnotatedClip], *, title: str, fps: float = FPS)
 
 
 def player_assets() -> str:
-    """Returns style and script of the player, which a page needs once."""
+    """Returns style, renderer and script of the player, which a page needs once; about 0.23 MB.
+
+    Raises:
+        InputError: if the package that carries the renderer is missing.
+    """
     folder = files("pfnn_jax.viewer.player")
     style = folder.joinpath("player.css").read_text(encoding="utf-8")
     script = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
-    # inside a function, so that its names do not leak into the page
-    return f'<style>{_colours()}{style}</style><script>(() => {{\n"use strict";\n{script}}})();</script>'
+    # the script is inside a function, so that its names do not leak into the page
+    return (
+        f"<style>{_colours()}{style}</style>"
+        f"<!-- Contains three.js: {renderer_licence()} -->"
+        f'<script type="text/plain" class="motion-renderer">{packed_renderer()}</script>'
+        f'<script>(() => {{\n"use strict";\n{script}}})();</script>'
+    )
 
 
 def _colours() -> str:
@@ -124,33 +131,33 @@ def _require_small(clips: Sequence[AnnotatedClip], size: int) -> None:
         raise InputError(clips[0].clip.source or clips[0].name, "player", shown, rule)
 
 
-def _track_data(annotated: AnnotatedClip, fps: float) -> dict[str, Any]:
-    scene = make_scene(annotated.clip)
+def _player_data(clips: Sequence[AnnotatedClip], fps: float) -> dict[str, Any]:
+    """Returns the bodies and clips of a player; a body that several clips have is written once."""
+    meshes: dict[str, tuple[int, dict[str, Any]]] = {}
+    tracks = []
+    for annotated in clips:
+        scene = make_scene(annotated.clip, annotated.mesh)
+        data = mesh_data(scene.mesh)
+        number, _ = meshes.setdefault(json.dumps(data), (len(meshes), data))
+        tracks.append({"mesh": number, **_track_data(annotated, scene, fps)})
+    return {"meshes": [data for _, data in meshes.values()], "clips": tracks}
+
+
+def _track_data(annotated: AnnotatedClip, scene: Scene, fps: float) -> dict[str, Any]:
     step = max(1, round(scene.fps / fps))
-    frames = np.arange(0, len(scene.points), step)
-    used = sorted({0, *(c.start for c in scene.capsules), *(c.end for c in scene.capsules)})
-    points, focus = scene.points[frames][:, used], scene.focus[frames]
-    unit = max(MILLIMETRE, float(np.abs(points).max()) / INT16, float(np.abs(focus).max()) / INT16)
+    frames = np.arange(0, len(scene.positions), step)
     return {
         "end": round(annotated.end, 4),
         "fps": scene.fps / step,
-        "count": len(used),
-        "unit": unit,
         "tall": scene.tall,
         "facing": round(scene.facing, 3),
-        "points": _quantised(points, unit),
-        "focus": _quantised(focus, unit),
-        "capsules": [_capsule_data(capsule, used) for capsule in scene.capsules],
+        **motion_data(scene, annotated.clip.skeleton.parents, frames),
         "contacts": [(foot_runs / step).tolist() for _, foot_runs in annotated.foot_bars()],
         "phases": [
             {"name": line.name, "angle": _listed(line.angle[frames]), "weight": _weights(line.weight[frames])}
             for line in annotated.phase_lines()
         ],
     }
-
-
-def _quantised(values: np.ndarray, unit: float) -> str:
-    return base64.b64encode(np.round(values / unit).astype("<i2").tobytes()).decode("ascii")
 
 
 def _listed(angle: np.ndarray) -> list[float | None]:
@@ -160,8 +167,3 @@ def _listed(angle: np.ndarray) -> list[float | None]:
 def _weights(weight: np.ndarray) -> list[float] | None:
     """Returns None if every weight is 0 or 1: then the gaps of the angle say it all."""
     return None if np.isin(weight, (0.0, 1.0)).all() else [round(float(value), 2) for value in weight]
-
-
-def _capsule_data(capsule: Capsule, used: list[int]) -> list[Any]:
-    ends = [used.index(capsule.start), used.index(capsule.end)]
-    return [*ends, round(capsule.start_radius, 4), round(capsule.end_radius, 4), capsule.side, *capsule.span]

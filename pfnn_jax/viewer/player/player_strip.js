@@ -50,7 +50,7 @@ class Strip {
       context.beginPath();
       context.rect(GUTTER, top, ends, height);
       context.clip();
-      if (foot) this.bars(clip.contacts[row], top, height, colours.tones[row ? "right" : "left"][1]);
+      if (foot) this.bars(clip.contacts[row], top, height, colours[row ? "right" : "left"]);
       else this.line(clip.phases[row - clip.contacts.length], top, height, from, span, colours);
       context.restore();
       top += height + ROW_GAP;
