@@ -8,6 +8,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.assumptions import repair
 from pfnn_jax.motion.bvh import read_skeleton, read_whole
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.gltf.animations import clip_names
 from pfnn_jax.motion.gltf.clips import read_gltf_clip, read_gltf_rig
 from pfnn_jax.motion.gltf.container import read_document
 from pfnn_jax.motion.reading import ReadOptions, Travel, Up, check_options
@@ -97,6 +98,15 @@ def read_rig(path: str | Path, options: ReadOptions, roles_file: str | Path | No
     if is_gltf_file(path) and options.clip_name is None and read_document(path).items("skins"):
         return read_gltf_rig(path, options, roles_file)
     return read_whole_clip(path, options, roles_file)
+
+
+def list_clip_names(path: str | Path) -> list[str]:
+    """Returns the names of the clips of a glTF file, which may be none; empty for a BVH file.
+
+    Raises:
+        InputError: if the file cannot be read.
+    """
+    return clip_names(read_document(path)) if is_gltf_file(path) else []
 
 
 def read_any_skeleton(path: str | Path) -> Skeleton:

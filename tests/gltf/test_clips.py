@@ -9,6 +9,7 @@ from pfnn_jax.motion.clip_files import is_clip_file, read_any_skeleton, read_cli
 from pfnn_jax.motion.datasets.labelled import load_labelled
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.gltf.animations import RATES
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_axis_angle, quat_multiply, quat_to_matrix
 from pfnn_jax.motion.reading import ReadOptions
 from tests.gltf.rigs import NAMES, make_rig, places
@@ -178,7 +179,7 @@ def test_a_vrm_animation_is_read_by_its_map(tmp_path):
         node["name"] = f"n{number}"
     rig.animate({(LEG, "rotation"): (np.arange(31) / 30, about(X, np.linspace(0, 1, 31)))})
     clip = read_whole_clip(rig.write(tmp_path / "a.vrma"), ReadOptions())
-    names = clip.skeleton.humanoid.names(clip.skeleton.names)
+    names = need_humanoid(clip.skeleton).names(clip.skeleton.names)
     assert names["left_shin"] == f"n{LEG}" and names["hips"] == f"n{HIPS}"
 
 

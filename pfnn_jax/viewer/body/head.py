@@ -11,12 +11,12 @@ from pfnn_jax.viewer.body.part import Part, profile, tube
 CORNERS = 16
 # Metres of a person above the middle of the head: half the width, where the front and where the back is.
 PROFILE = (
-    (-0.116, 0.004, 0.062, 0.040),
-    (-0.111, 0.030, 0.083, 0.015),
-    (-0.098, 0.044, 0.091, -0.012),
-    (-0.076, 0.056, 0.092, -0.044),
-    (-0.050, 0.064, 0.091, -0.070),
-    (-0.022, 0.069, 0.090, -0.088),
+    (-0.116, 0.004, 0.056, 0.036),
+    (-0.112, 0.030, 0.082, 0.000),
+    (-0.100, 0.045, 0.091, -0.036),
+    (-0.078, 0.057, 0.092, -0.064),
+    (-0.052, 0.065, 0.091, -0.083),
+    (-0.022, 0.070, 0.090, -0.095),
     (0.008, 0.073, 0.086, -0.098),
     (0.034, 0.075, 0.093, -0.102),
     (0.060, 0.073, 0.088, -0.100),
@@ -45,7 +45,7 @@ STATIONS = np.array(
         0.115,
     ]
 )
-NOSE = ((-0.044, 0.0), (-0.034, 0.012), (-0.026, 0.021), (-0.010, 0.014), (0.012, 0.006), (0.03, 0.0))
+NOSE = ((-0.046, 0.0), (-0.034, 0.013), (-0.026, 0.020), (-0.006, 0.009), (0.012, 0.001), (0.03, 0.0))
 VISOR = np.radians(64.0)  # to either side
 VISOR_HEIGHT = (-0.010, 0.026)
 HEAD = 0.233  # metres from chin to crown
@@ -98,7 +98,7 @@ def _visor() -> np.ndarray:
     middle, reach = np.mean(VISOR_HEIGHT), np.ptp(VISOR_HEIGHT) / 2
     shrink = np.sqrt(np.clip(1 - (np.abs(turns) / VISOR) ** 8, 0.02, 1))
     levels = middle + reach * shrink * np.array([-1.0, -0.4, 0.4, 1.0])
-    return np.concatenate([_face(turns, levels, 0.005), _face(turns, levels[:, ::-1], -0.012)], axis=1)
+    return np.concatenate([_face(turns, levels, 0.0065), _face(turns, levels[:, ::-1], -0.012)], axis=1)
 
 
 def _face(turns: np.ndarray, levels: np.ndarray, out: float) -> np.ndarray:

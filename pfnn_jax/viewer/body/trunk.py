@@ -25,14 +25,14 @@ PROFILE = (
     (0.92, 0.178, 0.104, 0.104, 1.0),
     (1.00, 0.168, 0.084, 0.094, 1.0),
     (1.06, 0.134, 0.064, 0.082, 1.0),
-    (1.11, 0.092, 0.053, 0.068, 0.8),
-    (1.16, 0.064, 0.051, 0.057, 0.5),
+    (1.11, 0.086, 0.052, 0.066, 0.8),
+    (1.16, 0.058, 0.048, 0.053, 0.5),
 )
 STATIONS = np.array(
     [-0.2, -0.17, -0.12, -0.06, 0.0, 0.09, 0.18, 0.27, 0.36, 0.48, 0.6, 0.72, 0.82, 0.9, 0.96, 1.01, 1.06, 1.11, 1.15]
 )
 # Share of the way to the head joint: half the width, depth to the front and to the back of a person's neck.
-NECK = ((0.0, 0.058, 0.051, 0.055), (0.5, 0.053, 0.049, 0.052), (1.0, 0.051, 0.047, 0.050), (1.3, 0.040, 0.040, 0.036))
+NECK = ((0.0, 0.053, 0.046, 0.051), (0.5, 0.050, 0.045, 0.049), (1.0, 0.047, 0.042, 0.045), (1.3, 0.038, 0.036, 0.034))
 NECK_STATIONS = np.array([0.35, 0.7, 1.0, 1.3])
 NARROW = 0.65  # exponent: the trunk of a body with narrow shoulders is narrower, but less than in proportion
 NECK_FROM = 1.04  # height above which the neck moves the trunk
