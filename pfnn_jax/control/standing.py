@@ -166,7 +166,7 @@ def mix_stances(stances: Stance, weights: jax.Array) -> Stance:
     """Returns the stance of a mixture by weights [C] of stances, leaves [C, ...]."""
 
     def aligned(rotations: jax.Array) -> jax.Array:
-        """Returns the rotations [C, ..., 4] with the signs by which they are nearest to those of the greatest weight."""
+        """Returns the rotations [C, ..., 4] with the signs nearest to those of the greatest weight."""
         like = jnp.take(rotations, jnp.argmax(weights), axis=0)[None]
         same = jnp.sum(rotations * like, axis=-1, keepdims=True) >= 0.0
         return jnp.where(same, rotations, -rotations)
