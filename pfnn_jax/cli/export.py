@@ -21,6 +21,7 @@ class Export(Command):
         style: one of the run's styles, or a mixture `A:0.5+B:0.5` whose weights sum to one. By default the motion is
             style-agnostic, or on a FiLM run in the mean of its styles; bins and --film-input export all styles.
         film_input: for FiLM runs: make the style an input of the network, so that an engine can change it.
+        opset: version of the ONNX operators, from 15 (Unity Sentis 2.1) to 22; by default 18.
         overwrite: replace an earlier export.
     """
 
@@ -29,6 +30,7 @@ class Export(Command):
     out: Path
     style: str | None = None
     film_input: bool = False
+    opset: int | None = None
     overwrite: bool = False
 
     def run(self) -> Any:
@@ -43,7 +45,13 @@ class Export(Command):
         with stages("exporting") as stage:
             stage(f"converting the network to {self.format} and checking it")
             description = export_run(
-                run.path, self.format, self.out, style=style, film_input=self.film_input, overwrite=self.overwrite
+                run.path,
+                self.format,
+                self.out,
+                style=style,
+                film_input=self.film_input,
+                opset=self.opset,
+                overwrite=self.overwrite,
             )
         names = [style["name"] for style in description["styles"]]
         print(f"{self.out}: {self.format}, {description['layout']['name']}, {', '.join(names) or 'style-agnostic'}")

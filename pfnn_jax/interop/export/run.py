@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +18,7 @@ from pfnn_jax.interop.export.batch import batch_function, sample_rows
 from pfnn_jax.interop.export.bins import write_bins
 from pfnn_jax.interop.export.description import FILE, SCHEMA, describe
 from pfnn_jax.interop.export.formats import Format
-from pfnn_jax.interop.export.onnx import write_onnx
+from pfnn_jax.interop.export.onnx import OPSET, check_opset, write_onnx
 from pfnn_jax.interop.export.stablehlo import write_stablehlo
 from pfnn_jax.interop.export.styles import choose_styles, write_style
 from pfnn_jax.io.files import refuse_existing, replacing
@@ -36,6 +37,7 @@ def export_run(
     *,
     style: StyleChoice = None,
     film_input: bool = False,
+    opset: int | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Exports the network of a run to a format that engines read.
@@ -48,18 +50,23 @@ def export_run(
             styles); for `bins` and with `film_input` it exports all styles.
         film_input: for a FiLM run, keep the style an input of the network (onnx, stablehlo), so that an engine can
             switch and mix styles; their parameters are written to `styles/`.
+        opset: version of the ONNX operators, by default `onnx.OPSET`.
         overwrite: whether to replace an earlier export.
 
     Returns:
         The contents of `description.json`.
 
     Raises:
-        InputError: for an unknown style or format, a layout that the format does not support, a failed check, a missing
+        InputError: for an unknown style, format or opset, a layout that the format does not support, a failed check, a missing
             library, a FiLM run without styles, or if `out` exists and is not an export or must not be replaced.
     """
     run, out = load_run(run_path), Path(out)
     if format not in ("onnx", "stablehlo", "bins"):
         raise InputError(run.path, "format", format, "must be onnx, stablehlo or bins")
+    if opset is not None:
+        if format != "onnx":
+            raise InputError(run.path, "opset", format, "must be left out, except for the format onnx")
+        check_opset(run.path, opset)
     _check_place(out, overwrite)
     with replacing(out) as new:
         new.mkdir()
@@ -74,14 +81,19 @@ def export_run(
             made = write_bins(new, run, style)
             description = describe(run, format, made.layout, made.normaliser, made.network, made.styles, style)
         else:
-            network, styles = _write_function(new, run, format, style, film_input)
+            network, styles = _write_function(new, run, format, style, film_input, opset or OPSET)
             description = describe(run, format, run.layout, run.normaliser, network, styles, style)
         (new / FILE).write_text(json.dumps(description, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return description
 
 
 def _write_function(
-    folder: Path, run: Run, format: Literal["onnx", "stablehlo"], choice: StyleChoice, film_input: bool
+    folder: Path,
+    run: Run,
+    format: Literal["onnx", "stablehlo"],
+    choice: StyleChoice,
+    film_input: bool,
+    opset: int,
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     if film_input and run.config.adapter.kind != "film":
         rule = "requires FiLM styles; export one network per style instead"
@@ -96,7 +108,7 @@ def _write_function(
     else:
         predictor = make_predictor(run, choice)
     function = batch_function(jax.tree.map(jnp.asarray, predictor), film_input)
-    write = {"onnx": write_onnx, "stablehlo": write_stablehlo}[format]
+    write = {"onnx": partial(write_onnx, opset=opset), "stablehlo": write_stablehlo}[format]
     info = write(folder / _FILES[format], function, rows)
     inputs = [{"name": name, "shape": ["B", *a.shape[1:]], "type": "float32"} for name, a in rows.items()]
     output = {"name": "y", "shape": ["B", run.layout.output_size], "type": "float32"}
