@@ -36,9 +36,7 @@ TOLERANCE = 1e-5
 _NOISY = ("jax2onnx", "onnx_ir")
 
 
-def write_onnx(
-    path: Path, function: BatchFunction, rows: dict[str, np.ndarray], opset: int = OPSET
-) -> dict[str, Any]:
+def write_onnx(path: Path, function: BatchFunction, rows: dict[str, np.ndarray], opset: int = OPSET) -> dict[str, Any]:
     """Converts a function of batches to ONNX, checks it on rows and writes it.
 
     Args:
@@ -51,8 +49,8 @@ def write_onnx(
         Opset, number of rows and the largest relative error on them.
 
     Raises:
-        InputError: for another opset, if a library is missing, or if onnxruntime differs from JAX by more than `TOLERANCE`; nothing is
-            written in that case.
+        InputError: for another opset, if a library is missing, or if onnxruntime differs from JAX by more than
+            `TOLERANCE`; nothing is written in that case.
     """
     check_opset(path, opset)
     with _quiet():

@@ -14,8 +14,9 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import assemble_predictor, make_predictor
 from pfnn_jax.inference.style_choice import StyleChoice
+from pfnn_jax.interop.export import reference_loop
 from pfnn_jax.interop.export.batch import batch_function, sample_rows
-from pfnn_jax.interop.export.bins import write_bins
+from pfnn_jax.interop.export.bins import FEW_TABLES, write_bins
 from pfnn_jax.interop.export.description import FILE, SCHEMA, describe
 from pfnn_jax.interop.export.formats import Format
 from pfnn_jax.interop.export.onnx import OPSET, check_opset, write_onnx
@@ -38,6 +39,7 @@ def export_run(
     style: StyleChoice = None,
     film_input: bool = False,
     opset: int | None = None,
+    tables: int = len(FEW_TABLES),
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Exports the network of a run to a format that engines read.
@@ -50,6 +52,7 @@ def export_run(
             styles); for `bins` and with `film_input` it exports all styles.
         film_input: for a FiLM run, keep the style an input of the network (onnx, stablehlo), so that an engine can
             switch and mix styles; their parameters are written to `styles/`.
+        tables: for `bins`: number of tables over the phase, 4 or 50, see `write_bins`.
         opset: version of the ONNX operators, by default `onnx.OPSET`.
         overwrite: whether to replace an earlier export.
 
@@ -57,8 +60,8 @@ def export_run(
         The contents of `description.json`.
 
     Raises:
-        InputError: for an unknown style, format or opset, a layout that the format does not support, a failed check, a missing
-            library, a FiLM run without styles, or if `out` exists and is not an export or must not be replaced.
+        InputError: for an unknown style, format or opset, a layout that the format does not support, a failed check, a
+            missing library, a FiLM run without styles, or if `out` exists and is not an export or must not be replaced.
     """
     run, out = load_run(run_path), Path(out)
     if format not in ("onnx", "stablehlo", "bins"):
@@ -78,11 +81,12 @@ def export_run(
                     format,
                     "must be off for bins, which always stores styles in files of their own",
                 )
-            made = write_bins(new, run, style)
+            made = write_bins(new, run, style, tables)
             description = describe(run, format, made.layout, made.normaliser, made.network, made.styles, style)
         else:
             network, styles = _write_function(new, run, format, style, film_input, opset or OPSET)
             description = describe(run, format, run.layout, run.normaliser, network, styles, style)
+        _copy_loop(new)
         (new / FILE).write_text(json.dumps(description, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return description
 
@@ -114,6 +118,15 @@ def _write_function(
     output = {"name": "y", "shape": ["B", run.layout.output_size], "type": "float32"}
     network = {"kind": "function", "file": _FILES[format], "inputs": inputs, "outputs": [output], **info}
     return network, [write_style(folder, style) for style in chosen]
+
+
+def _copy_loop(folder: Path) -> None:
+    """Puts the reference loop next to the network, for those who port it."""
+    source = Path(reference_loop.__file__).parent
+    target = folder / source.name
+    target.mkdir()
+    for file in sorted(source.glob("*.py")):
+        (target / file.name).write_bytes(file.read_bytes())
 
 
 def _check_place(out: Path, overwrite: bool) -> None:

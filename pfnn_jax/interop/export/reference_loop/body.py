@@ -58,7 +58,7 @@ class Body:
         return np.array([-across[2], 0.0, across[0]])
 
     def reach_arms(self, hips, local, predicted):
-        """Lays the arms along predicted joints [J, 3], bone by bone: mixed styles predict rotations that fit them less."""
+        """Lays the arms along predicted joints [J, 3], bone by bone; mixed styles predict rotations that fit less."""
         positions, world = self.forward_kinematics(hips, local)
         for arm in self.arms:
             at, carried = positions[arm[0]], np.array([1.0, 0.0, 0.0, 0.0])

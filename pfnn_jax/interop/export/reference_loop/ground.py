@@ -34,7 +34,7 @@ def to_world(vectors, facing, point=0j):
 
 
 def to_local(vectors, facing, point=0j):
-    """Moves vectors [J, 3] along the ground, so that `point` becomes the origin, and rotates them into a root's frame."""
+    """Moves vectors [J, 3] on the ground so that `point` becomes the origin, and rotates them into a root's frame."""
     return to_world(vectors, np.conj(facing), -point * np.conj(facing))
 
 

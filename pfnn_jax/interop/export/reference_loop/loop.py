@@ -1,4 +1,4 @@
-"""The published loop of Holden 2017, Mason 2018 and Mason 2022: a command bends the trajectory, the output moves a body.
+"""The published loop of Holden 2017, Mason 2018, 2022: a command bends the trajectory, the output moves a body.
 
 In layouts `mason2018` and `pfnn2017` y describes this frame's joints and the root's velocity; in those of `mason2022`
 (`next_frame`) it describes the next frame, whose root is the first trajectory sample.
@@ -128,7 +128,9 @@ class PublishedLoop:
         here = here + rate * facing * (out["root_velocity"] @ [1j, 1])
         facing = facing * np.exp(1j * rate * out["root_yaw_rate"][0])
         self.phase = (self.phase + (0.9 * rate + 0.1 / self.fps) * out["phase_change"][0]) % (2 * np.pi)
-        return here + facing * np.append(0, fill(out["position"])[1:]), facing * np.append(1, fill(out["direction"])[1:])
+        return here + facing * np.append(0, fill(out["position"])[1:]), facing * np.append(
+            1, fill(out["direction"])[1:]
+        )
 
     def _next_frames(self, out):
         """Returns the predicted trajectory mixed with the one that it replaces; its first point is the next root."""
@@ -150,9 +152,7 @@ class PublishedLoop:
         root, turned = self.positions[NOW], facing / self.directions[NOW]
         self.positions, self.directions = (self.positions - root) * turned + point, self.directions * turned
         pose = {name: to_world(v, turned) for name, v in self.pose.items()}
-        self.pose = pose | {
-            "joint_position": to_world(to_local(self.pose["joint_position"], 1.0, root), turned, point)
-        }
+        self.pose = pose | {"joint_position": to_world(to_local(self.pose["joint_position"], 1.0, root), turned, point)}
 
     def limit_lookahead(self, speed):
         """Limits the speed of the future trajectory to one in m/s."""
