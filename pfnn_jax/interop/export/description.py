@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.control import tracking
-from pfnn_jax.control.calibration import WARM_UP_FRAMES, foot_heights
+from pfnn_jax.control.calibration import foot_heights
+from pfnn_jax.control.controller_state import CONTACT_HEIGHT
 from pfnn_jax.control.ik.foot_lock import DECAYED, FootLockConfig
 from pfnn_jax.control.ik.pose import make_rig
 from pfnn_jax.control.loop.state import NUM_POINTS, ROOT, straight_row
 from pfnn_jax.control.run_settings import default_speed, loop_config
+from pfnn_jax.control.stance import WALK_FRAMES, WARM_UP_FRAMES
+from pfnn_jax.control.standing import StandingConfig
 from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.interop.export.walks import Walk, walks_of
 from pfnn_jax.motion.features.layout import GAITS, TRAJECTORY_OFFSETS, FrameLayout
@@ -124,17 +127,19 @@ def describe_controller(run: Run) -> dict[str, Any] | None:
         return None
     rig = make_rig(run.skeleton, run.path)
     config = asdict(tracking.TrackingConfig(fps=float(run.layout.fps)))
-    names = ("STOP_SPEED", "MIN_WALK_SPEED", "CLEARANCE_RISE", "STOPPING_CLEARANCE_RISE", "FREEZE_TIME_SCALE")
+    names = ("STOP_SPEED", "MIN_WALK_SPEED", "DISTANCE_RISE")
     return {
         "tracking": config | {name.lower(): getattr(tracking, name) for name in names},
         "foot_lock": {**asdict(FootLockConfig()), "decayed": DECAYED},
+        "standing": {**asdict(StandingConfig(fps=float(run.layout.fps))), "contact_height": CONTACT_HEIGHT},
         "legs": [list(leg) for leg in rig.legs],
         "arms": [list(arm) for arm in rig.arms],
+        "chest": rig.chest,
         "leg_length": rig.leg_length,
         "foot_heights": foot_heights(run.layout, run.normaliser, rig).tolist(),
         "contact_speed": MAX_SPEED * rig.leg_length,
         "contact_height": MAX_HEIGHT * rig.leg_length,
-        "warm_up_frames": WARM_UP_FRAMES,
+        "warm_up_frames": [WARM_UP_FRAMES, WALK_FRAMES],
     }
 
 

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from pfnn_jax.control.controller import make_controller
 from pfnn_jax.control.controller_state import style_speed
 from pfnn_jax.control.run_settings import default_speed
+from pfnn_jax.control.standing import mix_stances
 from pfnn_jax.control.tracking import TrackingConfig
 from pfnn_jax.inference.mixture import choice_weights
 from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.run import Run
+
+STANCE = ("rotations", "height", "hips", "feet")
+"""What of a stance is exported."""
 
 
 @dataclass(frozen=True)
@@ -23,12 +29,16 @@ class Walk:
     Attributes:
         speed: speed at which the style walks.
         asked_speed: speed to command for it in the published loop; networks do not walk exactly at that.
+        stance: how it stands, relative to its centre and facing (`control.standing.Stance`): rotations [J, 4] of the
+            joints in their parents, height of the hips, hips [2] on the ground, feet [2, 2, 3] (heel, toe). None for a
+            skeleton without roles.
         tracked_speed: speed that command tracking, which also limits the look-ahead, commands for it.
     """
 
     speed: float
     asked_speed: float
     tracked_speed: float
+    stance: dict[str, Any] | None
 
 
 def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
@@ -45,13 +55,18 @@ def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
     """
     if run.skeleton.roles is None:
         speeds = [default_speed(run, choice) for choice in choices]
-        return [Walk(speed, speed, speed) for speed in speeds]
+        return [Walk(speed, speed, speed, None) for speed in speeds]
     published, tracked = (_speeds(run, choices, tracking) for tracking in (None, TrackingConfig()))
-    return [Walk(speed, asked, held) for (speed, asked), (_, held) in zip(published, tracked, strict=True)]
+    return [
+        Walk(speed, asked, held, stance)
+        for (speed, asked, _), (_, held, stance) in zip(published, tracked, strict=True)
+    ]
 
 
-def _speeds(run: Run, choices: Sequence[StyleChoice], tracking: TrackingConfig | None) -> list[tuple[float, float]]:
-    """Returns the natural speed of each choice, and the speed to command for it, in metres per second."""
+def _speeds(
+    run: Run, choices: Sequence[StyleChoice], tracking: TrackingConfig | None
+) -> list[tuple[float, float, dict[str, Any]]]:
+    """Returns the natural speed of each choice and the speed to command for it, in metres per second, and its stance."""
     weights = [choice_weights(run, choice) for choice in choices]
     names = tuple(dict.fromkeys(name for each in weights for name in each))
     styled = make_controller(run, names, foot_ik=False, tracking=tracking) if names else None
@@ -60,6 +75,9 @@ def _speeds(run: Run, choices: Sequence[StyleChoice], tracking: TrackingConfig |
     for each in weights:
         controller = styled if each else plain
         assert controller is not None
-        speed = style_speed(controller.params, jnp.asarray(controller.style_weights(each or 0)))
-        found.append((float(speed.natural), float(speed.natural) * float(speed.gain)))
+        weight, params = jnp.asarray(controller.style_weights(each or 0)), controller.params
+        assert params.stances is not None
+        speed, stance = style_speed(params, weight), mix_stances(params.stances, weight)
+        numbers = {name: np.asarray(getattr(stance, name), np.float64).tolist() for name in STANCE}
+        found.append((float(speed.natural), float(speed.natural) * float(speed.gain), numbers))
     return found

@@ -17,11 +17,12 @@ class Body:
         offsets: [J, 3] metres from the parent, in the parent's frame.
         legs: (hip, knee, heel, toe) of the left and of the right leg.
         arms: joints of the left and of the right arm from shoulder to hand, or none.
+        chest: the last joint above both arms, or None.
     """
 
-    def __init__(self, skeleton, legs, arms):
+    def __init__(self, skeleton, legs, arms, chest):
         self.parents, self.offsets = skeleton["parents"], np.array(skeleton["offsets"])
-        self.legs, self.arms = np.array(legs), arms
+        self.legs, self.arms, self.chest = np.array(legs), arms, chest
         self.feet = self.legs[:, 2:].ravel()  # left heel, left toe, right heel, right toe
         depth = [0]
         for parent in self.parents[1:]:
@@ -80,6 +81,14 @@ class Body:
         self.turn_joint(local, world, hip, over)
         self.turn_joint(local, world, knee, under)
         self.turn_joint(local, world, heel, multiply(conjugate(multiply(over, under)), turn))
+
+    def lift_heel(self, leg, positions, foot):
+        """Returns a foot [2, 3] with its heel lifted towards the hip as far as the leg is too short for it."""
+        hip, knee, heel, _ = positions[leg]
+        reach = 0.995 * (np.linalg.norm(knee - hip) + np.linalg.norm(heel - knee))
+        to, far = hip - foot[0], np.linalg.norm(hip - foot[0])
+        over = max(far - max(reach, np.linalg.norm(heel - hip)), 0.0)
+        return foot + [to * over / max(far, 1e-6), [0.0, 0.0, 0.0]]
 
 
 def bend(upper, middle, end, target, pole):

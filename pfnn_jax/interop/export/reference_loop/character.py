@@ -7,10 +7,11 @@ import numpy as np
 
 from .body import Body
 from .foot_lock import FootLocks
-from .ground import mix, turn_towards
+from .ground import mix, to_world, turn_towards
 from .loop import NOW, PublishedLoop
 from .network import load_network
-from .rotations import about_vertical, from_axes, from_half_angles, mix_rotations, multiply
+from .rotations import about, about_vertical, from_axes, from_half_angles, mix_rotations, multiply
+from .standing import Standing, at_height, ground, middle, smooth
 from .tracking import Tracking
 
 
@@ -50,44 +51,49 @@ class Character:
             raise ValueError(f"{folder}: controller: none; the skeleton needs a humanoid map with legs")
         k, self.speed = info["controller"], speeds["speed"]
         self.constants, self.foot_heights = k, np.array(k["foot_heights"])
-        self.body = Body(info["skeleton"], k["legs"], k["arms"])
+        self.body = Body(info["skeleton"], k["legs"], k["arms"], k["chest"])
         self.locks = FootLocks(k["foot_lock"], self.body, k["leg_length"])
         self.loop = PublishedLoop(info, evaluate)
         self.progress, self.previous = 1.0, {}
-        self.next = self._warm_up(speeds["tracked_speed"], position, facing)
-        clearance = self._clearance(self.next["joints"])
+        self.next = self._warm_up(speeds["tracked_speed"])
+        distance = self._feet_distance(self.next["joints"])
+        self.tracking = Tracking(k["tracking"], self.speed, speeds["tracked_speed"] / self.speed, distance)
         self.previous = self.next
-        self.tracking = Tracking(k["tracking"], self.speed, speeds["tracked_speed"] / self.speed, clearance)
-        self._pose()
+        self._carry(facing, position)
+        self.loop.velocity, self.loop.facing = self.speed * facing, facing
+        centre = position - complex(speeds["stance"]["hips"][1], speeds["stance"]["hips"][0]) * facing
+        self.standing = Standing(k["standing"], speeds["stance"], k["leg_length"], self.speed, centre, facing)
+        self._draw(0j, facing)
 
     def step(self, velocity, direction):
-        """Advances one drawn frame under a command: velocity in m/s, and facing; both z + ix. 0 m/s means stop."""
+        """Advances one drawn frame under a command: velocity in m/s, and facing; both z + ix.
+
+        At 0 m/s it stops, and turns on the spot to the facing.
+        """
+        if self.standing.stopped:
+            self._follow_body(self.tracking.moving(velocity))
         self.tracking.update_time_scale(velocity)
         self.progress += self.tracking.time_scale
         while self.progress > 1.0:
             self._next_network_frame(velocity, direction)
             self.progress -= 1.0
-        self._pose()
+        self._draw(velocity, direction)
 
-    def _warm_up(self, speed, position, facing):
-        """Walks unseen from the mean pose into the gait of the style; returns the frame with the lowest feet."""
-        loop, count = self.loop, self.constants["warm_up_frames"]
-        if "gait" in loop.layout["inputs"]:  # the network has been trained on standing, too
-            loop.stand()
-            speed = 0.0
+    def _warm_up(self, speed):
+        """Walks unseen from the mean pose into the gait of the style; returns the frame with the feet passing."""
         found = []
-        for frame in range(count):
-            faced = loop.directions[NOW]
+        for frame in range(sum(self.constants["warm_up_frames"])):
+            faced = self.loop.directions[NOW]
             out = self._network_step(speed, 1.0)
-            if frame >= count // 2:
-                heights = loop.pose["joint_position"][self.body.feet, 1] - self.foot_heights
-                found.append((heights.max(), frame, loop.snapshot(), out, faced))
-        _, _, state, out, faced = min(found, key=lambda each: each[:2])
-        loop.restore(state)
-        turned = facing / loop.directions[NOW]
-        loop.place_at(position, facing)
-        loop.velocity, loop.facing = self.speed * facing, facing
-        return self._frame(out, faced * turned)
+            if frame >= self.constants["warm_up_frames"][0]:
+                distance = self._feet_distance(self.loop.pose["joint_position"])
+                found.append((distance, frame, self.loop.snapshot(), self._frame(out, faced)))
+        _, _, state, self.next = min(found, key=lambda each: each[:2])
+        self.previous = self.next
+        self.loop.restore(state)
+        turned = np.conj(self.next["facing"])
+        self._carry(turned, -self.next["root"] * turned)
+        return self.next
 
     def _network_step(self, velocity, direction):
         self.loop.limit_lookahead(self.constants["tracking"]["max_lookahead_ratio"] * self.speed)
@@ -100,11 +106,37 @@ class Character:
         if tracking.moving(velocity):
             command = tracking.network_command(velocity, direction, facing)
         out = self._network_step(*command)
-        clearance = self._clearance(loop.pose["joint_position"])
-        tracking.update(loop.positions[NOW] - root, facing, velocity, direction, clearance)
+        distance, stands = self._feet_distance(loop.pose["joint_position"]), self.standing.weight >= 1.0
+        tracking.update(loop.positions[NOW] - root, facing, velocity, direction, distance, stands)
         angle = tracking.heading_correction(velocity)
         loop.rotate(angle)
         self.previous, self.next = self.next, self._frame(out, facing * np.exp(1j * angle))
+
+    def _carry(self, turned, shift):
+        """Rotates what the network has predicted about the origin by a unit number, then shifts it by a point."""
+        self.loop.carry(turned, shift)
+        self.locks.carry(turned, shift)
+        self.previous, self.next = (
+            frame
+            | {
+                "root": frame["root"] * turned + shift,
+                "facing": frame["facing"] * turned,
+                "joints": to_world(frame["joints"], turned, shift),
+                "rotations": multiply(about_vertical(turned), frame["rotations"]),
+            }
+            for frame in (self.previous, self.next)
+        )
+
+    def _follow_body(self, moving):
+        """Carries the network's motion to where the standing body has come to: by the root, or, to walk off, a foot."""
+        before, after, share = self.previous, self.next, self.progress
+        place, target = mix(before["root"], after["root"], share), self.root
+        turned = self.standing.facing / turn_towards(before["facing"], after["facing"], share)
+        if moving:  # the foot on which the network stands
+            feet = mix(before["joints"], after["joints"], share)[self.body.feet].reshape(2, 2, 3)
+            lower = np.argmin(feet[..., 1].mean(1))
+            place, target = middle(feet)[lower], middle(self.standing.feet)[lower]
+        self._carry(turned, target - place * turned)
 
     def _frame(self, out, facing):
         """Returns a predicted frame in the world; `facing` is that of the root that y is relative to."""
@@ -132,20 +164,48 @@ class Character:
         height = (pose["joint_position"][feet, 1] - self.foot_heights) / k["contact_height"]
         return np.clip(1.5 - np.maximum(speed, height), 0.0, 1.0)
 
-    def _clearance(self, joints):
-        """Returns the height in metres of the higher foot, by the lower of its heel and toe."""
-        return (joints[self.body.feet, 1] - self.foot_heights).reshape(2, 2).min(1).max()
+    def _feet_distance(self, joints):
+        """Returns the metres on the ground between the middles of both feet."""
+        left, right = middle(joints[self.body.feet].reshape(2, 2, 3))
+        return abs(right - left)
 
-    def _pose(self):
-        """Sets what is drawn: between two predicted frames, on rigid bones, with the feet held."""
+    def _draw(self, velocity, direction):
+        """Sets what is drawn: between two predicted frames on rigid bones, or in the stance of the style."""
         before, after, share = self.previous, self.next, self.progress
         predicted, contacts = (mix(before[name], after[name], share) for name in ("joints", "contacts"))
-        world = mix_rotations(before["rotations"], after["rotations"], share)
-        hips, local = predicted[0], self.body.local_rotations(world)
-        local = self.body.reach_arms(hips, local, predicted)
-        standing = self.tracking.time_scale == 0.0  # feet that are held then stay held
-        kept = np.where(standing & self.locks.held, 1.0, contacts)
-        self.hips, self.local_rotations = self.locks.apply(hips, local, kept)
-        self.joints, self.rotations = self.body.forward_kinematics(self.hips, self.local_rotations)
-        self.root, self.contacts = mix(before["root"], after["root"], share), contacts
-        self.facing = turn_towards(before["facing"], after["facing"], share)
+        rotations = mix_rotations(before["rotations"], after["rotations"], share)
+        hips, local = predicted[0], self.body.local_rotations(rotations)
+        hips, local = self.locks.apply(hips, self.body.reach_arms(hips, local, predicted), contacts)
+        joints, world = self.body.forward_kinematics(hips, local)
+        root = mix(before["root"], after["root"], share)
+        facing = turn_towards(before["facing"], after["facing"], share)
+        walk = {"hips": ground(hips), "facing": facing, "contacts": contacts.reshape(2, 2)}
+        walk["feet"] = joints[self.body.feet].reshape(2, 2, 3)
+        standing = self.standing
+        standing.update(walk, self.tracking.moving(velocity), direction)
+        if standing.weight > 0.0:
+            hips, local = self._standing_pose(hips, local, facing)
+            joints, world = self.body.forward_kinematics(hips, local)
+            away = 1.0 - smooth(standing.weight)
+            root = standing.hips + away * (root - walk["hips"]) * standing.facing / facing
+            contacts = mix(contacts, standing.contacts(), 1.0 - away)
+        self.hips, self.local_rotations, self.joints, self.rotations = hips, local, joints, world
+        self.root, self.facing, self.contacts = root, standing.facing, contacts
+
+    def _standing_pose(self, hips, local, facing):
+        """Returns the pose between that of the network and the stance, with the feet where the stance has them."""
+        standing, body, share = self.standing, self.body, smooth(self.standing.weight)
+        walked = local.copy()
+        walked[0] = multiply(about_vertical(np.conj(facing)), local[0])
+        local = mix_rotations(walked, standing.rotations, share)
+        local[0] = multiply(about_vertical(standing.facing), local[0])
+        shift, pitch = standing.sway()
+        left = standing.facing * 1j
+        hips = at_height(standing.hips + shift * left, mix(hips[1], standing.height, share))
+        positions, world = body.forward_kinematics(hips, local)
+        if body.chest is not None:
+            body.turn_joint(local, world, body.chest, about(at_height(left, 0.0), pitch))
+        drop = np.array([0.0, -self.locks.needed_drop(positions, standing.feet.reshape(4, 3)), 0.0])
+        for leg, foot in zip(body.legs, standing.feet, strict=True):
+            body.place_leg(leg, local, world, positions + drop, body.lift_heel(leg, positions + drop, foot), 1.0)
+        return hips + drop, local

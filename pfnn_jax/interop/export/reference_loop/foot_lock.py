@@ -7,6 +7,8 @@ left heel, left toe, right heel, right toe throughout.
 
 import numpy as np
 
+from .ground import to_world
+
 PARTNER = [1, 0, 3, 2]
 
 
@@ -33,7 +35,7 @@ class FootLocks:
         self._update(feet, contacts)
         targets = feet + self.offsets
         targets[:, 1] = np.maximum(targets[:, 1], self.constants["floor"])
-        needed = self._needed_drop(positions, targets)
+        needed = self.needed_drop(positions, targets)
         drop, speed = self._decay(self.drop[0] - needed, self.drop[1])
         self.drop = needed + drop, speed
         lowered = np.array([0.0, -self.drop[0], 0.0])
@@ -42,6 +44,11 @@ class FootLocks:
             goal = targets[2 * side : 2 * side + 2]
             self.body.place_leg(leg, local, world, positions + lowered, goal, share[2 * side + 1])
         return hips + lowered, local
+
+    def carry(self, turned, shift):
+        """Rotates the locks about the origin by a unit number, then shifts them by a point on the ground."""
+        self.places = to_world(self.places, turned, shift)
+        self.offsets, self.velocities = to_world(self.offsets, turned), to_world(self.velocities, turned)
 
     def _update(self, feet, contacts):
         k, fps = self.constants, self.constants["fps"]
@@ -72,7 +79,7 @@ class FootLocks:
         push, fade = velocity + rate * offset, np.exp(-rate * dt)
         return (offset + push * dt) * fade, (velocity - push * rate * dt) * fade
 
-    def _needed_drop(self, positions, targets):
+    def needed_drop(self, positions, targets):
         """Returns the metres by which the hips must sink for both heels to be within reach."""
         drops = []
         for side, (hip, knee, heel, _) in enumerate(self.body.legs):

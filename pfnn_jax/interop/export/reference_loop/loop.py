@@ -35,16 +35,6 @@ class PublishedLoop:
         self.velocity, self.facing = (self.positions[110] - self.positions[NOW]) * self.fps / 50, self.directions[NOW]
         self.pose = self.place(blocks, self.joint_point)
 
-    def stand(self):
-        """Stands still in the present pose; for networks that have seen standing (those with gaits)."""
-        point = self.joint_point
-        joints = to_local(self.pose["joint_position"], self.directions[point], self.positions[point])
-        self.positions, self.directions = np.full(111, self.positions[NOW]), np.full(111, self.directions[NOW])
-        self.pose["joint_position"] = to_world(joints, self.directions[NOW], self.positions[NOW])
-        self.gait = np.eye(6)[np.zeros(111, int)]
-        self.velocity, self.phase = 0j, 0.0 * self.phase
-        self.pose["joint_velocity"] = 0.0 * self.pose["joint_velocity"]
-
     def snapshot(self):
         """Returns the state of the character, for `restore`."""
         names = ("positions", "directions", "gait", "pose", "phase", "velocity", "facing")
@@ -128,9 +118,8 @@ class PublishedLoop:
         here = here + rate * facing * (out["root_velocity"] @ [1j, 1])
         facing = facing * np.exp(1j * rate * out["root_yaw_rate"][0])
         self.phase = (self.phase + (0.9 * rate + 0.1 / self.fps) * out["phase_change"][0]) % (2 * np.pi)
-        return here + facing * np.append(0, fill(out["position"])[1:]), facing * np.append(
-            1, fill(out["direction"])[1:]
-        )
+        positions, directions = fill(out["position"])[1:], fill(out["direction"])[1:]
+        return here + facing * np.append(0, positions), facing * np.append(1, directions)
 
     def _next_frames(self, out):
         """Returns the predicted trajectory mixed with the one that it replaces; its first point is the next root."""
@@ -145,14 +134,18 @@ class PublishedLoop:
 
     def rotate(self, angle):
         """Rotates the character and its trajectory about its root by an angle in radians; its command stays."""
-        self.place_at(self.positions[NOW], self.directions[NOW] * np.exp(1j * angle))
+        root, turned = self.positions[NOW], np.exp(1j * angle)
+        self._move(turned, root - root * turned)
 
-    def place_at(self, point, facing):
-        """Moves the character as one rigid body, so that its root is at a point and faces as given."""
-        root, turned = self.positions[NOW], facing / self.directions[NOW]
-        self.positions, self.directions = (self.positions - root) * turned + point, self.directions * turned
+    def carry(self, turned, shift):
+        """Rotates the character with its command about the origin by a unit number, then shifts it by a point."""
+        self._move(turned, shift)
+        self.velocity, self.facing = self.velocity * turned, self.facing * turned
+
+    def _move(self, turned, shift):
+        self.positions, self.directions = self.positions * turned + shift, self.directions * turned
         pose = {name: to_world(v, turned) for name, v in self.pose.items()}
-        self.pose = pose | {"joint_position": to_world(to_local(self.pose["joint_position"], 1.0, root), turned, point)}
+        self.pose = pose | {"joint_position": to_world(self.pose["joint_position"], turned, shift)}
 
     def limit_lookahead(self, speed):
         """Limits the speed of the future trajectory to one in m/s."""

@@ -1,7 +1,7 @@
 """Command tracking: makes the character reach the commanded speed and heading, and stop.
 
 - Time scaling: frames are drawn faster or slower than the network predicts them, so that root, feet and phase change
-  speed together. To stop, the character completes its step and freezes once both feet are down.
+  speed together. After a command to stop the network goes on unseen until its feet pass each other, and waits there.
 - Heading correction: the character is rotated as one rigid body about its root towards the commanded heading.
 - The future trajectory that the network reads is limited to the speed that its style allows.
 """
@@ -20,18 +20,18 @@ class Tracking:
     """The state of command tracking for one character.
 
     Attributes:
-        time_scale: seconds of network time per second of real time; 0 while the character stands.
+        time_scale: seconds of network time per second of real time; 0 while the network waits.
         velocity: complex, m/s of network time relative to the root: a running mean over about one step.
         heading_error: radians from the actual to the commanded heading: a running mean.
         strafe_failure: seconds by which failing to strafe outweighs succeeding.
-        min_clearance: metres, recent minimum of the higher foot's height.
-        stopping: whether both feet are down and the time scale falls to 0.
+        min_distance: metres, recent minimum of the distance between the feet.
+        waiting: whether the network waits for the next walk.
     """
 
-    def __init__(self, constants, speed, gain, clearance):
+    def __init__(self, constants, speed, gain, distance):
         self.constants, self.speed, self.gain = constants, speed, gain
         self.time_scale, self.velocity, self.heading_error = 0.0, complex(speed), 0.0
-        self.strafe_failure, self.min_clearance, self.stopping = 0.0, clearance, True
+        self.strafe_failure, self.min_distance, self.waiting = 0.0, distance, True
 
     def moving(self, velocity):
         """Returns whether a commanded velocity means to move, not to stop."""
@@ -40,16 +40,12 @@ class Tracking:
     def update_time_scale(self, velocity):
         """Sets the time scale of the next drawn frame."""
         k, moving = self.constants, self.moving(velocity)
-        self.stopping = self.stopping and not moving
+        self.waiting = self.waiting and not moving
+        target = max(self.time_scale, k["stopping_time_scale"])
         if moving:
             reachable = abs(velocity) / max(abs(self.velocity), k["min_walk_speed"])
             target = np.clip(reachable, k["min_time_scale"], k["max_time_scale"])
-        else:
-            target = 0.0 if self.stopping else min(self.time_scale, k["stopping_time_scale"])
-        rate = k["freeze_rate"] if self.stopping else k["time_scale_rate"]
-        self.time_scale = mix(self.time_scale, target, rate)
-        if self.stopping and self.time_scale < k["freeze_time_scale"]:
-            self.time_scale = 0.0
+        self.time_scale = 0.0 if self.waiting else mix(self.time_scale, target, k["time_scale_rate"])
 
     def network_command(self, velocity, direction, facing):
         """Returns the velocity and the facing to command to the network, near what its style has been trained on."""
@@ -62,27 +58,24 @@ class Tracking:
         velocity = velocity * requested / wanted * np.exp(1j * (turn_now - turn_left))
         return velocity, facing * np.exp(1j * turn_now)
 
-    def update(self, step, facing, velocity, direction, clearance):
+    def update(self, step, facing, velocity, direction, distance, stands):
         """Updates the state after a network frame.
 
         Args:
             step: complex, metres that the root has moved.
             facing: of the root before.
             velocity, direction: the command.
-            clearance: metres, height of the higher foot.
+            distance: metres between the feet.
+            stands: whether nothing of the network's motion is drawn, so that it may wait.
         """
         k, moving = self.constants, self.moving(velocity)
         self.velocity = mix(self.velocity, step * k["fps"] / facing, k["velocity_rate"])
         error = angle(facing * self.velocity, velocity) if moving else 0.0
         self.heading_error = wrap(self.heading_error + k["heading_rate"] * wrap(error - self.heading_error))
         self._update_strafing(velocity, direction)
-        # While waiting to stop, the height that counts as "foot down" rises, so that stopping always ends.
-        waiting = k["stopping_clearance_rise"] / max(self.time_scale, k["min_time_scale"])
-        rise = k["clearance_rise"] if moving else waiting
-        self.min_clearance = min(clearance, self.min_clearance + rise / k["fps"])
-        slow = self.time_scale <= k["stopping_time_scale"] + 0.05
-        down = slow and clearance <= self.min_clearance + k["contact_tolerance"]
-        self.stopping = not moving and (self.stopping or down)
+        self.min_distance = min(distance, self.min_distance + k["distance_rise"] / k["fps"])
+        passing = distance <= self.min_distance + k["passing_tolerance"]
+        self.waiting = not moving and (self.waiting or (passing and stands))
 
     def _update_strafing(self, velocity, direction):
         k = self.constants
