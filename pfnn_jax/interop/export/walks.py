@@ -57,16 +57,14 @@ def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
         speeds = [default_speed(run, choice) for choice in choices]
         return [Walk(speed, speed, speed, None) for speed in speeds]
     published, tracked = (_speeds(run, choices, tracking) for tracking in (None, TrackingConfig()))
-    return [
-        Walk(speed, asked, held, stance)
-        for (speed, asked, _), (_, held, stance) in zip(published, tracked, strict=True)
-    ]
+    pairs = zip(published, tracked, strict=True)
+    return [Walk(speed, asked, held, stance) for (speed, asked, _), (_, held, stance) in pairs]
 
 
 def _speeds(
     run: Run, choices: Sequence[StyleChoice], tracking: TrackingConfig | None
 ) -> list[tuple[float, float, dict[str, Any]]]:
-    """Returns the natural speed of each choice and the speed to command for it, in metres per second, and its stance."""
+    """Returns the natural speed of each choice, the speed to command for it (both in m/s), and its stance."""
     weights = [choice_weights(run, choice) for choice in choices]
     names = tuple(dict.fromkeys(name for each in weights for name in each))
     styled = make_controller(run, names, foot_ik=False, tracking=tracking) if names else None

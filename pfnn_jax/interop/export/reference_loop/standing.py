@@ -152,9 +152,8 @@ class Standing:
         distance = abs(middle(places - self.land))
         off = abs(angle(*(np.diff(ground(points))[:, 0] for points in (self.land, places))))
         turning = abs(self.turn_rate) / k["max_turn_rate"]
-        need = distance / (k["step_distance"] * self.leg_length) + off / (
-            k["step_angle"] + turning * k["turning_angle"]
-        )
+        tolerance = k["step_angle"] + turning * k["turning_angle"]
+        need = distance / (k["step_distance"] * self.leg_length) + off / tolerance
         inside = 0.1 * np.sign(self.turn_rate) * np.array([1.0, -1.0])  # of two alike, the inner foot steps first
         need = np.where(need > 1.0, need + inside, 0.0)
         lifts = (need > 0.0) & (need >= need[::-1]) & ~self.stepping.any()
