@@ -7,8 +7,8 @@ Question  how far above the floor are toes and heels one second after the comman
 Data      the given runs. Every style walks off from standing and walks straight, on a circle at 60 degrees a second, to
           its side, or at 1.5 times its natural speed; it is commanded to stop in 16 moments over 1.3 seconds, to turn
           by 120 degrees on the spot two seconds later, and to walk again two seconds after that.
-Measure   heights one second after the command over the height at which the same joint is in contact while the style
-          walks straight; the share of stops with a toe or heel above 1 cm, and with a toe 3 cm above the other; the
+Measure   heights one second after the command over those of feet that stand flat in the run's data, or over the lowest
+          twentieth of the heights of the same joint while the style walks straight; the share of stops with a toe or heel above 1 cm, and with a toe 3 cm above the other; the
           largest speed of a joint after the command, relative to the largest during the walk before it, and the same
           joint by joint.
 Expect    see docs/results_appendix.md. Three minutes for 10 styles on 2 cores.
@@ -73,7 +73,7 @@ def commands(speed: float, rate: float, aside: float, stop: int) -> tuple[np.nda
     return np.float32(speed) * moving[:, None] * travel, direction
 
 
-def stops(controller: Controller, chunk: int) -> dict[str, np.ndarray]:
+def stops(controller: Controller, chunk: int, resting: np.ndarray | None) -> dict[str, np.ndarray]:
     """Returns the measures [S, K, P] of all styles, kinds of walk and moments of stopping."""
     styles = len(controller.styles)
     cases = [(s, kind, p) for s in range(styles) for kind in KINDS for p in range(PHASES)]
@@ -89,17 +89,18 @@ def stops(controller: Controller, chunk: int) -> dict[str, np.ndarray]:
         walks = [commands(KINDS[k][0] * speeds[s], *KINDS[k][1:], WALK + APART * p) for s, k, p in part]
         velocity, direction = (jnp.asarray(np.stack(values)) for values in zip(*walks, strict=True))
         state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(starts[s] for s, _, _ in part))
-        joints, contacts, facing = many(
+        joints, facing = many(
             controller.params, state, Command(velocity=velocity, direction=direction), jnp.asarray(weights[[s for s, _, _ in part]])
         )
         for i in range(min(chunk, len(cases) - first)):
-            measured = _measure(controller, *(np.asarray(v[i]) for v in (joints, contacts, facing)), WALK + APART * part[i][2])
+            measured = _measure(controller, *(np.asarray(v[i]) for v in (joints, facing)), WALK + APART * part[i][2])
             for name, value in measured.items():
                 found.setdefault(name, []).append(value)
     shape = (styles, len(KINDS), PHASES)
     arrays = {name: np.array(values).reshape(*shape, *np.shape(values[0])) for name, values in found.items()}
-    # The floor of a style's feet: as its straight walk has them in contact.
-    floor = np.nanmedian(arrays.pop("floor")[:, 0], axis=1)[:, None, None]
+    floor = np.median(arrays.pop("floor")[:, 0], axis=1)[:, None, None]
+    if resting is not None:
+        floor = np.broadcast_to(resting.reshape(4), floor.shape)
     heights = arrays["heights"] = arrays.pop("feet") - floor
     toes = heights[..., [1, 3]]
     arrays["toe above 1 cm"] = (np.abs(toes).max(-1) > 0.01).astype(float)
@@ -112,30 +113,27 @@ def _walk(setup, params, state, command, style):
     rows = jnp.broadcast_to(style, (len(command.velocity), *style.shape))
     command = Command(velocity=command.velocity, direction=command.direction, style=rows)
     states = rollout_commands(setup, params, state, command)[1]
-    return states.joints, states.contacts, states.facing
+    return states.joints, states.facing
 
 
-def _measure(controller: Controller, joints: np.ndarray, contacts: np.ndarray, facing: np.ndarray, stop: int) -> dict:
+def _measure(controller: Controller, joints: np.ndarray, facing: np.ndarray, stop: int) -> dict:
     feet = joints[:, list(controller.setup.rig.feet)]
     speed = np.linalg.norm(np.diff(joints, axis=0), axis=-1) * FPS  # row t: from t to t + 1
-    walking = speed[FPS : stop - 1].max(0)
+    walking = speed[2 * FPS : stop - 1].max(0)
     parts = {
         "stop": slice(stop - 1, stop + STAND - 1),
         "turn": slice(stop + STAND - 1, stop + STAND + TURN - 1),
         "off": slice(stop + STAND + TURN - 1, stop + STAND + TURN + FPS - 1),
         "first start": slice(0, FPS),
     }
-    heights = np.where(contacts[FPS:stop] > 0.8, feet[FPS:stop, :, 1], np.nan)
-    low = np.quantile(feet[FPS:stop, :, 1], 0.1, axis=0)
-    with np.errstate(all="ignore"):
-        floor = np.where(np.isfinite(heights).sum(0) > 5, np.nanmedian(np.where(np.isfinite(heights), heights, np.nan), axis=0), low)
+    floor = np.quantile(feet[FPS:stop, :, 1], 0.05, axis=0)
     accelerations = np.linalg.norm(np.diff(joints, n=2, axis=0), axis=-1) * FPS**2
     measured: dict[str, Any] = {"floor": floor, "feet": feet[stop + FPS, :, 1]}
     for name, frames in parts.items():
         peak = speed[frames].max(0)
         measured[f"{name}: speed"] = peak.max() / walking.max()
         measured[f"{name}: speed of one joint"] = (peak / walking).max()
-        measured[f"{name}: acceleration"] = accelerations[frames].max() / accelerations[FPS : stop - 2].max()
+        measured[f"{name}: acceleration"] = accelerations[frames].max() / accelerations[2 * FPS : stop - 2].max()
     at = stop + STAND + TURN - 1
     yaw = np.unwrap(np.arctan2(facing[:, 0], facing[:, 1]))
     measured["turned"] = np.rad2deg(yaw[at] - yaw[stop + STAND - 1])
@@ -152,7 +150,7 @@ def main(config: Config) -> None:
     for path in config.runs:
         run = load_run(path)
         controller = make_controller(run, list_styles(run.path))
-        found = stops(controller, config.chunk)
+        found = stops(controller, config.chunk, run.skeleton.resting_heights)
         print(path, len(controller.styles), "styles")
         for index, kind in enumerate(KINDS):
             row = {}

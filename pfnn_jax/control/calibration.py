@@ -14,14 +14,15 @@ from pfnn_jax.control.controller_state import (
     ControllerParams,
     ControllerSetup,
     ControllerState,
+    Footing,
     carry_frame,
-    draw_body,
     feet_distance,
     network_step,
+    standing_pose,
     style_speed,
 )
 from pfnn_jax.control.ik.foot_lock import initial_locks
-from pfnn_jax.control.ik.pose import Pose, Rig
+from pfnn_jax.control.ik.pose import Rig, forward_kinematics, pose_from_world
 from pfnn_jax.control.loop.rollout import warm_up
 from pfnn_jax.control.loop.state import ROOT, carry_state, initial_state
 from pfnn_jax.control.loop.step import Command
@@ -145,8 +146,13 @@ def start_standing(
     time_scale = 1.0 if setup.tracking is None else 0.0
     stance = mix_stances(params.stances, style)
     # The root, where the hips are on the ground, is at the position.
-    centre = position - to_world(stance.hips, direction)
-    state = ControllerState(
+    standing = init_standing(stance, position - to_world(stance.hips, direction), direction)
+    pose = pose_from_world(setup.rig, frame.joints[0], frame.rotations)
+    if setup.tracking is not None:
+        nowhere = Footing(targets=standing.feet, toe_shares=jnp.ones(2))
+        pose = standing_pose(setup, pose, nowhere, direction, stance, standing)
+    joints, world = forward_kinematics(setup.rig, pose)
+    return ControllerState(
         motion=replace(motion, target_velocity=speed.natural * direction, target_direction=direction),
         previous=frame,
         next=frame,
@@ -155,11 +161,10 @@ def start_standing(
         tracking=init_tracking(speed.natural * AHEAD, feet_distance(setup.rig, frame.joints), time_scale),
         root=frame.root,
         facing=frame.facing,
-        contacts=frame.contacts,
+        contacts=frame.contacts if setup.tracking is None else jnp.ones_like(frame.contacts),
         feet=initial_locks(setup.rig),
-        standing=init_standing(stance, centre, direction),
-        pose=Pose(hips=frame.joints[0], rotations=frame.rotations),
-        joints=frame.joints,
-        world_rotations=frame.rotations,
+        standing=standing,
+        pose=pose,
+        joints=joints,
+        world_rotations=world,
     )
-    return draw_body(setup, params, state, Command(velocity=0.0 * direction, direction=direction))

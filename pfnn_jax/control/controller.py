@@ -246,7 +246,7 @@ def with_calibrated_speeds(controller: Controller, styles: Sequence[str]) -> Con
     speeds, gains = np.array(params.speeds), np.array(params.speed_gains)
     speeds[rows], gains[rows] = calibrate_speeds(setup, params, rows)
     params = replace(params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains))
-    found = find_stances(setup, params, np.eye(len(speeds), dtype=np.float32)[rows])
+    found = find_stances(setup, params, rows)
     stances, waiting = _with_rows((controller.params.stances, controller.params.waiting), rows, found, len(speeds))
     return replace(controller, params=replace(params, stances=stances, waiting=waiting))
 
@@ -255,7 +255,6 @@ def _with_rows(old: Any, rows: Sequence[int], new: Any, capacity: int) -> Any:
     """Returns leaves [C, ...] with some rows replaced by those of `new`; before the first, the others are zeros."""
 
     def put(new: Any, old: Any) -> jax.Array:
-        new = np.asarray(new)
         bank = np.zeros((capacity, *new.shape[1:]), new.dtype)
         if old is not None:
             bank[: len(old)] = old

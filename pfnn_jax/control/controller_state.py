@@ -16,12 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.ik.foot_lock import FootLockConfig, FootLocks, lock_feet, needed_drop, place_feet
+from pfnn_jax.control.ik.foot_lock import FootLockConfig, FootLocks, needed_drop, place_feet, plan_feet
 from pfnn_jax.control.ik.limb import reach_arms
-from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics, pose_from_world, turn_joint
+from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics, pose_from_world
 from pfnn_jax.control.loop.state import CharacterState, carry_state, contacts_of_output, joint_root, read_block
 from pfnn_jax.control.loop.step import Command, LoopConfig, published_step
 from pfnn_jax.control.standing import (
+    GROUND,
     Stance,
     StandingConfig,
     StandingState,
@@ -43,13 +44,15 @@ from pfnn_jax.control.vectors import length, lerp, to_3d
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout
-from pfnn_jax.motion.ground import angle_between, to_world, turn, turn_towards, yaw_of
+from pfnn_jax.motion.ground import angle_between, turn, turn_towards, yaw_of
 from pfnn_jax.motion.kinematics import (
+    quat_conjugate,
     quat_exp,
     quat_from_axis_angle,
     quat_from_forward_up,
     quat_from_yaw,
     quat_multiply,
+    quat_rotate,
 )
 from pfnn_jax.motion.labels.contacts import MAX_HEIGHT, MAX_SPEED
 
@@ -231,94 +234,137 @@ def predicted_frame(
     )
 
 
-def walking_pose(setup: ControllerSetup, state: ControllerState) -> tuple[Pose, jax.Array, jax.Array, FootLocks]:
-    """Returns the body at its position between two predicted frames: pose, joints [J, 3], contacts [4] and foot locks."""
-    before, after, share = state.previous, state.next, state.progress
-    predicted = lerp(before.joints, after.joints, share)
-    contacts = lerp(before.contacts, after.contacts, share)
-    pose = pose_from_world(setup.rig, predicted[0], _mix_rotations(before.rotations, after.rotations, share))
-    feet = state.feet
-    if setup.foot_lock is not None:
-        pose, feet = lock_feet(setup.rig, reach_arms(setup.rig, pose, predicted), contacts, feet, setup.foot_lock)
-    return pose, forward_kinematics(setup.rig, pose)[0], contacts, feet
+@struct.dataclass(kw_only=True)
+class Footing:
+    """Where heels and toes of a pose go.
+
+    Attributes:
+        targets: [2, 2, 3] metres, heel and toe of both feet.
+        toe_shares: [2], as `ik.foot_lock.place_feet` takes them.
+    """
+
+    targets: jax.Array
+    toe_shares: jax.Array
+
+
+def walking_pose(setup: ControllerSetup, state: ControllerState) -> tuple[Pose, Footing, FootLocks]:
+    """Returns the body at its position between two predicted frames, before its feet are placed, and where they go."""
+    rig, share = setup.rig, state.progress
+    predicted = lerp(state.previous.joints, state.next.joints, share)
+    rotations = _mix_rotations(state.previous.rotations, state.next.rotations, share)
+    pose, locks = pose_from_world(rig, predicted[0], rotations), state.feet
+    positions, world = forward_kinematics(rig, pose)
+    if setup.foot_lock is None:
+        targets = positions[np.array(rig.feet)].reshape(2, 2, 3)
+        return pose, Footing(targets=targets, toe_shares=jnp.ones(2)), locks
+    targets, toe_shares, locks = plan_feet(rig, positions, state.contacts, locks, setup.foot_lock)
+    pose = reach_arms(rig, pose, predicted, (positions, world))
+    return _lowered(pose, locks.drop[0]), Footing(targets=targets, toe_shares=toe_shares), locks
 
 
 def draw_body(
     setup: ControllerSetup, params: ControllerParams, state: ControllerState, command: Command
 ) -> ControllerState:
     """Returns the state with the displayed body: at its position between two predicted frames, or in its stance."""
-    root = lerp(state.previous.root, state.next.root, state.progress)
-    facing = turn_towards(state.previous.facing, state.next.facing, state.progress)
-    pose, joints, contacts, locks = walking_pose(setup, state)
-    state = replace(state, feet=locks, root=root, facing=facing, contacts=contacts)
+    before, after, progress = state.previous, state.next, state.progress
+    root, facing = lerp(before.root, after.root, progress), turn_towards(before.facing, after.facing, progress)
+    contacts = lerp(before.contacts, after.contacts, progress)
+    state = replace(state, root=root, facing=facing, contacts=contacts)
+    pose, footing, locks = walking_pose(setup, state)
+    state = replace(state, feet=locks)
     if setup.tracking is None:
-        joints, world = forward_kinematics(setup.rig, pose)
-        return replace(state, pose=pose, joints=joints, world_rotations=world)
+        return _with_body(setup, state, _placed(setup, pose, footing))
     assert params.stances is not None
-    stance, ground = mix_stances(params.stances, state.style), np.array([0, 2])
-    body = WalkingBody(
-        hips=joints[0, ground],
+    stance = mix_stances(params.stances, state.style)
+    walk = WalkingBody(
+        hips=pose.hips[GROUND],
         facing=facing,
-        feet=joints[np.array(setup.rig.feet)].reshape(2, 2, 3),
+        feet=footing.targets,
         contacts=contacts.reshape(2, 2),
         speed=style_speed(params, state.style).natural,
     )
     standing = update_standing(
-        state.standing,
-        body,
-        stance,
-        is_moving(command),
-        command.direction,
-        setup.rig.leg_length,
-        setup.standing,
+        state.standing, walk, stance, is_moving(command), command.direction, setup.rig.leg_length, setup.standing
     )
     stands, share = standing.weight > 0.0, smooth(standing.weight)
-    pose = jax.lax.cond(
-        stands, partial(standing_pose, setup), lambda pose, *_: pose, pose, facing, stance, standing
-    )
-    joints, world = forward_kinematics(setup.rig, pose)
-    from_hips = turn(root - body.hips, angle_between(facing, standing.facing))
-    return replace(
+    from_hips = turn(root - walk.hips, angle_between(facing, standing.facing))
+    state = replace(
         state,
         standing=standing,
         root=jnp.where(stands, standing.hips + (1.0 - share) * from_hips, root),
         facing=standing.facing,
         contacts=jnp.where(stands, lerp(contacts, _standing_contacts(stance, standing), share), contacts),
-        pose=pose,
-        joints=joints,
-        world_rotations=world,
     )
+    return _with_body(setup, state, standing_pose(setup, pose, footing, facing, stance, standing))
+
+
+def _with_body(setup: ControllerSetup, state: ControllerState, pose: Pose) -> ControllerState:
+    """Returns the state with a pose as the displayed body."""
+    joints, world = forward_kinematics(setup.rig, pose)
+    return replace(state, pose=pose, joints=joints, world_rotations=world)
+
+
+def _placed(setup: ControllerSetup, pose: Pose, footing: Footing) -> Pose:
+    """Returns a walking pose with its feet placed, if they are locked."""
+    if setup.foot_lock is None:
+        return pose
+    positions, world = forward_kinematics(setup.rig, pose)
+    return place_feet(setup.rig, pose, positions, world, footing.targets, footing.toe_shares)
 
 
 def standing_pose(
-    setup: ControllerSetup, walked: Pose, facing: jax.Array, stance: Stance, standing: StandingState
+    setup: ControllerSetup,
+    walked: Pose,
+    footing: Footing,
+    facing: jax.Array,
+    stance: Stance,
+    standing: StandingState,
 ) -> Pose:
-    """Returns the pose of a character that stands, or comes to stand.
+    """Returns the pose of a character that stands, comes to stand, or walks: the walking pose where the weight is 0.
 
     Args:
         setup: of the controller.
-        walked: pose in which the network has it.
+        walked, footing: pose in which the network has it, and where its feet go.
         facing: [2] of that.
         stance: of its style.
         standing: its state.
     """
-    rig, share = setup.rig, smooth(standing.weight)
+    rig, stands = setup.rig, standing.weight > 0.0
+    base = jax.tree.map(partial(jnp.where, stands), _blended(setup, walked, facing, stance, standing), walked)
+    positions, world = forward_kinematics(rig, base)
+    drop = needed_drop(rig, positions, standing.feet.reshape(4, 3), setup.foot_lock or FootLockConfig())
+    drop = jnp.where(stands, drop, 0.0)
+    lowered, positions = _lowered(base, drop), positions - drop * np.array([[0.0, 1.0, 0.0]], np.float32)
+    feet = jnp.stack([_lift_heel(rig, positions, side, standing.feet[side]) for side in range(2)])
+    targets = jnp.where(stands, feet, footing.targets)
+    shares = jnp.where(stands, 1.0, footing.toe_shares)
+    placed = place_feet(rig, lowered, positions, world, targets, shares)
+    if setup.foot_lock is None:
+        return jax.tree.map(partial(jnp.where, stands), placed, walked)
+    return placed
+
+
+def _blended(
+    setup: ControllerSetup, walked: Pose, facing: jax.Array, stance: Stance, standing: StandingState
+) -> Pose:
+    """Returns the pose between the walk and the stance, which breathes and sways, before its feet are placed."""
+    share = smooth(standing.weight)
     turned = quat_multiply(quat_from_yaw(-yaw_of(facing)), walked.rotations[0])
     rotations = _mix_rotations(walked.rotations.at[0].set(turned), stance.rotations, share)
-    yaw = yaw_of(standing.facing)
-    rotations = rotations.at[0].set(quat_multiply(quat_from_yaw(yaw), rotations[0]))
-    shift, pitch = sway(standing, rig.leg_length, setup.standing)
-    left = to_world(jnp.stack([jnp.ones_like(shift), 0.0 * shift]), standing.facing)
+    shift, pitch = sway(standing, setup.rig.leg_length, setup.standing)
+    if (chest := setup.rig.chest) is not None:
+        # Locally about the axis that points to the left in the mean pose of the chest: there it leans forward and back.
+        axis = quat_rotate(quat_conjugate(stance.chest), np.array([1.0, 0.0, 0.0], np.float32))
+        rotations = rotations.at[chest].set(quat_multiply(rotations[chest], quat_from_axis_angle(axis, pitch)))
+    rotations = rotations.at[0].set(quat_multiply(quat_from_yaw(yaw_of(standing.facing)), rotations[0]))
+    left = jnp.stack([standing.facing[1], -standing.facing[0]])
     ground, height = standing.hips + shift * left, lerp(walked.hips[1], stance.height, share)
-    pose = Pose(hips=jnp.stack([ground[0], height, ground[1]]), rotations=rotations)
-    positions, world = forward_kinematics(rig, pose)
-    if (chest := rig.chest) is not None:
-        pose = turn_joint(rig, pose, world, chest, quat_from_axis_angle(to_3d(left), pitch))
-    drop = needed_drop(rig, positions, standing.feet.reshape(4, 3), setup.foot_lock or FootLockConfig())
-    down = jnp.stack([jnp.zeros_like(drop), -drop, jnp.zeros_like(drop)])
-    pose, positions = replace(pose, hips=pose.hips + down), positions + down[None]
-    feet = jnp.stack([_lift_heel(rig, positions, side, standing.feet[side]) for side in range(2)])
-    return place_feet(rig, pose, positions, world, feet, jnp.ones(2))
+    return Pose(hips=jnp.stack([ground[0], height, ground[1]]), rotations=rotations)
+
+
+def _lowered(pose: Pose, drop: jax.Array) -> Pose:
+    """Returns the pose with its hips lowered by [] metres."""
+    return replace(pose, hips=pose.hips - drop * np.array([0.0, 1.0, 0.0], np.float32))
 
 
 def _lift_heel(rig: Rig, positions: jax.Array, side: int, foot: jax.Array) -> jax.Array:

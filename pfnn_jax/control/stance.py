@@ -1,12 +1,13 @@
 """The stance of a style, found in its own walk, and the frame of that walk in which its network waits for the next.
 
-The upper body, the height of the hips and the lean are the mean over a walk; the feet stand side by side, as far apart
-and turned out as in the walk, and flat at the height at which they are in contact. The hips are lowered until both legs
-reach, and moved so that the trunk is balanced over the feet.
+The pose of the body is the mean over a walk; the feet stand side by side, as far apart and turned out as in the walk,
+and flat at the height at which they are in contact. The hips are as high as the walk has them at most, when it passes
+over a straight leg, or as both legs reach, and moved so that the trunk is balanced over the feet.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import jax
@@ -24,14 +25,12 @@ from pfnn_jax.control.controller_state import (
     predicted_frame,
     style_speed,
 )
-from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics, pose_from_world
-from pfnn_jax.control.loop.rollout import warm_up
-from pfnn_jax.control.loop.state import ROOT, carry_state, initial_state
+from pfnn_jax.control.ik.pose import Rig
+from pfnn_jax.control.loop.state import ROOT, CharacterState, carry_state, initial_state
 from pfnn_jax.control.loop.step import Command
-from pfnn_jax.control.standing import Stance
-from pfnn_jax.control.vectors import length, to_3d, unit
+from pfnn_jax.control.standing import GROUND, Stance
 from pfnn_jax.motion.ground import facing_of, to_local, turn, yaw_of
-from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply
+from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_yaw, quat_multiply, quat_rotate
 
 WARM_UP_FRAMES, WALK_FRAMES = 90, 120
 """Frames of the hidden walk before, and of, the part in which the stance is found: at least one cycle."""
@@ -45,110 +44,136 @@ LEAST_WIDTH, MOST_WIDTH = 0.6, 2.5
 MOST_TURNED_OUT = 0.5
 """Radians from the facing to a standing foot."""
 
+MIN_STOOD = 0.02
+"""Share of a walk's frames in contact below which a foot's height is taken from the data of all styles."""
+
 AHEAD = np.array([0.0, 1.0], np.float32)
 
 
-@partial(jax.jit, static_argnums=0)
 def find_stances(
-    setup: ControllerSetup, params: ControllerParams, weights: jax.Array
+    setup: ControllerSetup, params: ControllerParams, rows: Sequence[int]
 ) -> tuple[Stance, WaitingFrame]:
-    """Returns the stances of styles, and the frames in which their networks wait, leaves [S, ...].
+    """Returns the stances of styles, and the frames in which their networks wait, leaves [S, ...], in NumPy.
 
     Args:
-        setup, params: of a controller, with calibrated speeds.
-        weights: [S, C] of the styles.
+        setup, params: of a controller with C rows, with calibrated speeds.
+        rows: S rows of the bank, the styles.
     """
-    return jax.vmap(partial(_find_stance, setup, params))(weights)
-
-
-def _find_stance(
-    setup: ControllerSetup, params: ControllerParams, weights: jax.Array
-) -> tuple[Stance, WaitingFrame]:
-    layout, speed = setup.layout, style_speed(params, weights)
-    predictor = params.mixed_predictor(weights)
-    state = initial_state(layout, params.initial_row, params.initial_phase, jnp.zeros(2), jnp.zeros(()))
-    command = Command(velocity=speed.gain * speed.natural * AHEAD, direction=jnp.asarray(AHEAD))
-    step = partial(network_step, setup, predictor, speed.natural)
-    states, ys = jax.tree.map(
-        lambda leaf: leaf[WARM_UP_FRAMES:], warm_up(step, state, command, WARM_UP_FRAMES + WALK_FRAMES)
-    )
-    frames = jax.vmap(lambda motion, y: predicted_frame(setup, params, motion, y, motion.directions[ROOT - 1], 0.0))(
-        states, ys
-    )
-    waits = jnp.argmin(jax.vmap(partial(feet_distance, setup.rig))(frames.joints))
-    motion, frame = jax.tree.map(lambda leaf: leaf[waits], (states, frames))
-    angle = -yaw_of(frame.facing)
-    shift = -turn(frame.root, angle)
-    waiting = WaitingFrame(motion=carry_state(motion, angle, shift), frame=carry_frame(frame, angle, shift))
-    stance = _stance_of(setup.rig, frames, params.foot_heights.reshape(2, 2))
+    weights = np.eye(len(params.speeds), dtype=np.float32)[np.asarray(rows, int)]
+    frames, waiting = jax.tree.map(np.asarray, _walks(setup, params, weights))
+    heights = np.asarray(params.foot_heights, np.float64).reshape(2, 2)
+    walks = (jax.tree.map(lambda leaf: leaf[row].astype(np.float64), frames) for row in range(len(rows)))  # noqa: B023
+    stances = [_stance_of(setup.rig, walk, heights) for walk in walks]
     # A style whose network diverges must not make mixtures without it diverge.
-    return jax.tree.map(jnp.nan_to_num, stance), waiting
+    stance = jax.tree.map(lambda *leaves: np.nan_to_num(np.stack(leaves)).astype(np.float32), *stances)
+    return stance, waiting
 
 
-def _stance_of(rig: Rig, frames: PredictedFrame, foot_heights: jax.Array) -> Stance:
+@partial(jax.jit, static_argnums=0)
+def _walks(
+    setup: ControllerSetup, params: ControllerParams, weights: np.ndarray
+) -> tuple[PredictedFrame, WaitingFrame]:
+    """Returns the frames of walks of styles [S, C] straight ahead, and the frame in which each waits."""
+    layout, rig = setup.layout, setup.rig
+
+    def walk(weights: jax.Array) -> tuple[PredictedFrame, WaitingFrame]:
+        speed, predictor = style_speed(params, weights), params.mixed_predictor(weights)
+        state = initial_state(layout, params.initial_row, params.initial_phase, jnp.zeros(2), jnp.zeros(()))
+        command = Command(velocity=speed.gain * speed.natural * AHEAD, direction=jnp.asarray(AHEAD))
+        step = partial(network_step, setup, predictor, speed.natural)
+
+        def frame(state: CharacterState, _: None):
+            after, y = step(state, command)
+            predicted = predicted_frame(setup, params, after, y, state.directions[ROOT], jnp.zeros(()))
+            return after, WaitingFrame(motion=after, frame=predicted)
+
+        state = jax.lax.scan(lambda s, _: (step(s, command)[0], None), state, length=WARM_UP_FRAMES)[0]
+        found = jax.lax.scan(frame, state, length=WALK_FRAMES)[1]
+        first = jnp.argmin(jax.vmap(partial(feet_distance, rig))(found.frame.joints))
+        waiting = jax.tree.map(lambda leaf: leaf[first], found)
+        angle = -yaw_of(waiting.frame.facing)
+        shift = -turn(waiting.frame.root, angle)
+        motion, placed = carry_state(waiting.motion, angle, shift), carry_frame(waiting.frame, angle, shift)
+        return found.frame, WaitingFrame(motion=motion, frame=placed)
+
+    return jax.vmap(walk)(jnp.asarray(weights))
+
+
+def _stance_of(rig: Rig, walk: PredictedFrame, foot_heights: np.ndarray) -> Stance:
     """Returns the stance of a walk, leaves [T, ...], given the heights [2, 2] of heels and toes on the ground."""
     # Weights that vanish at both ends: the mean hardly depends on how many cycles the walk has.
-    weights = jnp.asarray(np.hanning(WALK_FRAMES + 2)[1:-1], frames.joints.dtype)
-    weights = weights / jnp.sum(weights)
-    world = quat_multiply(quat_from_yaw(-yaw_of(frames.facing))[:, None], frames.rotations)
-    local = jax.vmap(lambda rotations: pose_from_world(rig, jnp.zeros(3), rotations).rotations)(world)
+    weights = np.hanning(WALK_FRAMES + 2)[1:-1]
+    weights = weights / weights.sum()
+    world = quat_multiply(quat_from_yaw(-yaw_of(walk.facing))[:, None], walk.rotations)
+    above = world[:, np.maximum(rig.parents, 0)]
+    local = np.concatenate([world[:, :1], quat_multiply(quat_conjugate(above), world)[:, 1:]], axis=1)
     rotations = _mean_rotation(local, weights)
-    joints = jax.vmap(lambda root, facing, joints: to_local(joints - to_3d(root)[None], facing))(
-        frames.root, frames.facing, frames.joints
-    )
-    feet = joints[:, np.array(rig.feet)].reshape(-1, 2, 2, 3)
-    stood = weights[:, None, None] * frames.contacts.reshape(-1, 2, 2) ** 4
-    share = jnp.sum(stood, axis=0)
-    heights = jnp.sum(stood * feet[..., 1], axis=0) / jnp.maximum(share, 1e-6)
-    heights = jnp.where(share > 0.02, heights, foot_heights)
+    ground = np.array([1.0, 0.0, 1.0])
+    joints = to_local(walk.joints - ground * walk.root[:, None, [0, 0, 1]], walk.facing)
+    feet = joints[:, list(rig.feet)].reshape(-1, 2, 2, 3)
+    stood = weights[:, None, None] * walk.contacts.reshape(-1, 2, 2) ** 4
+    share = stood.sum(0)
+    heights = (stood * feet[..., 1]).sum(0) / np.maximum(share, 1e-6)
+    heights = np.where(share > MIN_STOOD, heights, foot_heights)
     flat = stood.min(-1) + 1e-3 * weights[:, None]
-    flat = flat / jnp.sum(flat, axis=0)
-    positions, _ = forward_kinematics(rig, Pose(hips=jnp.zeros(3), rotations=rotations))
-    standing_feet = _feet_of(rig, feet, flat, heights, positions)
-    height = jnp.sum(weights * joints[:, 0, 1])
+    positions, turned = _joints_of(rig, rotations)
+    standing_feet = _feet_of(rig, feet, flat / flat.sum(0), heights, positions)
     hips = -_trunk(rig, positions)
-    height = jnp.minimum(height, _highest(rig, positions, hips, standing_feet))
-    return Stance(rotations=rotations, height=height, hips=hips, feet=standing_feet)
+    height = min(joints[:, 0, 1].max(), _highest(rig, positions, hips, standing_feet))
+    return Stance(
+        rotations=rotations, height=np.array(height), hips=hips, feet=standing_feet, chest=turned[rig.chest or 0]
+    )
 
 
-def _mean_rotation(rotations: jax.Array, weights: jax.Array) -> jax.Array:
+def _mean_rotation(rotations: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Returns the mean [J, 4] of rotations [T, J, 4] that are near each other."""
-    same = jnp.sum(rotations * rotations[:1], axis=-1, keepdims=True) >= 0.0
-    mean = jnp.einsum("t,tji->ji", weights, jnp.where(same, rotations, -rotations))
-    return mean / jnp.maximum(length(mean)[:, None], 1e-6)
+    same = np.sum(rotations * rotations[:1], axis=-1, keepdims=True) >= 0.0
+    mean = np.einsum("t,tji->ji", weights, np.where(same, rotations, -rotations))
+    return mean / np.maximum(np.linalg.norm(mean, axis=-1, keepdims=True), 1e-6)
 
 
-def _feet_of(rig: Rig, feet: jax.Array, flat: jax.Array, heights: jax.Array, positions: jax.Array) -> jax.Array:
+def _joints_of(rig: Rig, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns positions [J, 3] relative to the hips and world rotations [J, 4] of local rotations [J, 4]."""
+    positions, world = np.zeros((rig.num_joints, 3)), np.array(rotations)
+    for joint, parent in enumerate(rig.parents):
+        if parent >= 0:
+            positions[joint] = positions[parent] + quat_rotate(world[parent], np.array(rig.offsets[joint]))
+            world[joint] = quat_multiply(world[parent], rotations[joint])
+    return positions, world
+
+
+def _feet_of(
+    rig: Rig, feet: np.ndarray, flat: np.ndarray, heights: np.ndarray, positions: np.ndarray
+) -> np.ndarray:
     """Returns the standing feet [2, 2, 3] of a walk's feet [T, 2, 2, 3], given when they are flat [T, 2], their heights
     [2, 2] there, and joint positions [J, 3] of the stance."""
-    sides = jnp.einsum("tf,tf->f", flat, feet.mean(2)[..., 0])
+    sides = np.einsum("tf,tf->f", flat, feet.mean(2)[..., 0])
     (left, *_), (right, *_) = rig.legs
-    between = 0.5 * length(positions[left] - positions[right])
-    half = jnp.clip(0.5 * (sides[0] - sides[1]), LEAST_WIDTH * between, MOST_WIDTH * between)
-    along = feet[:, :, 1] - feet[:, :, 0]
-    yaw = yaw_of(jnp.einsum("tf,tfi->fi", flat, jax.vmap(jax.vmap(lambda v: unit(v[np.array([0, 2])])))(along)))
-    yaw = jnp.clip(yaw, -MOST_TURNED_OUT, MOST_TURNED_OUT)
-    sizes = jnp.asarray([np.linalg.norm(rig.offsets[toe]) if toe != heel else 0.0 for _, _, heel, toe in rig.legs])
-    size = jnp.sqrt(jnp.maximum(sizes**2 - (heights[:, 1] - heights[:, 0]) ** 2, 0.0))
+    between = 0.5 * np.linalg.norm(positions[left] - positions[right])
+    half = np.clip(0.5 * (sides[0] - sides[1]), LEAST_WIDTH * between, MOST_WIDTH * between)
+    along = (feet[:, :, 1] - feet[:, :, 0])[..., GROUND]
+    along = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-6)
+    yaw = np.clip(yaw_of(np.einsum("tf,tfi->fi", flat, along)), -MOST_TURNED_OUT, MOST_TURNED_OUT)
+    sizes = np.linalg.norm(feet[0, :, 1] - feet[0, :, 0], axis=-1)
+    size = np.sqrt(np.maximum(sizes**2 - (heights[:, 1] - heights[:, 0]) ** 2, 0.0))
     ahead = 0.5 * size[:, None] * facing_of(yaw)
-    middle = jnp.stack([jnp.stack([half, -half]), jnp.zeros(2)], axis=-1)
-    ground = jnp.stack([middle - ahead, middle + ahead], axis=1)
-    return jnp.stack([ground[..., 0], heights, ground[..., 1]], axis=-1)
+    middle = np.array([[half, 0.0], [-half, 0.0]])
+    ground = np.stack([middle - ahead, middle + ahead], axis=1)
+    return np.stack([ground[..., 0], heights, ground[..., 1]], axis=-1)
 
 
-def _trunk(rig: Rig, positions: jax.Array) -> jax.Array:
+def _trunk(rig: Rig, positions: np.ndarray) -> np.ndarray:
     """Returns the middle [2] of the trunk on the ground relative to the hips: between hips and shoulders."""
-    shoulders = [positions[arm[0]] for arm in rig.arms]
-    middle = sum(shoulders) / (2 * len(shoulders)) if shoulders else positions[0]
-    return middle[np.array([0, 2])]
+    shoulders = [positions[arm[0]] for arm in rig.arms] or [positions[0]]
+    return 0.5 * np.mean(shoulders, axis=0)[GROUND]
 
 
-def _highest(rig: Rig, positions: jax.Array, hips: jax.Array, feet: jax.Array) -> jax.Array:
-    """Returns the greatest height [] of the hips from which both heels are reached."""
+def _highest(rig: Rig, positions: np.ndarray, hips: np.ndarray, feet: np.ndarray) -> float:
+    """Returns the greatest height of the hips from which both heels are reached."""
     highest = []
     for foot, (hip, knee, heel, _) in zip(feet, rig.legs, strict=True):
-        reach = REACH * (length(positions[knee] - positions[hip]) + length(positions[heel] - positions[knee]))
-        level = positions[hip][np.array([0, 2])] + hips - foot[0][np.array([0, 2])]
-        rise = jnp.sqrt(jnp.maximum(reach**2 - jnp.sum(level**2), 1e-6))
-        highest.append(foot[0, 1] + rise - positions[hip, 1])
-    return jnp.minimum(*highest)
+        bones = positions[knee] - positions[hip], positions[heel] - positions[knee]
+        reach = REACH * sum(float(np.linalg.norm(bone)) for bone in bones)
+        level = positions[hip][GROUND] + hips - foot[0][GROUND]
+        highest.append(foot[0, 1] + np.sqrt(max(reach**2 - float(level @ level), 1e-6)) - positions[hip, 1])
+    return min(highest)

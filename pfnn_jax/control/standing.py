@@ -29,7 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.vectors import length, lerp, unit
+from pfnn_jax.control.vectors import length, lerp, to_3d, unit
 from pfnn_jax.errors import check_positive
 from pfnn_jax.motion.ground import angle_between, to_world, turn
 
@@ -53,6 +53,8 @@ class StandingConfig:
         step_distance, step_angle: a foot further from its place, or turned further (radians), steps there.
         turning_angle: radians added to `step_angle` while the body turns at `max_turn_rate`.
         turn_delay: seconds after the command to stop from which a character turns on the spot.
+        straighten: radians, an angle to the commanded direction below which it turns at once, while it stops: some
+            styles walk askew.
         turn_gain, max_turn_rate, max_turn_acceleration: radians per second per radian, and their bounds.
         sway_seconds, sway: periods of the weight shift and breathing, their amplitudes: of the hips to the side, and
             of the chest in radians.
@@ -72,6 +74,7 @@ class StandingConfig:
     step_angle: float = 0.12
     turning_angle: float = 0.25
     turn_delay: float = 1.0
+    straighten: float = 0.4
     turn_gain: float = 4.0
     max_turn_rate: float = 2.5
     max_turn_acceleration: float = 12.0
@@ -93,12 +96,14 @@ class Stance:
         height: [] metres of the hips.
         hips: [2] metres on the ground, of the hips.
         feet: [2, 2, 3] metres, heel and toe of the left and the right foot, flat on the floor.
+        chest: [4] rotation of the chest (`Rig.chest`) relative to the facing.
     """
 
     rotations: jax.Array
     height: jax.Array
     hips: jax.Array
     feet: jax.Array
+    chest: jax.Array
 
 
 @struct.dataclass(kw_only=True)
@@ -159,9 +164,17 @@ class WalkingBody:
 
 def mix_stances(stances: Stance, weights: jax.Array) -> Stance:
     """Returns the stance of a mixture by weights [C] of stances, leaves [C, ...]."""
+
+    def aligned(rotations: jax.Array) -> jax.Array:
+        """Returns the rotations [C, ..., 4] with the signs by which they are nearest to those of the greatest weight."""
+        like = jnp.take(rotations, jnp.argmax(weights), axis=0)[None]
+        same = jnp.sum(rotations * like, axis=-1, keepdims=True) >= 0.0
+        return jnp.where(same, rotations, -rotations)
+
+    stances = replace(stances, rotations=aligned(stances.rotations), chest=aligned(stances.chest))
     mixed = jax.tree.map(lambda leaf: jnp.tensordot(weights, leaf, 1), stances)
-    squared = jnp.sum(mixed.rotations**2, axis=-1, keepdims=True)
-    return replace(mixed, rotations=mixed.rotations * jax.lax.rsqrt(jnp.maximum(squared, 1e-12)))
+    rotations, chest = (q / jnp.maximum(length(q)[..., None], 1e-6) for q in (mixed.rotations, mixed.chest))
+    return replace(mixed, rotations=rotations, chest=chest)
 
 
 def init_standing(stance: Stance, centre: jax.Array, facing: jax.Array, stopped: bool = True) -> StandingState:
@@ -262,11 +275,15 @@ def _begin_stop(
     distance, speed = (length(_middle(values)) for values in (land - walked.feet, launch))
     shortest, longest = config.step_seconds
     airborne = jnp.clip(2.5 * distance / jnp.maximum(speed, 1e-3), 0.75 * shortest, longest)
+    # From where the body was: `_stand` makes the step of this frame.
     return replace(
         walked,
         stopped=jnp.ones_like(walked.stopped),
+        facing=before.facing,
+        hips=before.hips,
+        feet=before.feet,
         centre=centre,
-        lifted=walked.feet,
+        lifted=before.feet,
         launch=launch,
         land=land,
         elapsed=jnp.zeros_like(walked.elapsed),
@@ -297,12 +314,12 @@ def _rest_place(
     """Returns the centre [2] of the stance in which a walking character comes to rest."""
     facing, ahead = walked.facing, walked.velocity / config.rest_rate
     capture = walked.hips + ahead - to_world(stance.hips, facing)
-    middles = to_world(_middle(stance.feet), facing)
-    apart = _middle(flat) - middles - capture  # [2, 2] from there to the stance of each foot where it is
+    places = to_world(_middle(stance.feet), facing) + capture[None]
+    apart = _middle(flat) - places  # [2, 2] from there to the stance of each foot where it is
     distance = jnp.where(down, length(apart), jnp.inf)
     kept = jnp.take(apart, jnp.argmin(distance), axis=0)
     # A foot in the air lands no less far ahead than it flies.
-    flying = jnp.einsum("fi,i->f", _middle(walked.feet + 0.12 * launch) - middles - capture, unit(ahead))
+    flying = jnp.einsum("fi,i->f", _middle(walked.feet + 0.12 * launch) - places, unit(ahead))
     reach = jnp.clip(jnp.max(jnp.where(down, 0.0, flying)), 0.0, length(ahead)) * unit(ahead)
     return capture + jnp.where(jnp.min(distance) < config.keep_distance * leg_length, kept, reach)
 
@@ -318,10 +335,9 @@ def _stand(
     """Returns the state of a standing character one frame later: it turns, its hips settle and its feet step."""
     dt = 1.0 / config.fps
     seconds, most = state.seconds + dt, config.max_turn_acceleration * dt
-    wanted = jnp.clip(
-        config.turn_gain * angle_between(state.facing, direction), -config.max_turn_rate, config.max_turn_rate
-    )
-    wanted = jnp.where(seconds > config.turn_delay, wanted, 0.0)
+    angle, fastest = angle_between(state.facing, direction), config.max_turn_rate
+    turns = (seconds > config.turn_delay) | (jnp.abs(angle) < config.straighten)
+    wanted = jnp.where(turns, jnp.clip(config.turn_gain * angle, -fastest, fastest), 0.0)
     turn_rate = state.turn_rate + jnp.clip(wanted - state.turn_rate, -most, most)
     facing = turn(state.facing, turn_rate * dt)
     goal = state.centre + to_world(stance.hips, facing)
@@ -406,7 +422,7 @@ def sway(state: StandingState, leg_length: float, config: StandingConfig) -> tup
 
 def _places(stance: Stance, centre: jax.Array, facing: jax.Array) -> jax.Array:
     """Returns the feet [2, 2, 3] of a stance in the world."""
-    return to_world(stance.feet, facing) + jnp.stack([centre[0], jnp.zeros_like(centre[0]), centre[1]])
+    return to_world(stance.feet, facing) + to_3d(centre)[None, None]
 
 
 def _ground(points: jax.Array) -> jax.Array:

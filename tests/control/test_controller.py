@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.controller import Controller, make_controller, rollout_commands, step
+from pfnn_jax.control.controller import Controller, make_controller, rollout_commands, step, with_calibrated_speeds
 from pfnn_jax.control.controller_state import ControllerState, style_speed
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
 from pfnn_jax.control.loop.state import ROOT
@@ -120,7 +120,8 @@ def test_a_character_starts_standing_at_its_position_and_yaw(controller):
     np.testing.assert_allclose(state.motion.directions[ROOT], [1.0, 0.0], atol=FLOAT32)
     np.testing.assert_allclose(state.style, [0.0, 1.0, 0.0])
     still = controller.step(state, command(controller, 0.0, 1.0, "wild"))
-    np.testing.assert_allclose(still.motion.joint_positions, state.motion.joint_positions, atol=0.0)
+    np.testing.assert_allclose(still.motion.joint_positions, state.motion.joint_positions, atol=FLOAT32)
+    np.testing.assert_allclose(still.joints, state.joints, atol=FLOAT32)
     assert state.time_scale == still.time_scale == 0.0
 
 
@@ -277,7 +278,7 @@ def mirrored(controller: Controller, partners: np.ndarray) -> Controller:
         output_std=params.predictor.output_std[o],
     )
     assert isinstance(params.bank, CPLayer)
-    return replace(
+    other = replace(
         controller,
         params=replace(
             params,
@@ -286,8 +287,10 @@ def mirrored(controller: Controller, partners: np.ndarray) -> Controller:
             initial_row=params.initial_row[i] * i_signs,
             initial_phase=params.initial_phase + np.float32(np.pi),
             foot_heights=params.foot_heights[np.array([2, 3, 0, 1])],
+            speeds=jnp.asarray([0.0, SPEED]),  # as recorded, before they are calibrated
         ),
     )
+    return with_calibrated_speeds(other, other.styles)
 
 
 def test_the_whole_controller_is_equivariant_under_mirroring(run, held_controller):

@@ -30,7 +30,7 @@ from tests.control.walkers import LAYOUT, WALK, input_row
 CONFIG = TrackingConfig()
 FLOAT32 = 2e-5
 SPEED = StyleSpeed(natural=jnp.float32(1.0), gain=jnp.float32(1.0))
-LOW, HIGH = jnp.float32(0.0), jnp.float32(0.08)  # metres of clearance: feet on the ground, a foot in the air
+NEAR, FAR = jnp.float32(0.1), jnp.float32(0.5)  # metres between the feet: passing each other, in a step
 AHEAD = jnp.asarray([0.0, 1.0])
 STOP = Command(velocity=jnp.zeros(2), direction=AHEAD)
 
@@ -58,7 +58,7 @@ def test_tracking_is_equivariant_under_mirroring():
     after = replace(before, positions=jnp.roll(before.positions, -1, 0), directions=jnp.roll(before.directions, -1, 0))
     command = Command(velocity=jnp.asarray([0.9, 0.4]), direction=jnp.asarray([0.8, -0.6]))
     tracking = replace(
-        init_tracking(jnp.asarray([0.2, 1.1]), jnp.float32(0.02), 0.8),
+        init_tracking(jnp.asarray([0.2, 1.1]), NEAR, 0.8),
         heading_error=jnp.float32(0.1),
         strafe_failure=jnp.float32(1.3),
     )
@@ -66,7 +66,7 @@ def test_tracking_is_equivariant_under_mirroring():
 
     def track(before, after, command, tracking):
         requested = network_command(command, before.directions[ROOT], speed, tracking, CONFIG)
-        found = update_tracking(tracking, before, after, command, jnp.float32(0.02), CONFIG)
+        found = update_tracking(tracking, before, after, command, NEAR, jnp.asarray(False), CONFIG)
         angle = heading_correction(found, command, CONFIG)
         return (requested, turn_state(after, angle), found.velocity), (found.heading_error, angle)
 
@@ -108,10 +108,10 @@ STRAFE = Command(velocity=jnp.asarray([1.0, 0.0]), direction=AHEAD)
 
 def strafing(seconds: float, error: float, tracking: TrackingState | None = None) -> TrackingState:
     """Returns the tracking state after strafing for some seconds with a constant heading error."""
-    state, found = walking(), tracking or init_tracking(AHEAD, LOW, 1.0)
+    state, found = walking(), tracking or init_tracking(AHEAD, NEAR, 1.0)
     for _ in range(round(seconds * CONFIG.fps)):
         found = replace(found, heading_error=jnp.float32(error))
-        found = update_tracking(found, state, state, STRAFE, LOW, CONFIG)
+        found = update_tracking(found, state, state, STRAFE, NEAR, jnp.asarray(False), CONFIG)
     return replace(found, heading_error=jnp.float32(error))
 
 
@@ -134,38 +134,35 @@ def test_released_facing_stays_released():
 
 
 def test_occasional_heading_errors_do_not_release_the_facing():
-    state, tracking = walking(), init_tracking(AHEAD, LOW, 1.0)
+    state, tracking = walking(), init_tracking(AHEAD, NEAR, 1.0)
     for _ in range(300):
         for error in (1.5, 0.0, 0.0):
             tracking = replace(tracking, heading_error=jnp.float32(error))
-            tracking = update_tracking(tracking, state, state, STRAFE, LOW, CONFIG)
+            tracking = update_tracking(tracking, state, state, STRAFE, NEAR, jnp.asarray(False), CONFIG)
     assert tracking.strafe_failure < CONFIG.strafe_timeout
 
 
 @pytest.mark.parametrize("time_scale", [CONFIG.min_time_scale, 1.0])
-def test_stopping_terminates_within_two_seconds_at_any_time_scale(time_scale):
-    state, tracking = walking(), init_tracking(AHEAD, LOW, time_scale)
-    progress, frames = 0.0, 0
-    while float(tracking.time_scale) > 0.0 and frames < 240:  # one foot stays 5 cm up
-        progress, frames = progress + float(tracking.time_scale), frames + 1
-        if progress >= 1.0:
-            progress -= 1.0
-            tracking = update_tracking(tracking, state, state, STOP, jnp.float32(0.05), CONFIG)
-        tracking = update_time_scale(tracking, STOP, CONFIG)
-    assert frames < 120
-
-
-def test_a_stop_completes_the_current_step_and_slows_down_smoothly():
-    state, tracking, scales = walking(), init_tracking(AHEAD, LOW, 1.0), []
-    for frame in range(90):
-        tracking = update_tracking(tracking, state, state, STOP, HIGH if frame < 30 else LOW, CONFIG)
+def test_an_unseen_network_waits_once_its_feet_pass_each_other(time_scale):
+    state, tracking, scales = walking(), init_tracking(AHEAD, NEAR, time_scale), []
+    tracking = replace(tracking, waiting=jnp.asarray(False))
+    for frame in range(60):
+        stands, distance = jnp.asarray(frame >= 20), NEAR if frame in (10, 40) else FAR
+        tracking = update_tracking(tracking, state, state, STOP, distance, stands, CONFIG)
         tracking = update_time_scale(tracking, STOP, CONFIG)
         scales.append(float(tracking.time_scale))
-    assert min(scales[:30]) > 0.95 * CONFIG.stopping_time_scale
-    assert scales[30] < scales[29] and scales[-1] == 0.0
-    assert np.abs(np.diff(scales)).max() < 1.1 * CONFIG.freeze_rate * CONFIG.stopping_time_scale
+    assert min(scales[:40]) > 0.0  # also when they pass while the motion is still drawn
+    assert scales[39] > 0.95 * CONFIG.stopping_time_scale  # slow motion does not wait longer
+    assert max(scales[40:]) == 0.0
     moving = update_time_scale(tracking, replace(STOP, velocity=AHEAD), CONFIG)
-    assert moving.time_scale > 0.0 and not moving.stopping
+    assert moving.time_scale > 0.0 and not moving.waiting
+
+
+def test_waiting_terminates_for_feet_that_never_pass():
+    state, tracking = walking(), replace(init_tracking(AHEAD, NEAR, 1.0), waiting=jnp.asarray(False))
+    for _ in range(600):
+        tracking = update_tracking(tracking, state, state, STOP, FAR, jnp.asarray(True), CONFIG)
+    assert tracking.waiting
 
 
 def test_configuration_is_validated():

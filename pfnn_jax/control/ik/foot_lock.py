@@ -119,6 +119,17 @@ def lock_feet(
     """
     config = config or FootLockConfig()
     positions, world = forward_kinematics(rig, pose)
+    targets, toe_shares, locks = plan_feet(rig, positions, contacts, locks, config)
+    lowered = jnp.stack([jnp.zeros_like(locks.drop[0]), -locks.drop[0], jnp.zeros_like(locks.drop[0])])
+    pose = replace(pose, hips=pose.hips + lowered)
+    return place_feet(rig, pose, positions + lowered[None], world, targets, toe_shares), locks
+
+
+def plan_feet(
+    rig: Rig, positions: jax.Array, contacts: jax.Array, locks: FootLocks, config: FootLockConfig
+) -> tuple[jax.Array, jax.Array, FootLocks]:
+    """Returns where heels and toes [2, 2, 3] of both feet go, the toes' shares [2] as `place_feet` takes them, and the
+    locks, which also hold by how far the hips go down; of predicted joint positions [J, 3]."""
     feet = positions[np.array(rig.feet)]
     locks = _advance(rig, feet, contacts, locks, config)
     targets = feet + locks.offsets
@@ -126,11 +137,7 @@ def lock_feet(
     needed = needed_drop(rig, positions, targets, config)
     drop, speed = critically_damped_step(locks.drop[0] - needed, locks.drop[1], config)
     locks = replace(locks, drop=jnp.stack([needed + drop, speed]))
-    lowered = jnp.stack([jnp.zeros_like(needed), -locks.drop[0], jnp.zeros_like(needed)])
-    pose = replace(pose, hips=pose.hips + lowered)
-    positions = positions + lowered[None]
-    shares = _smooth(locks.strength[np.array([1, 3])])
-    return place_feet(rig, pose, positions, world, targets.reshape(2, 2, 3), shares), locks
+    return targets.reshape(2, 2, 3), _smooth(locks.strength[np.array([1, 3])]), locks
 
 
 def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, config: FootLockConfig) -> FootLocks:

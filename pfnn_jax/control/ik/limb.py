@@ -44,7 +44,9 @@ def forward_of(rig: Rig, positions: jax.Array) -> jax.Array:
     return jnp.stack([-across[2], jnp.zeros_like(across[0]), across[0]])
 
 
-def reach_arms(rig: Rig, pose: Pose, predicted: jax.Array) -> Pose:
+def reach_arms(
+    rig: Rig, pose: Pose, predicted: jax.Array, placed: tuple[jax.Array, jax.Array] | None = None
+) -> Pose:
     """Lays the arms along predicted positions, bone by bone from the shoulders.
 
     Each bone is turned by the shortest arc towards the predicted position of its far end; its length stays. Mixed
@@ -53,10 +55,11 @@ def reach_arms(rig: Rig, pose: Pose, predicted: jax.Array) -> Pose:
     Args:
         rig, pose: the body.
         predicted: [J, 3] metres in the world; only the joints of the arms below the shoulders are read.
+        placed: positions and rotations of the pose in the world, if they are known.
 
     Source: Mason et al. 2022, section 4.4.
     """
-    positions, world = forward_kinematics(rig, pose)
+    positions, world = placed or forward_kinematics(rig, pose)
     for arm in rig.arms:
         at, turned = positions[arm[0]], None
         for joint, below in zip(arm[:-1], arm[1:], strict=True):
