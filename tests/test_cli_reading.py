@@ -92,7 +92,7 @@ def test_prepare_names_files_that_it_does_not_use(tmp_path, capsys):
     walk(tmp_path / "clips" / "old")
     walk(tmp_path / "clips", "stray")
     run("prepare", tmp_path / "clips", "--out", tmp_path / "data", "--kind", "folders")
-    assert "1 BVH files are not used" in capsys.readouterr().out
+    assert "1 clips are not used" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("words", ["--help", "prepare --help"])

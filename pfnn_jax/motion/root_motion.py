@@ -84,8 +84,15 @@ def is_cycle(clip: MotionClip) -> bool:
     if clip.num_frames < 3 or abs(clip.root_positions[-1, 1] - clip.root_positions[0, 1]) > SAME_ROTATION:
         return False
     again = quat_multiply(quat_from_yaw(_turn_between(first[0], last[0])), first[0])
-    apart = 1.0 - np.abs(np.sum(np.concatenate([again[None], first[1:]]) * np.concatenate([last[:1], last[1:]]), axis=-1))
+    apart = 1.0 - np.abs(
+        np.sum(np.concatenate([again[None], first[1:]]) * np.concatenate([last[:1], last[1:]]), axis=-1)
+    )
     return bool(np.all(apart <= SAME_ROTATION))
+
+
+def cycle_yaw(clip: MotionClip) -> float:
+    """Returns by how many radians, in [-π, π), a cycle turns from its first to its last frame."""
+    return _turn_between(clip.rotations[0, 0], clip.rotations[-1, 0])
 
 
 def _turn_between(first: np.ndarray, last: np.ndarray) -> float:
@@ -98,7 +105,7 @@ def _closed_root(clip: MotionClip) -> tuple[np.ndarray, np.ndarray]:
     """Returns the path [T, 3] and the yaw [T] of a cycle: an arc, or a line, on whose middle the hips sway."""
     share = np.linspace(0.0, 1.0, clip.num_frames)
     hips, yaw = _hips_and_yaw(clip)
-    angle = _turn_between(clip.rotations[0, 0], clip.rotations[-1, 0])
+    angle = cycle_yaw(clip)
     turned = share * angle
     facing = float(np.mean(yaw[:-1] - turned[:-1]))
     step = clip.root_positions[-1] - clip.root_positions[0]

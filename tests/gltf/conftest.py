@@ -29,7 +29,9 @@ def validate() -> Callable[[Sequence[Path]], dict[Path, set[tuple[str, str]]]]:
 
     def run(paths: Sequence[Path]) -> dict[Path, set[tuple[str, str]]]:
         names = "\n".join(map(str, paths))
-        done = subprocess.run([node, str(HERE / "validate.mjs")], input=names, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [node, str(HERE / "validate.mjs")], input=names, capture_output=True, text=True, check=True
+        )
         return {
             Path(path): {(issue["code"], issue["pointer"]) for issue in issues if issue["severity"] == 0}
             for path, issues in json.loads(done.stdout).items()

@@ -51,14 +51,16 @@ window.draw = async (url, name, times, [width, height], azimuth = 35, reach = 1.
   setTime(times[0]);
   const first = new THREE.Box3().setFromObject(gltf.scene, true);
   const size = first.getSize(new THREE.Vector3()).y;
+  const middle = first.getCenter(new THREE.Vector3()).y;
   const grid = new THREE.GridHelper(40 * size, 80, 0xbbb8b0, 0xd4d1ca);
+  grid.position.y = first.min.y;
   scene.add(grid);
   const turn = THREE.MathUtils.degToRad(azimuth);
   for (const [index, time] of times.entries()) {
     setTime(time);
     const box = new THREE.Box3().setFromObject(gltf.scene, true);
     const centre = box.getCenter(new THREE.Vector3());
-    centre.y = size / 2;
+    centre.y = middle;
     const half = (reach * size) / 2, wide = (half * width) / height;
     const camera = new THREE.OrthographicCamera(-wide, wide, half, -half, 0.01 * size, 30 * size);
     camera.position.set(Math.sin(turn), 0.25, Math.cos(turn)).multiplyScalar(8 * size).add(centre);

@@ -10,11 +10,12 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.assumptions import repair
-from pfnn_jax.motion.bvh import read_whole
 from pfnn_jax.motion.clip import MotionClip, cut, resample
+from pfnn_jax.motion.clip_files import is_gltf_file, read_whole_clip
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.labels.contacts import flat_crouch, read_gait, resample_gait
 from pfnn_jax.motion.labels.phase import PhaseLabels, cut_phase, label_phase, read_phase, resample_phase
+from pfnn_jax.motion.loops import repeat_loop
 from pfnn_jax.motion.skeleton import need_roles
 from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 
@@ -60,17 +61,18 @@ class LabelledClip:
 def read_cut_clip(clip_file: ClipFile, roles_file: str | Path | None = None) -> CutClip:
     """Reads a listed clip, cuts it to its frames, and repairs those (`assumptions.repair`).
 
-    A stop beyond the end of the file means its end, and is noted.
+    A stop beyond the end of the file means its end, and is noted. A glTF clip that is one cycle is repeated
+    (`loops.repeat_loop`), unless files next to it label its frames.
 
     Args:
         clip_file: the clip and the frames used.
         roles_file: JSON file that names the joints' roles, unless the clip has its own.
 
     Raises:
-        InputError: as `read_bvh`; or if the cut starts beyond the end, naming the table that states it.
+        InputError: as `read_whole_clip`; or if the cut starts beyond the end, naming the table that states it.
     """
     path = clip_file.path
-    whole = read_whole(path, clip_file.read_options, clip_file.roles_file or roles_file)
+    whole = read_whole_clip(path, clip_file.read_options, clip_file.roles_file or roles_file)
     stop = whole.num_frames if clip_file.stop is None else clip_file.stop
     file, place = clip_file.cut_by or (path, "cut")
     if clip_file.start >= whole.num_frames:
@@ -79,7 +81,11 @@ def read_cut_clip(clip_file: ClipFile, roles_file: str | Path | None = None) -> 
     note = ""
     if stop > whole.num_frames:
         note = f"{place}: stop {stop} lies beyond the clip's {whole.num_frames} frames, its end is used"
-    part = repair(cut(whole, clip_file.start, min(stop, whole.num_frames)), clip_file.read_options)
+    part = cut(whole, clip_file.start, min(stop, whole.num_frames))
+    if is_gltf_file(path) and not any(path.with_suffix(labels).is_file() for labels in (".phase", ".gait")):
+        part, repeated = repeat_loop(part)
+        note = "; ".join(filter(None, (note, repeated)))
+    part = repair(part, clip_file.read_options)
     part = replace(part, style=clip_file.style, content=clip_file.content)
     start = clip_file.start if part.reading is None else part.reading.first_frame
     return CutClip(part, start, whole.num_frames, "; ".join(filter(None, (note, *part.notes))))

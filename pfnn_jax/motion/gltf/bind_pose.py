@@ -18,6 +18,9 @@ from pfnn_jax.motion.gltf.nodes import NodeTree, is_regular
 NEAR = 0.02
 """Of the size of the body: joints whose places differ by less are where they were bound."""
 
+CLOSE = 0.2
+"""Of the size of the body: how far a control may be from the joint that it goes with."""
+
 SAME_SCALE = 0.1
 """Relative difference of the summed lengths of bones that count as equal; files saved within a clip stretch some."""
 
@@ -66,10 +69,25 @@ def read_skins(document: Document) -> list[Skin]:
     return found
 
 
+def mesh_nodes(document: Document, num_skins: int) -> list[int | None]:
+    """Returns a node that shows a mesh with each skin, or None.
+
+    Raises:
+        InputError: for a node with a skin that is not there.
+    """
+    found: list[int | None] = [None] * num_skins
+    for number, node in enumerate(document.items("nodes")):
+        if node.get("skin") is not None:
+            document.item("skins", node["skin"], f"nodes[{number}].skin")
+            found[node["skin"]] = number
+    return found
+
+
 def bind_matrices(tree: NodeTree, skins: list[Skin], mesh_nodes: list[int | None]) -> np.ndarray:
     """Returns the world matrices [N, 4, 4] of all nodes in the bind pose, in the space of the scene.
 
-    Nodes that are no joints, and joints whose matrices say nothing, keep their transform relative to their parent.
+    Joints whose matrices say nothing, as those of controls, go with a joint close below them. Other nodes keep their
+    transform relative to their parent.
 
     Args:
         tree: the nodes in the pose of the file.
@@ -84,12 +102,43 @@ def bind_matrices(tree: NodeTree, skins: list[Skin], mesh_nodes: list[int | None
         space = _mesh_space(tree, skin, useful, bound, world, mesh_node)
         for place in np.flatnonzero(useful):
             known.setdefault(skin.joints[place], space @ bound[place])
+    known |= _carried(tree, known, {joint for skin in skins for joint in skin.joints}, world)
     bind = np.empty_like(world)
     for node in tree.order:
         parent = tree.parents[node]
         above = bind[parent] if parent >= 0 else np.eye(4)
         bind[node] = known.get(int(node), above @ tree.matrices[node])
     return bind
+
+
+def _carried(
+    tree: NodeTree, known: dict[int, np.ndarray], joints: set[int], world: np.ndarray
+) -> dict[int, np.ndarray]:
+    """Returns the bind matrices of joints that have none of their own, where a joint that has one is close below them.
+
+    Args:
+        tree: the nodes.
+        known: node -> matrix [4, 4] in the bind pose.
+        joints: nodes of all joints.
+        world: [N, 4, 4] in the pose of the file.
+    """
+    places = world[sorted(known), :3, 3] if known else np.zeros((1, 3))
+    reach = CLOSE * float(np.ptp(places, axis=0).max())
+    nearest = {node: node for node in known}  # the joint at or below each node that is nearest to it
+    found: dict[int, np.ndarray] = {}
+
+    def gap(node: int, other: int) -> float:
+        return float(np.linalg.norm(world[node, :3, 3] - world[other, :3, 3]))
+
+    for node in (int(each) for each in tree.order[::-1]):
+        below, parent = nearest.get(node), int(tree.parents[node])
+        if below is None:
+            continue
+        if below != node and node in joints and gap(node, below) < reach:
+            found[node] = known[below] @ np.linalg.inv(world[below]) @ world[node]
+        if parent >= 0 and parent not in known and gap(parent, below) < gap(parent, nearest.get(parent, below)) + 1e-9:
+            nearest[parent] = below
+    return found
 
 
 def _useful(skin: Skin) -> np.ndarray:

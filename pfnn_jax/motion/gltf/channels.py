@@ -117,7 +117,7 @@ def _standing(tree: NodeTree, node: int, character: Character) -> tuple[np.ndarr
 def _file_pose(tree: NodeTree, node: int) -> _Pose:
     """Returns the pose of a node in the file, for one frame."""
     above = _above_node(tree, int(tree.parents[node]), {})
-    return _below_parent(above, tree.translations[None, node], tree.rotations[None, node], tree.scales[node])
+    return _below_parent(tree, node, above, tree.translations[None, node], None)
 
 
 def _pose_node(
@@ -140,7 +140,7 @@ def _pose_node(
         near: distance up to which no translation is keyed otherwise, in the units of the file.
     """
     above = _above_node(tree, int(tree.parents[node]), poses)
-    translation, rotation, keys = tree.translations[None, node], tree.rotations[None, node], {}
+    translation, rotation, keys = tree.translations[None, node], None, {}
     if wanted is not None:
         positions, rotations = wanted
         carried = above.positions + np.einsum("tij,tj->ti", above.linear, translation)
@@ -148,16 +148,22 @@ def _pose_node(
             inverse = np.linalg.inv(above.linear)
             translation = keys["translation"] = np.einsum("tij,tj->ti", inverse, positions - above.positions)
         local = quat_multiply(quat_conjugate(above.rotations), rotations)
-        apart = 1.0 - np.abs(np.sum(local * rotation, axis=-1))
+        apart = 1.0 - np.abs(np.sum(local * tree.rotations[node], axis=-1))
         if turns or np.sqrt(2.0 * np.maximum(apart, 0.0)).max() > SAME_ROTATION:
             rotation = keys["rotation"] = local
-    return _below_parent(above, translation, rotation, tree.scales[node]), keys
+    return _below_parent(tree, node, above, translation, rotation), keys
 
 
-def _below_parent(above: _Pose, translation: np.ndarray, rotation: np.ndarray, scale: np.ndarray) -> _Pose:
+def _below_parent(
+    tree: NodeTree, node: int, above: _Pose, translation: np.ndarray, rotation: np.ndarray | None
+) -> _Pose:
+    """Returns the pose of a node from that of its parent; without keys of rotation its own matrix holds, with shear."""
     positions = above.positions + np.einsum("tij,tj->ti", above.linear, translation)
-    linear = above.linear @ (quat_to_matrix(rotation) * scale)
-    return _Pose(positions, quat_multiply(above.rotations, rotation), linear)
+    if rotation is None:
+        local, rotation = tree.matrices[None, node, :3, :3], tree.rotations[None, node]
+    else:
+        local = quat_to_matrix(rotation) * tree.scales[node]
+    return _Pose(positions, quat_multiply(above.rotations, rotation), above.linear @ local)
 
 
 def _above_node(tree: NodeTree, parent: int, poses: dict[int, _Pose]) -> _Pose:

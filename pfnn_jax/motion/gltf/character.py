@@ -6,20 +6,25 @@ has turned from the bind pose. All else (humanoid map, reference pose, retargeti
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.gltf.bind_pose import bind_matrices, read_skins
+from pfnn_jax.motion.gltf.bind_pose import bind_matrices, mesh_nodes, read_skins
 from pfnn_jax.motion.gltf.container import Document, read_document
+from pfnn_jax.motion.gltf.geometry import Part, read_parts
 from pfnn_jax.motion.gltf.nodes import NodeTree, nearest_rotation, read_nodes
+from pfnn_jax.motion.gltf.standing import with_ground
 from pfnn_jax.motion.gltf.vrm import humanoid_nodes
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.find import find_humanoid
 from pfnn_jax.motion.humanoid.map import LEG, SIDES, HumanoidMap
+from pfnn_jax.motion.humanoid.overrides import read_overrides_file
 from pfnn_jax.motion.humanoid.pairs import find_mirror
+from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.length_unit import POSSIBLE_LEG
 from pfnn_jax.motion.roles import missing_roles, roles_of
@@ -78,34 +83,46 @@ class Character:
     notes: tuple[str, ...]
 
 
-def read_character(path: str | Path) -> Character:
+def read_character(path: str | Path, *, unit: float | None = None, roles_file: str | Path | None = None) -> Character:
     """Reads the rig of a `.glb`, `.gltf` or `.vrm` file.
+
+    Args:
+        path: file to read.
+        unit: metres per unit of the file; None takes metres, as glTF says, unless no person has such legs.
+        roles_file: JSON object from bone or role to joint name, for joints that are found wrongly.
 
     Raises:
         InputError: for a malformed file, one without a skin, or one whose joints are no humanoid.
     """
     document = read_document(path)
-    tree, skins = read_nodes(document), read_skins(document)
-    if not skins:
+    if not document.items("skins"):
         rule = "must be a rigged character: export it with its skeleton and skin"
         raise InputError(document.path, "skins", "none", rule)
-    bind = bind_matrices(tree, skins, _mesh_nodes(document, len(skins)))
-    nodes = _joint_nodes(tree, {joint for skin in skins for joint in skin.joints})
+    return character_of(document, unit=unit, roles_file=roles_file)
+
+
+def character_of(
+    document: Document, *, unit: float | None = None, roles_file: str | Path | None = None, joints: Collection[int] = ()
+) -> Character:
+    """Returns the rig of a file that was read.
+
+    Args:
+        document: the file.
+        unit, roles_file: as in `read_character`.
+        joints: nodes that are joints in a file without a skin, whose pose is then taken as the bind pose.
+
+    Raises:
+        InputError: as `read_character`.
+    """
+    tree, skins = read_nodes(document), read_skins(document)
+    bind = bind_matrices(tree, skins, mesh_nodes(document, len(skins)))
+    nodes = _joint_nodes(tree, {joint for skin in skins for joint in skin.joints} or set(joints))
     if len(nodes) > MAX_JOINTS:
         raise InputError(document.path, "skins", f"{len(nodes)} joints", f"must be at most {MAX_JOINTS}")
-    humanoid = _find_body(document, tree, nodes, bind)
-    order = _order_below_legs(tree, nodes, humanoid)
-    return _placed(document, tree, bind, *order)
-
-
-def _mesh_nodes(document: Document, num_skins: int) -> list[int | None]:
-    """Returns a node that shows a mesh with each skin, or None."""
-    found: list[int | None] = [None] * num_skins
-    for number, node in enumerate(document.items("nodes")):
-        if node.get("skin") is not None:
-            document.item("skins", node["skin"], f"nodes[{number}].skin")
-            found[node["skin"]] = number
-    return found
+    humanoid = _find_body(document, tree, nodes, bind, roles_file)
+    nodes, parents, humanoid = _order_below_legs(tree, nodes, humanoid)
+    parts = read_parts(document, tree, skins, bind, nodes)
+    return _placed(document, tree, bind, nodes, parents, humanoid, parts, unit)
 
 
 def _joint_nodes(tree: NodeTree, joints: set[int]) -> list[int]:
@@ -139,14 +156,20 @@ def _skeleton(tree: NodeTree, nodes: list[int], places: np.ndarray, parents: dic
     return Skeleton(names, above, offsets, (), np.arange(len(nodes)))
 
 
-def _find_body(document: Document, tree: NodeTree, nodes: list[int], bind: np.ndarray) -> HumanoidMap:
-    """Returns the humanoid map of the joints, from the map of a VRM file or from names and places.
+def _find_body(
+    document: Document, tree: NodeTree, nodes: list[int], bind: np.ndarray, roles_file: str | Path | None
+) -> HumanoidMap:
+    """Returns the humanoid map of the joints, from the user's file, the map of a VRM file, or names and places.
 
     Raises:
         InputError: if the joints are no humanoid.
     """
     places = bind[nodes][:, :3, 3]
     skeleton = _skeleton(tree, nodes, places, {node: int(tree.parents[node]) for node in nodes})
+    if roles_file is not None:
+        skeleton = replace(skeleton, names=_unique(skeleton.names, nodes))
+        overrides = read_overrides_file(Path(roles_file))
+        return find_humanoid(skeleton, poses=places[None], overrides=overrides, source=roles_file)
     bones = {bone: node for bone, node in humanoid_nodes(document).items() if node in nodes}
     if bones:
         skeleton = replace(skeleton, names=_unique(skeleton.names, nodes))
@@ -183,34 +206,67 @@ def _is_below(parents: dict[int, int], node: int, other: int) -> bool:
 
 
 def _placed(
-    document: Document, tree: NodeTree, bind: np.ndarray, nodes: list[int], parents: dict[int, int], body: HumanoidMap
+    document: Document,
+    tree: NodeTree,
+    bind: np.ndarray,
+    nodes: list[int],
+    parents: dict[int, int],
+    body: HumanoidMap,
+    parts: list[Part],
+    unit: float | None,
 ) -> Character:
     """Returns the character, turned and scaled to our space."""
     places = bind[nodes][:, :3, 3]
     bare = _skeleton(tree, nodes, places, parents)
-    leg = leg_length_of(bare, body)
-    scale, notes = _metres(document, leg)
+    ground = _ground(bare, body, places, parts)
+    scale, notes = _metres(document, _leg(bare, body, places, ground), unit)
     rotation = quat_from_yaw(-_yaw(places, body))
-    turned = scale * quat_rotate(rotation, places)
-    feet = [joint for side in SIDES for joint in body.limb(side, LEG) if joint is not None]
-    shift = -np.array([turned[body.hips, 0], turned[feet, 1].min(), turned[body.hips, 2]])
+    hips = scale * quat_rotate(rotation, places[body.hips])
+    shift = -np.array([hips[0], scale * ground, hips[2]])
     placement = Placement(scale, rotation, shift)
     ours = placement.to_ours(places)
     skeleton = replace(_skeleton(tree, nodes, ours, parents), names=_unique(bare.names, nodes), humanoid=body)
     roles = None if missing_roles(body) else roles_of(body, skeleton.names, document.path)
-    skeleton = replace(skeleton, mirror=find_mirror(skeleton, body), roles=roles)
+    skeleton = with_ground(replace(skeleton, mirror=find_mirror(skeleton, body), roles=roles), ours)
     turns = np.stack([quat_multiply(rotation, nearest_rotation(matrix[:3, :3])) for matrix in bind[nodes]])
     return Character(document, skeleton, np.array(nodes), ours, turns, placement, notes)
 
 
-def _metres(document: Document, leg: float) -> tuple[float, tuple[str, ...]]:
+def _ground(skeleton: Skeleton, body: HumanoidMap, places: np.ndarray, parts: list[Part]) -> float:
+    """Returns the height [scene] on which the body stands: that of the lowest vertex below the knees, or joint of legs.
+
+    A cloak or a tail may hang lower than the feet.
+    """
+    tree = joint_tree(tuple(skeleton.parents.tolist()))
+    shins = [body.left_shin, body.right_shin]
+    lower = np.zeros(skeleton.num_joints, bool)
+    lower[[joint for shin in shins for joint in tree.below(shin)]] = True
+    heights = [part.vertices[lower[part.joints[:, 0]], 1] for part in parts]
+    lowest = [float(each.min()) for each in heights if len(each)]
+    feet = [joint for side in SIDES for joint in body.limb(side, LEG) if joint is not None]
+    return min(lowest) if lowest else float(places[feet, 1].min())
+
+
+def _leg(skeleton: Skeleton, body: HumanoidMap, places: np.ndarray, ground: float) -> float:
+    """Returns the length of a leg in the scene: to the ankle or, where it has no foot, to the ground."""
+    if body.left_foot is not None and body.right_foot is not None:
+        return leg_length_of(skeleton, body)
+    return float(places[[body.left_thigh, body.right_thigh], 1].mean()) - ground
+
+
+def _metres(document: Document, leg: float, unit: float | None) -> tuple[float, tuple[str, ...]]:
     """Returns metres per unit, and notes. glTF says metres; a leg that no person has is given a person's length."""
     if not leg > 0:
         raise InputError(document.path, "skeleton", "a leg of no length", "hips, knees and ankles must be apart")
-    if POSSIBLE_LEG[0] <= leg <= POSSIBLE_LEG[1]:
-        return 1.0, ()
+    shortest, longest = POSSIBLE_LEG
+    if unit is not None and not shortest <= leg * unit <= longest:
+        rule = f"legs must be {shortest:g} to {longest:g} m long: leave out `--unit`"
+        raise InputError(document.path, "unit", f"{unit:g} m, legs of {leg * unit:.3g} m", rule)
+    if unit is not None or shortest <= leg <= longest:
+        return unit or 1.0, ()
     scale = USUAL_LEG / leg
-    return scale, (f"legs of {leg:.3g} units: one unit of the file is taken as {scale:.3g} m",)
+    note = f"legs of {leg:.3g} units: one unit of the file is taken as {scale:.3g} m; pass `--unit` if that is wrong"
+    return scale, (note,)
 
 
 def _yaw(places: np.ndarray, body: HumanoidMap) -> float:

@@ -78,9 +78,12 @@ class Document:
         Raises:
             InputError: unless `index`, which stands at `place`, is the number of one.
         """
-        items = self.items(name)
-        if not is_index(index, len(items)):
-            raise InputError(self.path, place, shown(index), f"must be one of the file's {len(items)} {name}")
+        items = self.json.get(name, [])  # not `items`, which looks at all of them
+        count = len(items) if isinstance(items, list) else 0
+        if not is_index(index, count):
+            raise InputError(self.path, place, shown(index), f"must be one of the file's {count} {name}")
+        if not isinstance(items[index], dict):
+            raise InputError(self.path, f"{name}[{index}]", shown(items[index]), "must be an object")
         return items[index]
 
 

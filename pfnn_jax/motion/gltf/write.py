@@ -57,11 +57,12 @@ def new_character(skeleton: Skeleton, mesh: SkinnedMesh) -> Character:
 
     The pose of its nodes is that in which the mesh was made.
     """
-    document = Document(*_document(skeleton, mesh), path=Path("body.glb"))
+    data, binary = _document(skeleton, mesh)
+    document = Document(Path("body.glb"), data, binary, (binary,))
     placement = Placement(1.0, _IDENTITY, np.zeros(3))
     nodes = 1 + np.arange(skeleton.num_joints)
     rotations = np.tile(_IDENTITY, (skeleton.num_joints, 1))
-    return Character(document, skeleton, nodes, rotations, placement, mesh.bind_positions)
+    return Character(document, skeleton, nodes, mesh.bind_positions, rotations, placement, ())
 
 
 class _Binary:

@@ -37,7 +37,9 @@ def with_ankles(skeleton: Skeleton, body: HumanoidMap) -> tuple[Skeleton, Humano
         mirror=np.append(skeleton.mirror, [count + 1, count]),
         humanoid=body,
         poses=None if skeleton.poses is None else _with_rows(skeleton.poses, unit),
-        reference=None if skeleton.reference is None else np.concatenate([skeleton.reference, skeleton.reference[shins]]),
+        reference=None
+        if skeleton.reference is None
+        else np.concatenate([skeleton.reference, skeleton.reference[shins]]),
     )
     return extended, body
 

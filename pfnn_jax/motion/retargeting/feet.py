@@ -112,8 +112,10 @@ def pitch_foot(turns: np.ndarray, scale: float, source: FlatFoot, target: FlatFo
     axis = quat_rotate(turns, RIGHT)
     now, wanted = _pitch_to_height(quat_rotate(turns, target.toe), axis, height)
     wanted = np.maximum(wanted, np.minimum(now, -STEEPEST))
-    # a foot that hangs or points backwards has no pitch that raises it, and keeps that of the source
-    return quat_multiply(quat_from_axis_angle(axis, _forward_share(now) * (wanted - now)), turns)
+    # a foot that hangs or points backwards has no pitch that raises it, and keeps that of the source; a foot whose toe
+    # lies steeply below its ankle even when it stands hangs no sooner than the source's
+    own, _ = _pitch_to_height(quat_rotate(turns, source.toe), axis, height)
+    return quat_multiply(quat_from_axis_angle(axis, _forward_share(own) * (wanted - now)), turns)
 
 
 def ankle_targets(
@@ -153,12 +155,12 @@ def ankle_targets(
     clearance = places[:, 1] - target.height + raised - floor
     near = np.clip((CLEAR - clearance / leg) / (CLEAR - NEAR), 0.0, 1.0)
     # a flat foot's toe is ahead of the source's by the excess; the ankle makes up for what the turned foot lacks
-    excess, heading = target.standing - scale * source.standing, _heading(turns)
+    excess, heading = target.standing - scale * source.standing, foot_headings(turns)
     lacking = excess[2] * heading + excess[0] * cross(UP, heading) - other + own
     return places + (near * on_toe)[:, None] * lacking * np.array([1.0, 0.0, 1.0])
 
 
-def _heading(turns: np.ndarray) -> np.ndarray:
+def foot_headings(turns: np.ndarray) -> np.ndarray:
     """Returns the horizontal directions [T, 3] of feet with world rotations [T, 4] from the reference pose."""
     heading = cross(quat_rotate(turns, -RIGHT), UP)
     size = np.linalg.norm(heading, axis=-1, keepdims=True)

@@ -40,6 +40,7 @@ from pfnn_jax.motion.retargeting.feet import (
     FlatFoot,
     ankle_targets,
     flat_foot,
+    foot_headings,
     keep_toes_above,
     lift_toes,
     pitch_foot,
@@ -56,6 +57,9 @@ STANCE_SECONDS = 1.0
 
 ARMS_DOWN = np.deg2rad(75.0)
 """Radians below the T-pose at which the arms of the target hang where the source has none."""
+
+WIDER = 0.1
+"""Leg lengths by which the hip joints of two people may lie further out; a figure's may by a whole leg."""
 
 ALIKE = 1e-6  # of the longest bone: offsets that differ by less are equal
 
@@ -138,8 +142,20 @@ def make_retargeter(
         return Retargeter(source, target, scale)
     references = _source_reference(source, source_map, clip), reference_pose(standing, target_map)
     feet = _flat_feet(source, standing, source_map, target_map, references, clip)
-    bodies = Bodies(standing, source_map, target_map, *references, tuple(zip(*feet, strict=True)))
+    wider = _wider(source, standing, source_map, target_map, scale, lengths[1])
+    bodies = Bodies(standing, source_map, target_map, *references, tuple(zip(*feet, strict=True)), wider)
     return Retargeter(source, target, scale, bodies)
+
+
+def _wider(
+    source: Skeleton, target: Skeleton, source_map: HumanoidMap, target_map: HumanoidMap, scale: float, leg: float
+) -> float:
+    """Returns the metres by which the target's feet stand further out: its hips are wider by more than a person's."""
+    halves = [
+        np.linalg.norm(rest_pose(skeleton)[body.left_thigh] - rest_pose(skeleton)[body.right_thigh]) / 2
+        for skeleton, body in ((source, source_map), (target, target_map))
+    ]
+    return max(float(halves[1] - scale * halves[0]) - WIDER * leg, 0.0)
 
 
 def _with_feet(target: Skeleton, body: HumanoidMap | None) -> tuple[Skeleton, HumanoidMap]:
@@ -167,6 +183,7 @@ class Bodies:
         source_map, target_map: the humanoid maps.
         source_reference, target_reference: [J, 4] and [K, 4] reference poses.
         feet: the source's and the target's foot, left and right.
+        wider: metres by which each foot of the target stands further out than the source's, scaled.
     """
 
     target: Skeleton
@@ -175,6 +192,7 @@ class Bodies:
     source_reference: np.ndarray
     target_reference: np.ndarray
     feet: tuple[tuple[FlatFoot, FlatFoot], ...]
+    wider: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,12 +294,14 @@ def _retarget(
         (ankle,), (foot,) = limb(source_map, side, "foot"), limb(target_map, side, "foot")
         turned = pitch_foot(turns[foot], scale, own, other)
         places = ankle_targets(positions[:, ankle], turns[foot], turned, scale, own, other, floor, leg)
-        turned, places = keep_toes_above(turned, other, places, floor)
-        ankles.append(places)
+        turned, lifted = keep_toes_above(turned, other, places, floor)
+        moved_by = lifted - places + SIDES[side] * bodies.wider * np.cross(UP, foot_headings(turns[foot]))
+        # the toe keeps its place where the foot is turned less steep
+        ankles.append(moved_by + ankle_targets(positions[:, ankle], turns[foot], turned, scale, own, other, floor, leg))
         moved[:, foot] = quat_multiply(turned, reference[foot])
-    raised = UP * np.mean([other.height - scale * own.height for own, other in bodies.feet])
+    higher = UP * np.mean([other.height - scale * own.height for own, other in bodies.feet])
     middle = (positions[:, source_map.left_thigh] + positions[:, source_map.right_thigh]) / 2
-    hips = scale * middle + raised - quat_rotate(moved[:, target_map.hips], _middle_of_legs(target, target_map))
+    hips = scale * middle + higher - quat_rotate(moved[:, target_map.hips], _middle_of_legs(target, target_map))
     left = quat_rotate(turns[target_map.hips], LEFT)
     targets = np.stack(ankles, axis=1)
     hips = place_legs(target_map, target, hips, moved, left, targets, leg_extension(positions, source_map))
