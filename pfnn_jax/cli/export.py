@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pfnn_jax.cli.command import Command, Run, check_output, open_run, parse_choice
 from pfnn_jax.interop.export.formats import Format
@@ -21,6 +21,8 @@ class Export(Command):
         style: one of the run's styles, or a mixture `A:0.5+B:0.5` whose weights sum to one. By default the motion is
             style-agnostic, or on a FiLM run in the mean of its styles; bins and --film-input export all styles.
         film_input: for FiLM runs: make the style an input of the network, so that an engine can change it.
+        tables: of bins: 4 tables over the phase, which determine the network, or the 50 that the authors' demos read.
+        opset: version of the ONNX operators, from 15 (Unity Sentis 2.1) to 22; by default 18.
         overwrite: replace an earlier export.
     """
 
@@ -29,6 +31,8 @@ class Export(Command):
     out: Path
     style: str | None = None
     film_input: bool = False
+    opset: int | None = None
+    tables: Literal[4, 50] = 4
     overwrite: bool = False
 
     def run(self) -> Any:
@@ -43,7 +47,14 @@ class Export(Command):
         with stages("exporting") as stage:
             stage(f"converting the network to {self.format} and checking it")
             description = export_run(
-                run.path, self.format, self.out, style=style, film_input=self.film_input, overwrite=self.overwrite
+                run.path,
+                self.format,
+                self.out,
+                style=style,
+                film_input=self.film_input,
+                opset=self.opset,
+                tables=self.tables,
+                overwrite=self.overwrite,
             )
         names = [style["name"] for style in description["styles"]]
         print(f"{self.out}: {self.format}, {description['layout']['name']}, {', '.join(names) or 'style-agnostic'}")
