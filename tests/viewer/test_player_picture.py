@@ -16,6 +16,7 @@ from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate
 from pfnn_jax.viewer.draw.scene import make_scene
 from pfnn_jax.viewer.player.player import player_page
+from tests.viewer.pages import captions
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")]
@@ -32,6 +33,10 @@ SILHOUETTE = """canvas => {  // left, top, right and bottom of the opaque pixels
     }
     return { box, width, height };
 }"""
+WITHOUT = """const make = HTMLCanvasElement.prototype.getContext;
+    HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+        return /webgl/.test(kind) ? null : make.call(this, kind, ...rest);
+    };"""
 KEEP = """window.drawn = [];  // the contexts of WebGL that a page makes
     const make = HTMLCanvasElement.prototype.getContext;
     HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
@@ -50,6 +55,7 @@ class Opened:
     clips: list[AnnotatedClip]
     complaints: list[str]
     requests: list[str]
+    path: Path
 
     def go(self, second: float) -> None:
         """Shows a moment."""
@@ -84,12 +90,12 @@ def opened(tmp_path_factory) -> Iterator[Opened]:
         context = chromium.new_context(viewport={"width": 760, "height": 420}, offline=True, reduced_motion="reduce")
         page, complaints, requests = context.new_page(), [], []
         page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("console", lambda message: message.type == "error" and complaints.append(message.text))
+        page.on("console", lambda message: complaints.extend([message.text] if message.type == "error" else []))
         page.on("request", lambda request: requests.append(request.url))
         page.add_init_script(KEEP)
         page.goto(path.as_uri())
         page.wait_for_selector(".motion-player[data-started=yes]", timeout=PATIENCE)
-        yield Opened(page, clips, complaints, requests)
+        yield Opened(page, clips, complaints, requests, path)
         chromium.close()
 
 
@@ -137,3 +143,16 @@ def test_scenes_share_one_graphics_context_and_a_lost_one_is_replaced(opened):
 def test_nothing_is_loaded_and_nothing_complains(opened):
     assert [url for url in opened.requests if not url.startswith(("file:", "blob:", "data:"))] == []
     assert len(opened.requests) == 1 and opened.complaints == []
+
+
+def test_a_browser_without_webgl_is_told_so(opened):
+    page, complaints = opened.page.context.new_page(), []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.add_init_script(WITHOUT)
+    page.goto(opened.path.as_uri())
+    page.locator("p.failure").last.wait_for(timeout=PATIENCE)
+    assert page.locator("p.failure").all_inner_texts() == [
+        "This browser cannot draw the motion: Error creating WebGL context."
+    ] * len(opened.clips)
+    assert complaints == [] and captions(page.content()) == [clip.name for clip in opened.clips]
+    page.close()

@@ -9,6 +9,7 @@ class Player {
   static async load(root) {
     const data = JSON.parse(root.querySelector("script[type='application/json']").textContent);
     const THREE = await loadRenderer();
+    sharedRenderer(THREE); // fails where a browser has no WebGL
     const meshes = await Promise.all(data.meshes.map((mesh) => loadMesh(THREE, mesh)));
     return new Player(root, THREE, await Promise.all(data.clips.map(loadClip)), meshes);
   }

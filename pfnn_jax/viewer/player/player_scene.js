@@ -14,7 +14,6 @@ function sharedRenderer(THREE) {
   shared?.dispose();
   shared = new THREE.WebGLRenderer({ alpha: true, antialias: true });
   shared.debug.checkShaderErrors = false; // would wait for the graphics card
-  shared.setScissorTest(true);
   shared.outputEncoding = THREE.sRGBEncoding;
   shared.shadowMap.enabled = true;
   shared.shadowMap.type = THREE.PCFShadowMap;
@@ -209,7 +208,6 @@ class Scene {
       renderer.setSize(Math.max(whole.width, width), Math.max(whole.height, height), false);
     }
     renderer.setViewport(0, 0, width, height);
-    renderer.setScissor(0, 0, width, height);
     renderer.render(this.scene, this.camera);
     context.drawImage(whole, 0, whole.height - height, width, height, 0, 0, canvas.width, canvas.height);
   }
