@@ -95,7 +95,8 @@ def _print(about: dict[str, Any]) -> None:
         print(f"file: unit {unit_name(read['unit'])}, {read['up']} up{rate}")
     print(f"legs: {about['leg_metres']:.2f} m")
     if about.get("clips"):
-        print(f"clips: {', '.join(name if name.isprintable() else ascii(name) for name in about['clips'])}")
+        shown = [name if name.isprintable() else ascii(name) for name in about["clips"]]
+        print(f"clips: {', '.join(shown)}")
     print(f"pairs: {len(about['pairs'])} of left and right, {len(about['midline'])} joints on the midline")
     print(f"confidence: {about['confidence']:.2f}")
     for line in about["explanation"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
@@ -109,14 +110,21 @@ def list_clip_names(path: str | Path) -> list[str]:
     return clip_names(read_document(path)) if is_gltf_file(path) else []
 
 
-def read_any_skeleton(path: str | Path) -> Skeleton:
+def read_any_skeleton(
+    path: str | Path, options: ReadOptions | None = None, roles_file: str | Path | None = None
+) -> Skeleton:
     """Reads the skeleton of a file with its humanoid map, in metres, from the hips downwards.
+
+    Args:
+        path: file to read, with or without motion.
+        options: what is known about the file.
+        roles_file: as in `read_clip`.
 
     Raises:
         InputError: as `read_clip`.
     """
-    options = ReadOptions(travel="keep")
-    clip = read_rig(path, options)
+    options = replace(options or ReadOptions(), travel="keep")
+    clip = read_rig(path, options, roles_file)
     return repair(clip, options).skeleton if clip.num_frames > 1 else clip.skeleton
 
 
