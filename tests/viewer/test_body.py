@@ -12,6 +12,7 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.clip_files import read_clip
 from pfnn_jax.motion.gltf.write import glb_bytes
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_axis_angle, quat_multiply, quat_rotate
+from pfnn_jax.motion.retargeting.reference import find_reference
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
@@ -28,6 +29,7 @@ MOST_FACES = 6000
 SOLE = 0.015  # metres: the soles of a person who walks are this close to the floor when they stand
 THICKEST = 0.2  # metres from the skin of a person to the nearest bone: at the head, whose joint is below it
 WRITTEN = 1e-4  # metres: files of glTF hold 32-bit numbers
+TILTED = 15.0  # degrees: how a person who walks holds the head
 SYMMETRIC = 1e-6  # of the body's size
 FOLDED = 1.15  # factor by which this distance may grow where limbs bend
 
@@ -270,3 +272,14 @@ def test_the_mesh_of_a_file_follows_the_clip_that_was_read_from_it(tmp_path):
 def clip_with_other_joints(clip: MotionClip) -> MotionClip:
     names = tuple(f"{name}2" for name in clip.skeleton.names)
     return dataclasses.replace(clip, skeleton=dataclasses.replace(clip.skeleton, names=names))
+
+
+def test_a_head_whose_end_site_points_aside_looks_ahead():
+    clip, _ = synthesise("neutral", np.zeros(60), np.ones(60))
+    body = clip.skeleton.humanoid
+    assert body is not None and body.head is not None
+    aside = np.array([0.2, 0.0, 0.0])
+    sites = [(joint, aside if joint == body.head else site) for joint, site in clip.skeleton.end_sites]
+    skeleton = dataclasses.replace(clip.skeleton, end_sites=tuple(sites))
+    right, found = (find_reference(each, clip.rotations, body)[body.head] for each in (clip.skeleton, skeleton))
+    assert abs(right @ found) > np.cos(np.radians(TILTED) / 2)

@@ -24,6 +24,7 @@ from pfnn_jax.motion.labels.phase import label_phase, write_phase
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer import rendering
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip, annotate
+from pfnn_jax.viewer.draw.body_picture import LARGEST, body_image
 from pfnn_jax.viewer.draw.camera import Camera, SideView
 from pfnn_jax.viewer.draw.filmstrip import NUMBER_SIZE, apart, even_moments, filmstrip
 from pfnn_jax.viewer.draw.rasteriser import Surface, cover, draw_surface
@@ -393,3 +394,12 @@ def test_an_html_player_is_made_without_jax_and_matplotlib(tmp_path: Path):
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
     assert "motion-player" in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_a_mesh_with_a_part_far_away_makes_no_huge_picture(short):
+    scene = make_scene(short.clip)
+    vertices = scene.mesh.vertices.copy()
+    vertices[0] += [0.0, 500.0, 0.0]
+    scene = dataclasses.replace(scene, mesh=dataclasses.replace(scene.mesh, vertices=vertices))
+    image = body_image(scene, 0, 1.0, 300.0)
+    assert max(image.colours.shape) <= LARGEST + 2 and image.top > 400.0

@@ -54,6 +54,9 @@ FLAT = np.sin(np.radians(65.0))
 FOOT_PITCH = np.radians(30.0)
 """Angle below the horizontal of the line from ankle to toe in a flat foot, where no pose shows it: it is 10° to 40°."""
 
+HEAD_UP = np.cos(np.radians(60.0))
+"""Cosine of the angle to the neck beyond which a head's bone, often a made-up End Site, does not point to its crown."""
+
 NUM_POSES = 60  # enough for the mean twist of each joint and for some flat feet
 STANDING_SHARE = 0.1  # of all poses: those with the lowest foot, in which it is flat
 
@@ -271,9 +274,12 @@ def _mean_twist(part: Part, turn: np.ndarray, relative: np.ndarray, skeleton: Sk
         relative: [N, 4] rotations of its joint against the part that carries it.
         skeleton: of the joints.
 
-    A part without a bone takes the mean of its rotations.
+    A part without a bone takes the mean of its rotations, and so does a head whose bone is no axis of the head.
     """
-    if np.linalg.norm(bone_of(skeleton, part)) < MIN_LENGTH:
+    bone = bone_of(skeleton, part)
+    held = quat_rotate(relative, bone).mean(axis=0)
+    misleads = part.name == "head" and held @ part.direction < HEAD_UP * np.linalg.norm(held)
+    if np.linalg.norm(bone) < MIN_LENGTH or misleads:
         signs = np.sign(relative @ relative[0])[:, None]
         return quat_normalise((relative * np.where(signs == 0, 1.0, signs)).mean(axis=0))
     remaining = quat_multiply(relative, quat_conjugate(turn))

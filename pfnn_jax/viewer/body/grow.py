@@ -9,11 +9,11 @@ import numpy as np
 from pfnn_jax.motion.retargeting.body import SIDES
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh, vertex_normals
-from pfnn_jax.viewer.body.anatomy import ARM, LEG, Anatomy, anatomy_of
+from pfnn_jax.viewer.body.anatomy import Anatomy, anatomy_of
 from pfnn_jax.viewer.body.feet import grow_foot
 from pfnn_jax.viewer.body.hands import grow_hand
 from pfnn_jax.viewer.body.head import grow_head
-from pfnn_jax.viewer.body.limbs import ARM_PROFILE, ARM_STATIONS, LEG_PROFILE, LEG_STATIONS, grow_limb
+from pfnn_jax.viewer.body.limbs import ARM_FORM, LEG_FORM, grow_limb
 from pfnn_jax.viewer.body.part import Part
 from pfnn_jax.viewer.body.sticks import grow_sticks
 from pfnn_jax.viewer.body.trunk import grow_trunk
@@ -42,18 +42,12 @@ def _mannequin(anatomy: Anatomy) -> list[Part]:
         colour, dark = (np.array(rgb(BODY[f"{side} {part}"]), float) for part in ("limb", "end"))
         thigh, shin, upper, lower = anatomy.limb(side, "thigh", "shin", "upper_arm", "lower_arm")
         leg, arm = anatomy.leg(side), anatomy.arm(side)
-        parts += grow_limb(leg, (thigh, shin), LEG_PROFILE, _thick(anatomy, leg, LEG), colour, LEG_STATIONS, 12)
+        parts += grow_limb(LEG_FORM, leg, (thigh, shin), anatomy.size, colour)
         parts += grow_foot(anatomy, side, dark)
         if arm is not None:
-            parts += grow_limb(arm, (upper, lower), ARM_PROFILE, _thick(anatomy, arm, ARM), colour, ARM_STATIONS, 10)
+            parts += grow_limb(ARM_FORM, arm, (upper, lower), anatomy.size, colour)
             parts += grow_hand(anatomy, side, dark)
     return parts
-
-
-def _thick(anatomy: Anatomy, points: np.ndarray, usual: float) -> float:
-    """Returns the thickness of a limb relative to a person's: short limbs are thinner, but less than in proportion."""
-    length = float(np.linalg.norm(np.diff(points, axis=0), axis=-1).sum())
-    return float(np.sqrt(anatomy.size * max(length / usual, 0.25 * anatomy.size)))
 
 
 def _mesh(parts: Sequence[Part], positions: np.ndarray, rotations: np.ndarray) -> SkinnedMesh:

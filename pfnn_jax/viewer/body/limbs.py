@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from pfnn_jax.viewer.body.anatomy import ARM, LEG
 from pfnn_jax.viewer.body.part import Part, ball, profile, smooth_step, tube, unit
 
 # Position along the limb (0 at its first joint, 1 at knee or elbow, 2 at its end) and metres from the bones to the skin
@@ -42,57 +45,81 @@ ARM_PROFILE = (
 )
 CAP, END = np.radians((68.0, 42.0, 18.0)), np.radians((20.0, 55.0))  # rings of the round ends
 BEND = 0.9  # half of the length over which skin passes from one bone to the next, in radii
+SHORTEST_BEND = 0.6  # of the shorter bone: the limit of this length
+INNER = 0.93  # radius of the ball in the middle joint, of the limb's own there
+
+
+@dataclass(frozen=True, eq=False)
+class LimbForm:
+    """The form of a person's arm or leg.
+
+    Attributes:
+        profile: rows of a position along the limb and distances from the bones.
+        stations: [R] positions along the limb of its rings, from 0 to 2.
+        corners: of a ring.
+        length: metres from the first joint to the end.
+    """
+
+    profile: tuple[tuple[float, ...], ...]
+    stations: np.ndarray
+    corners: int
+    length: float
+
+
+LEG_FORM = LimbForm(
+    LEG_PROFILE,
+    np.array([0.0, 0.14, 0.3, 0.5, 0.68, 0.82, 0.91, 0.97, 1.03, 1.09, 1.17, 1.29, 1.43, 1.6, 1.8, 2.0]),
+    12,
+    LEG,
+)
+ARM_FORM = LimbForm(
+    ARM_PROFILE,
+    np.array([0.0, 0.15, 0.32, 0.52, 0.7, 0.84, 0.92, 0.97, 1.03, 1.09, 1.2, 1.38, 1.6, 1.82, 2.0]),
+    10,
+    ARM,
+)
 
 
 def grow_limb(
-    points: np.ndarray,
-    joints: tuple[int, int],
-    keys: tuple[tuple[float, ...], ...],
-    thickness: float,
-    colour: np.ndarray,
-    stations: np.ndarray,
-    corners: int,
+    form: LimbForm, points: np.ndarray, joints: tuple[int, int], size: float, colour: np.ndarray
 ) -> list[Part]:
     """Returns a limb: its tube, and a ball in the middle joint that keeps its volume when it bends.
 
     Args:
+        form: an arm's or a leg's.
         points: [3, 3] metres: first joint, middle joint, end.
         joints: that move the first and the second bone.
-        keys: profile of a person's limb.
-        thickness: relative to a person.
+        size: of the body, relative to a person.
         colour: [3].
-        stations: [R] positions along the limb of its rings, from 0 to 2.
-        corners: of a ring.
     """
-    front = np.array([0.0, 0.0, 1.0])
-    lengths = np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=-1), 1e-9)
-    widths = thickness * profile(keys, stations)
-    bone = np.minimum(stations.astype(int), 1)
-    centres = points[bone] + (stations - bone)[:, None] * np.diff(points, axis=0)[bone]
-    first, last = widths[0, 0], widths[-1].min()
-    starts = [(-first * np.sin(a), np.full(3, first * np.cos(a))) for a in CAP]
-    ends = [(last * np.sin(a), widths[-1] * np.cos(a)) for a in END]
-    along = unit(np.diff(points, axis=0))
-    centres = np.concatenate(
-        [
-            [points[0] + d * along[0] for d in (-first, *(d for d, _ in starts))],
-            centres,
-            [points[2] + d * along[1] for d in (*(d for d, _ in ends), last)],
-        ]
-    )
-    zero = np.zeros((1, 3))
-    widths = np.concatenate([zero, [w for _, w in starts], widths, [w for _, w in ends], zero])
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+    # short limbs are thinner, but less than in proportion
+    thickness = float(np.sqrt(size * max(lengths.sum() / form.length, 0.25 * size)))
+    centres, widths = _rows(form, points, thickness)
     axis = unit(points[2] - points[0])
-    side = unit(np.cross(axis, front))
-    front = np.cross(side, axis)
-    rings = centres[:, None] + ellipses(widths, corners) @ np.stack([side, front])
-    distance = (centres - points[1]) @ axis
-    reach = BEND * thickness * float(np.max(profile(keys, np.ones(1))))
-    reach = min(reach, 0.6 * float(lengths.min()))
-    shares = smooth_step(distance / reach)
+    side = unit(np.cross(axis, [0.0, 0.0, 1.0]))
+    rings = centres[:, None] + ellipses(widths, form.corners) @ np.stack([side, np.cross(side, axis)])
+    radii = thickness * profile(form.profile, np.ones(1))
+    reach = min(BEND * float(radii.max()), SHORTEST_BEND * max(float(lengths.min()), 1e-9))
+    shares = smooth_step((centres - points[1]) @ axis / reach)
     weights = [{joints[0]: 1.0 - share, joints[1]: share} for share in shares.tolist()]
-    middle = 0.93 * thickness * float(profile(keys, np.ones(1)).min())
-    return [tube(rings, weights, colour), ball(points[1], middle, joints[1], colour)]
+    return [tube(rings, weights, colour), ball(points[1], INNER * float(radii.min()), joints[1], colour)]
+
+
+def _rows(form: LimbForm, points: np.ndarray, thickness: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the centres [R, 3] and widths [R, 3] of a limb's rings, with those of its round ends."""
+    bones = np.diff(points, axis=0)
+    along = unit(bones)
+    widths = thickness * profile(form.profile, form.stations)
+    bone = np.minimum(form.stations.astype(int), 1)
+    centres = points[bone] + (form.stations - bone)[:, None] * bones[bone]
+    first, last = widths[0].min(), widths[-1].min()
+    before, after = np.append(-first, -first * np.sin(CAP)), np.append(last * np.sin(END), last)
+    zero = np.zeros((1, 3))
+    return (
+        np.concatenate([points[0] + before[:, None] * along[0], centres, points[2] + after[:, None] * along[1]]),
+        np.concatenate([zero, np.cos(CAP)[:, None] * widths[:1], widths, np.cos(END)[:, None] * widths[-1:], zero]),
+    )
 
 
 def ellipses(widths: np.ndarray, corners: int) -> np.ndarray:
@@ -101,7 +128,3 @@ def ellipses(widths: np.ndarray, corners: int) -> np.ndarray:
     across, ahead = np.cos(angles), np.sin(angles)
     depth = np.where(ahead >= 0, widths[:, 1:2], widths[:, 2:3])
     return np.stack([widths[:, :1] * across, depth * ahead], axis=-1)
-
-
-LEG_STATIONS = np.array([0.0, 0.14, 0.3, 0.5, 0.68, 0.82, 0.91, 0.97, 1.03, 1.09, 1.17, 1.29, 1.43, 1.6, 1.8, 2.0])
-ARM_STATIONS = np.array([0.0, 0.15, 0.32, 0.52, 0.7, 0.84, 0.92, 0.97, 1.03, 1.09, 1.2, 1.38, 1.6, 1.82, 2.0])

@@ -13,6 +13,7 @@ from pfnn_jax.viewer.draw.rasteriser import SUN, Surface, cover, draw_surface
 from pfnn_jax.viewer.draw.scene import Scene, skin_mesh
 
 STEEP = 0.55  # factor of the sun's slant in shadows: a long shadow would draw the eye away from the feet
+LARGEST = 3000.0  # pixels across a picture: a mesh may have parts far from its body
 SOFT = 0.012  # standard deviation of the shadow's edge, metres on a person
 
 
@@ -63,11 +64,12 @@ def body_image(scene: Scene, frame: int, turn: float, scale: float) -> BodyImage
         scene: the scene.
         frame: number of the frame.
         turn: radians from the body's front to the viewer at its right.
-        scale: pixels per metre.
+        scale: pixels per metre; less where the picture would be larger than `LARGEST`.
     """
-    view = SideView(float(scene.facings[frame]), scale, turn)
     positions = scene.positions[frame] - scene.positions[frame, 0] * [1.0, 0.0, 1.0]
     vertices, normals = skin_mesh(scene.mesh, positions, scene.rotations[frame])
+    scale = min(scale, LARGEST / max(float(np.ptp(vertices, axis=0).max()), 1e-9))
+    view = SideView(float(scene.facings[frame]), scale, turn)
     pixels, _, near = view.project(vertices)
     pixels = pixels * [1.0, -1.0]
     first, last = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
@@ -88,7 +90,6 @@ def draw_body(
     *,
     pale: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     shadow: float = 1.0,
-    samples: int = 2,
 ) -> list[Picture]:
     """Returns the pictures of a body's shadow on the ground y = 0 and of the body, to be painted in this order.
 
@@ -100,13 +101,10 @@ def draw_body(
         origin: where its lower left corner lies, in pixels right and down from the upper left corner of the canvas.
         frame: left, top, right and bottom pixel of the canvas between which is drawn.
         pale: colour in 0..1 and share of it that is mixed into the body.
-        shadow: scale of the scene in persons, which the softness of the shadow follows; 0 for no shadow.
-        samples: per pixel and direction.
+        shadow: scale of the scene in persons, which the softness of the shadow follows.
     """
     vertices, normals = skin_mesh(mesh, positions, rotations)
-    pictures = []
-    if shadow > 0.0:
-        pictures += _shadow(mesh, vertices, view, origin, frame, shadow)
+    pictures = _shadow(mesh, vertices, view, origin, frame, shadow)
     pixels, _, near = view.project(vertices)
     pixels = origin + pixels * [1.0, -1.0]
     window = _window(pixels, frame, 1)
@@ -114,7 +112,7 @@ def draw_body(
         left, top, right, bottom = window
         colours = mesh.colours / 255.0 + pale[3] * (np.array(pale[:3]) - mesh.colours / 255.0)
         surface = Surface(pixels - [left, top], -near, normals @ view.axes.T, mesh.faces, colours)
-        pictures.append(Picture(draw_surface(surface, right - left, bottom - top, samples), left, top))
+        pictures.append(Picture(draw_surface(surface, right - left, bottom - top), left, top))
     return pictures
 
 
