@@ -6,6 +6,24 @@
     return;
   }
 
+  // Viser 1.1.1 ends its page when a skinned mesh goes, as it does whenever the connection is lost: it keeps null in place
+  // of the node, and then calls a method of it. For the nodes of the body null means that there is none.
+  for (let piece = 0; piece < 8; piece++) {
+    const name = `/world/body/${piece}`;
+    const keep = (owner, value) => Object.defineProperty(owner, name, {
+      get: () => value,
+      set: (next) => { if (next === null) delete owner[name]; else value = next; },
+      enumerable: true,
+      configurable: true,
+    });
+    Object.defineProperty(Object.prototype, name, {
+      get: () => undefined,
+      set(value) { if (value !== null) keep(this, value); },
+      enumerable: false,
+      configurable: true,
+    });
+  }
+
   const DRIVE = "Stick and keys", SHARES = "Shares";
   const KEYS = { KeyW: "w", KeyA: "a", KeyS: "s", KeyD: "d", KeyQ: "q", KeyE: "e" };
   const BEAT = 200; // ms between messages while something is held
