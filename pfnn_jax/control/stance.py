@@ -1,8 +1,9 @@
 """The stance of a style, found in its own walk, and the frame of that walk in which its network waits for the next.
 
 The pose of the body is the mean over a walk; the feet stand side by side, as far apart and turned out as in the walk,
-and flat at the heights at which the data's feet rest, or else at those of their contacts. The hips are as high as the walk has them at most, when it passes
-over a straight leg, or as both legs reach, and moved so that the trunk is balanced over the feet.
+flat at the heights at which the data's feet rest, or else at those of their contacts. The hips are as high as the walk
+has them at most, when it passes over a straight leg, or as both legs reach, and moved so that the trunk is balanced
+over the feet.
 """
 
 from __future__ import annotations

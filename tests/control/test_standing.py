@@ -115,7 +115,7 @@ def test_a_character_turns_on_the_spot_with_alternate_steps(controller, walks):
         assert (steps >= 1).all() and (steps <= 4).all(), steps
         assert (
             np.linalg.norm(walks["root"][:, phase, turned] - walks["root"][:, phase, turned][:, :1], axis=-1).max()
-            < 0.15
+            < 0.25  # m: a body that leans goes round its feet
         )
 
 
