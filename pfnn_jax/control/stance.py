@@ -1,8 +1,9 @@
 """The stance of a style, found in its own walk, and the frame of that walk in which its network waits for the next.
 
 The pose of the body is the mean over a walk; the feet stand side by side, as far apart and turned out as in the walk,
-and flat at the height at which they are in contact. The hips are as high as the walk has them at most, when it passes
-over a straight leg, or as both legs reach, and moved so that the trunk is balanced over the feet.
+flat at the heights at which the data's feet rest, or else at those of their contacts. The hips are as high as the walk
+has them at most, when it passes over a straight leg, or as both legs reach, and moved so that the trunk is balanced
+over the feet.
 """
 
 from __future__ import annotations
@@ -113,6 +114,8 @@ def _stance_of(rig: Rig, walk: PredictedFrame, foot_heights: np.ndarray) -> Stan
     share = stood.sum(0)
     heights = (stood * feet[..., 1]).sum(0) / np.maximum(share, 1e-6)
     heights = np.where(share > MIN_STOOD, heights, foot_heights)
+    if rig.resting_heights is not None:
+        heights = np.array(rig.resting_heights)
     flat = stood.min(-1) + 1e-3 * weights[:, None]
     positions, turned = _joints_of(rig, rotations)
     standing_feet = _feet_of(rig, feet, flat / flat.sum(0), heights, positions)

@@ -19,7 +19,7 @@ from pfnn_jax.motion.ground import angle_between, facing_of, turn
 from tests.trained import walking_run
 
 FPS = 60
-ON_FLOOR = 0.01  # m above the lowest that the style's walk has a toe or heel: what one sees as standing
+ON_FLOOR = 0.01  # m from the heights at which the data's feet stand flat: what one sees as standing
 FASTER = 1.1  # largest speed of a joint as a multiple of that of the same style's walk: a step is not faster than one
 PHASES, APART = 16, 5  # moments of stopping, frames apart: 1.3 s, more than a cycle
 WALK, STAND, TURN, AGAIN = 150, 120, 150, 60  # frames of a walk, of standing, of turning on the spot, of walking off
@@ -78,7 +78,7 @@ def speeds(joints: np.ndarray) -> np.ndarray:
 
 def test_both_feet_are_on_the_floor_a_second_after_the_command(controller, walks):
     feet = walks["joints"][..., list(controller.setup.rig.feet), 1]
-    floor = np.quantile(feet[:, :, FPS:WALK], 0.05, axis=(1, 2))
+    floor = np.array([controller.setup.rig.resting_heights]).reshape(1, 4)
     for phase, stop in enumerate(STOP):
         above = feet[:, phase, stop + FPS : stop + STAND] - floor[:, None]
         assert np.abs(above).max() < ON_FLOOR, (phase, above)
@@ -115,7 +115,7 @@ def test_a_character_turns_on_the_spot_with_alternate_steps(controller, walks):
         assert (steps >= 1).all() and (steps <= 4).all(), steps
         assert (
             np.linalg.norm(walks["root"][:, phase, turned] - walks["root"][:, phase, turned][:, :1], axis=-1).max()
-            < 0.15
+            < 0.25  # m: a body that leans goes round its feet
         )
 
 

@@ -35,6 +35,8 @@ class Rig:
         arms: joints from shoulder to hand of the left and of the right arm, without those of zero length; empty if
             there are none.
         leg_length: metres from hip to ankle along the bones, the mean of both legs.
+        resting_heights: metres of heel and toe of the left and of the right foot above the floor while it stands flat,
+            if the skeleton knows them.
     """
 
     parents: tuple[int, ...]
@@ -42,6 +44,7 @@ class Rig:
     legs: tuple[tuple[int, int, int, int], ...]
     arms: tuple[tuple[int, ...], ...]
     leg_length: float
+    resting_heights: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     @property
     def num_joints(self) -> int:
@@ -100,6 +103,7 @@ def make_rig(skeleton: Skeleton, source: str | Path = "skeleton") -> Rig:
         for pair in ((roles.left_shoulder, roles.left_hand), (roles.right_shoulder, roles.right_hand))
     )
     lengths = np.linalg.norm(skeleton.offsets, axis=-1)
+    resting = None if skeleton.resting_heights is None else np.asarray(skeleton.resting_heights, float).tolist()
     legs_length = np.mean([lengths[_between(skeleton, hip, heel)].sum() for hip, _, heel, _ in legs])
     return Rig(
         parents=tuple(int(parent) for parent in skeleton.parents),
@@ -107,6 +111,7 @@ def make_rig(skeleton: Skeleton, source: str | Path = "skeleton") -> Rig:
         legs=legs,
         arms=arms if all(len(arm) > 1 for arm in arms) else (),
         leg_length=float(legs_length),
+        resting_heights=None if resting is None else ((resting[0][0], resting[0][1]), (resting[1][0], resting[1][1])),
     )
 
 
