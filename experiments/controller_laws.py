@@ -11,10 +11,10 @@ Measure   over the two seconds around the third after the command: speed within 
           degrees; on circles the speed along the path, and the turn rate within 20 %. Strafing and backward: speed and
           heading over the two seconds around the fifth, because networks that were not trained on such motion turn
           around first. Two seconds after the command to stop, the root must move at less than 2 cm/s and the feet at
-          less than 1 cm/s. Also reported are the seconds until the root moves at less than 2 cm/s,
-          and the height of the higher foot at the end above its minimum while walking. Sliding is the speed of feet in contact, before and after foot
-          IK. Pose distance is the mean squared normalised distance of joint positions from the run's mean pose, about
-          1 on its data.
+          less than 1 cm/s. Also reported are the seconds until the root moves at less than 2 cm/s, and the height of
+          the higher foot at the end above its minimum while walking. Sliding is the speed of feet in contact, before
+          and after foot IK. Pose distance is the mean squared normalised distance of joint positions from the run's
+          mean pose, about 1 on its data.
 Expect    on the demo's run all commands in all 9 styles (70 % with the published loop), on Bandai-Namco-2 all with an
           LPN (14 %) and with a PFNN (13 %), on 25 of the authors' 100 styles 96 % (39 %); strafing and backward 92 to
           100 % (0 to 43 %); see docs/results_appendix.md. Twenty minutes on 2 cores.

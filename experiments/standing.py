@@ -7,10 +7,10 @@ Question  how far above the floor are toes and heels one second after the comman
 Data      the given runs. Every style walks off from standing and walks straight, on a circle at 60 degrees a second, to
           its side, or at 1.5 times its natural speed; it is commanded to stop in 16 moments over 1.3 seconds, to turn
           by 120 degrees on the spot two seconds later, and to walk again two seconds after that.
-Measure   heights one second after the command over those of feet that stand flat in the run's data, or over the lowest
-          twentieth of the heights of the same joint while the style walks straight; the share of stops with a toe or heel above 1 cm, and with a toe 3 cm above the other; the
-          largest speed of a joint after the command, relative to the largest during the walk before it, and the same
-          joint by joint.
+Measure   heights one second after the command over those of feet that stand flat in the run's data, or else over the
+          lowest twentieth of the heights of the same joint while the style walks straight; the share of stops with a
+          toe or heel more than 1 cm off, and with a toe 3 cm above the other; the largest speed of a joint after the
+          command, relative to the largest during the walk before it, and the same joint by joint.
 Expect    see docs/results_appendix.md. Three minutes for 10 styles on 2 cores.
 Run       python -m experiments.standing --runs RUN [RUN ...]
 """
@@ -90,7 +90,10 @@ def stops(controller: Controller, chunk: int, resting: np.ndarray | None) -> dic
         velocity, direction = (jnp.asarray(np.stack(values)) for values in zip(*walks, strict=True))
         state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(starts[s] for s, _, _ in part))
         joints, facing = many(
-            controller.params, state, Command(velocity=velocity, direction=direction), jnp.asarray(weights[[s for s, _, _ in part]])
+            controller.params,
+            state,
+            Command(velocity=velocity, direction=direction),
+            jnp.asarray(weights[[s for s, _, _ in part]]),
         )
         for i in range(min(chunk, len(cases) - first)):
             measured = _measure(controller, *(np.asarray(v[i]) for v in (joints, facing)), WALK + APART * part[i][2])

@@ -238,8 +238,8 @@ def _padded(tree: Any, rows: int) -> Any:
 
 
 def with_calibrated_speeds(controller: Controller, styles: Sequence[str]) -> Controller:
-    """Returns the controller with the speeds of some of its styles calibrated, from the speeds in its `params`, and with
-    the stances of these styles."""
+    """Returns the controller with the speeds of some of its styles calibrated, from the speeds in its `params`, and
+    with the stances of these styles."""
     rows, setup = [controller.styles.index(name) for name in styles], controller.setup
     # Without the stances of before, which calibration does not read: it is then compiled once.
     params = replace(controller.params, stances=None, waiting=None)

@@ -56,7 +56,6 @@ from pfnn_jax.motion.kinematics import (
 )
 from pfnn_jax.motion.labels.contacts import MAX_HEIGHT, MAX_SPEED
 
-
 CONTACT_HEIGHT = 0.02
 """Metres above the floor at which a standing foot counts as half in contact."""
 
@@ -344,9 +343,7 @@ def standing_pose(
     return placed
 
 
-def _blended(
-    setup: ControllerSetup, walked: Pose, facing: jax.Array, stance: Stance, standing: StandingState
-) -> Pose:
+def _blended(setup: ControllerSetup, walked: Pose, facing: jax.Array, stance: Stance, standing: StandingState) -> Pose:
     """Returns the pose between the walk and the stance, which breathes and sways, before its feet are placed."""
     share = smooth(standing.weight)
     turned = quat_multiply(quat_from_yaw(-yaw_of(facing)), walked.rotations[0])
@@ -425,7 +422,7 @@ def follow_body(setup: ControllerSetup, state: ControllerState, moving: jax.Arra
     angle = jnp.where(standing.stopped, angle_between(facing, standing.facing), 0.0)
     feet = lerp(state.previous.joints, state.next.joints, state.progress)[np.array(setup.rig.feet)].reshape(2, 2, 3)
     lower = jnp.argmin(jnp.mean(feet[..., 1], axis=1))
-    foot, there = (jnp.mean(jnp.take(points, lower, axis=0), axis=0)[np.array([0, 2])] for points in (feet, standing.feet))
+    foot, there = (jnp.mean(jnp.take(points, lower, axis=0), axis=0)[GROUND] for points in (feet, standing.feet))
     place, target = jnp.where(moving, foot, root), jnp.where(moving, there, state.root)
     return carry(state, angle, jnp.where(standing.stopped, target - turn(place, angle), 0.0))
 

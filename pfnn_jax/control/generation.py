@@ -52,7 +52,7 @@ WARM_UP_FRAMES = 60
 cycle."""
 
 STANDING_SECONDS = 1.0
-"""Seconds added to those of a path: a tracked character starts standing, and completes its last step."""
+"""Seconds added to those of a path: a tracked character starts standing, and comes to stand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class GeneratedWalk:
         phase: [T] radians, or [T, G] in layout units: the gating input of every frame.
         contacts: [T, 4] in [0, 1], left heel, left toe, right heel, right toe; None for a layout without contacts in
             the published loop.
-        joints: [T, J, 3] metres in the world, the joint positions that the network predicted.
+        joints: [T, J, 3] metres in the world: as the network predicted them, or of a tracked character as drawn.
     """
 
     clip: MotionClip
@@ -160,7 +160,7 @@ def track_path(
     if not (np.isfinite(hips).all() and np.isfinite(rotations).all()):
         raise InputError(_source(body), "motion", "not finite", "the network cannot walk in this style")
     clip = MotionClip(body.skeleton, body.layout.fps, hips, rotations, content="generated", source=_source(body))
-    phase, contacts, joints = (np.asarray(x) for x in (states.motion.phase, states.contacts, states.next.joints))
+    phase, contacts, joints = (np.asarray(x) for x in (states.motion.phase, states.contacts, states.joints))
     return GeneratedWalk(clip, phase, contacts, joints)
 
 

@@ -50,9 +50,7 @@ MIN_STOOD = 0.02
 AHEAD = np.array([0.0, 1.0], np.float32)
 
 
-def find_stances(
-    setup: ControllerSetup, params: ControllerParams, rows: Sequence[int]
-) -> tuple[Stance, WaitingFrame]:
+def find_stances(setup: ControllerSetup, params: ControllerParams, rows: Sequence[int]) -> tuple[Stance, WaitingFrame]:
     """Returns the stances of styles, and the frames in which their networks wait, leaves [S, ...], in NumPy.
 
     Args:
@@ -142,9 +140,7 @@ def _joints_of(rig: Rig, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return positions, world
 
 
-def _feet_of(
-    rig: Rig, feet: np.ndarray, flat: np.ndarray, heights: np.ndarray, positions: np.ndarray
-) -> np.ndarray:
+def _feet_of(rig: Rig, feet: np.ndarray, flat: np.ndarray, heights: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Returns the standing feet [2, 2, 3] of a walk's feet [T, 2, 2, 3], given when they are flat [T, 2], their heights
     [2, 2] there, and joint positions [J, 3] of the stance."""
     sides = np.einsum("tf,tf->f", flat, feet.mean(2)[..., 0])

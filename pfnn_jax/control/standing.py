@@ -56,8 +56,8 @@ class StandingConfig:
         straighten: radians, an angle to the commanded direction below which it turns at once, while it stops: some
             styles walk askew.
         turn_gain, max_turn_rate, max_turn_acceleration: radians per second per radian, and their bounds.
-        sway_seconds, sway: periods of the weight shift and breathing, their amplitudes: of the hips to the side, and
-            of the chest in radians.
+        sway_seconds, sway: periods of the weight shift and of breathing, and their amplitudes: of the hips to the
+            side, and of the chest in radians. All repeats after the longer of the two, so that standing is a loop.
         fps: frames per second.
     """
 
@@ -78,7 +78,7 @@ class StandingConfig:
     turn_gain: float = 4.0
     max_turn_rate: float = 2.5
     max_turn_acceleration: float = 12.0
-    sway_seconds: tuple[float, float] = (7.0, 4.0)
+    sway_seconds: tuple[float, float] = (8.0, 4.0)
     sway: tuple[float, float] = (0.012, 0.012)
     fps: float = 60.0
 
@@ -166,7 +166,7 @@ def mix_stances(stances: Stance, weights: jax.Array) -> Stance:
     """Returns the stance of a mixture by weights [C] of stances, leaves [C, ...]."""
 
     def aligned(rotations: jax.Array) -> jax.Array:
-        """Returns the rotations [C, ..., 4] with the signs by which they are nearest to those of the greatest weight."""
+        """Returns the rotations [C, ..., 4] with the signs nearest to those of the greatest weight."""
         like = jnp.take(rotations, jnp.argmax(weights), axis=0)[None]
         same = jnp.sum(rotations * like, axis=-1, keepdims=True) >= 0.0
         return jnp.where(same, rotations, -rotations)
@@ -415,8 +415,7 @@ def sway(state: StandingState, leg_length: float, config: StandingConfig) -> tup
     time = jnp.maximum(state.seconds - config.turn_delay, 0.0)
     share = smooth(state.weight) * smooth(jnp.clip(time, 0.0, 1.0))
     angle = 2.0 * math.pi * time
-    # Two periods without a common multiple: the weight never shifts in the same way twice.
-    shifted = 0.7 * jnp.sin(angle / shift_seconds) + 0.3 * jnp.sin(angle / (0.618 * shift_seconds))
+    shifted = 0.8 * jnp.sin(angle / shift_seconds) + 0.2 * jnp.sin(3.0 * angle / shift_seconds)
     return share * shift * leg_length * shifted, share * breath * jnp.sin(angle / breath_seconds)
 
 

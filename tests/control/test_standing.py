@@ -15,8 +15,7 @@ from pfnn_jax.control.controller import Controller, make_controller, rollout_com
 from pfnn_jax.control.controller_state import carry, draw_body
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.standing import Stance, StandingConfig, WalkingBody, init_standing, update_standing
-from pfnn_jax.control.vectors import length
-from pfnn_jax.motion.ground import angle_between, facing_of, to_world, turn
+from pfnn_jax.motion.ground import angle_between, facing_of, turn
 from tests.trained import walking_run
 
 FPS = 60
@@ -55,7 +54,9 @@ def walks(controller) -> dict[str, np.ndarray]:
 
     @jax.jit
     def walk(state, velocity, direction, style):
-        command = Command(velocity=velocity, direction=direction, style=jnp.broadcast_to(style, (len(velocity), *style.shape)))
+        command = Command(
+            velocity=velocity, direction=direction, style=jnp.broadcast_to(style, (len(velocity), *style.shape))
+        )
         seen = rollout_commands(controller.setup, controller.params, state, command)[1]
         return {
             "joints": seen.joints,
@@ -112,7 +113,10 @@ def test_a_character_turns_on_the_spot_with_alternate_steps(controller, walks):
         assert not moving.all(-1).any()  # never both at once
         steps = (np.diff(moving.astype(int), axis=1) == 1).sum(1)
         assert (steps >= 1).all() and (steps <= 4).all(), steps
-        assert np.linalg.norm(walks["root"][:, phase, turned] - walks["root"][:, phase, turned][:, :1], axis=-1).max() < 0.15
+        assert (
+            np.linalg.norm(walks["root"][:, phase, turned] - walks["root"][:, phase, turned][:, :1], axis=-1).max()
+            < 0.15
+        )
 
 
 def test_a_walk_is_what_the_network_predicts(controller):
@@ -123,7 +127,9 @@ def test_a_walk_is_what_the_network_predicts(controller):
     many = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (60, *leaf.shape)), command)
     state, seen = rollout_commands(controller.setup, controller.params, controller.start(), many)
     assert seen.standing.weight[0] > 0.9 and state.standing.weight == 0.0
-    again = replace(state, standing=replace(state.standing, feet=state.standing.feet + 1.0, hips=state.standing.hips + 1.0))
+    again = replace(
+        state, standing=replace(state.standing, feet=state.standing.feet + 1.0, hips=state.standing.hips + 1.0)
+    )
     draw = jax.jit(partial(draw_body, controller.setup))
     for name in ("joints", "root", "facing", "contacts"):
         one, other = (getattr(draw(controller.params, s, command), name) for s in (state, again))
@@ -135,7 +141,11 @@ def test_carrying_by_nothing_changes_nothing(controller):
     same = carry(state, jnp.zeros(()), jnp.zeros(2))
     for one, other in zip(jax.tree.leaves(state), jax.tree.leaves(same), strict=True):
         np.testing.assert_array_equal(one, other)
-    there = carry(carry(state, jnp.float32(0.4), jnp.asarray([1.0, 2.0])), jnp.float32(-0.4), turn(jnp.asarray([-1.0, -2.0]), jnp.float32(-0.4)))
+    there = carry(
+        carry(state, jnp.float32(0.4), jnp.asarray([1.0, 2.0])),
+        jnp.float32(-0.4),
+        turn(jnp.asarray([-1.0, -2.0]), jnp.float32(-0.4)),
+    )
     np.testing.assert_allclose(there.motion.joint_positions, state.motion.joint_positions, atol=1e-5)
 
 
@@ -152,7 +162,7 @@ STANCE = Stance(
 
 
 def body(seconds: float, speed: float = 1.2, mirror: bool = False) -> WalkingBody:
-    """Returns a body at constant speed along +Z, of which the left foot stands at 0 and the right one swings past it."""
+    """Returns a body at constant speed along +Z, whose left foot stands at 0 and whose right one swings past it."""
     feet = np.array(STANCE.feet)
     feet[1, :, 2] += 2.0 * speed * seconds
     feet[1, :, 1] += 0.06
@@ -180,7 +190,9 @@ def stop_and_stand(before, walk, direction, frames: int):
 def walked(seconds: float, **options: Any):
     state = init_standing(STANCE, jnp.zeros(2), jnp.asarray([0.0, 1.0]), stopped=False)
     for at in (seconds - 2 / FPS, seconds - 1 / FPS):
-        state = update_standing(state, body(at, **options), STANCE, jnp.asarray(True), jnp.asarray([0.0, 1.0]), LEG, CONFIG)
+        state = update_standing(
+            state, body(at, **options), STANCE, jnp.asarray(True), jnp.asarray([0.0, 1.0]), LEG, CONFIG
+        )
     return state
 
 

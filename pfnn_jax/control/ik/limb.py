@@ -44,9 +44,7 @@ def forward_of(rig: Rig, positions: jax.Array) -> jax.Array:
     return jnp.stack([-across[2], jnp.zeros_like(across[0]), across[0]])
 
 
-def reach_arms(
-    rig: Rig, pose: Pose, predicted: jax.Array, placed: tuple[jax.Array, jax.Array] | None = None
-) -> Pose:
+def reach_arms(rig: Rig, pose: Pose, predicted: jax.Array, placed: tuple[jax.Array, jax.Array] | None = None) -> Pose:
     """Lays the arms along predicted positions, bone by bone from the shoulders.
 
     Each bone is turned by the shortest arc towards the predicted position of its far end; its length stays. Mixed
