@@ -186,8 +186,7 @@ class Standing:
         time = max(self.seconds - k["turn_delay"], 0.0)
         share, turn = smooth(self.weight) * smooth(min(time, 1.0)), 2.0 * np.pi * time
         (shift_seconds, breath_seconds), (shift, breath) = k["sway_seconds"], k["sway"]
-        # Two periods without a common multiple: the weight never shifts in the same way twice.
-        shifted = 0.7 * np.sin(turn / shift_seconds) + 0.3 * np.sin(turn / (0.618 * shift_seconds))
+        shifted = 0.8 * np.sin(turn / shift_seconds) + 0.2 * np.sin(3.0 * turn / shift_seconds)
         return share * shift * self.leg_length * shifted, share * breath * np.sin(turn / breath_seconds)
 
     def contacts(self):
