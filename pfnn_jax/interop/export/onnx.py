@@ -25,7 +25,7 @@ OPERATORS = frozenset(
     (
         *("Abs", "Add", "Cast", "Concat", "ConstantOfShape", "Div", "Elu", "Exp", "Expand", "Floor", "Gather", "Gemm"),
         *("Less", "Max", "Mul", "Pow", "Range", "ReduceMax", "ReduceMean", "ReduceSum", "Reshape", "Shape", "Slice"),
-        *("Sqrt", "Squeeze", "Sub", "Unsqueeze"),
+        *("Sqrt", "Squeeze", "Sub", "Transpose", "Unsqueeze"),
     )
 )
 """All operators of exported networks, so that one can see whether an engine supports them. A test compares."""

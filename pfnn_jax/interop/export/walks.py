@@ -18,7 +18,7 @@ from pfnn_jax.inference.mixture import choice_weights
 from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.run import Run
 
-STANCE = ("rotations", "height", "hips", "feet")
+STANCE = ("rotations", "height", "hips", "feet", "chest")
 """What of a stance is exported."""
 
 
@@ -30,8 +30,8 @@ class Walk:
         speed: speed at which the style walks.
         asked_speed: speed to command for it in the published loop; networks do not walk exactly at that.
         stance: how it stands, relative to its centre and facing (`control.standing.Stance`): rotations [J, 4] of the
-            joints in their parents, height of the hips, hips [2] on the ground, feet [2, 2, 3] (heel, toe). None for a
-            skeleton without roles.
+            joints in their parents, height of the hips, hips [2] on the ground, feet [2, 2, 3] (heel, toe), and the
+            rotation of the chest [4]. None for a skeleton without roles.
         tracked_speed: speed that command tracking, which also limits the look-ahead, commands for it.
     """
 

@@ -60,7 +60,7 @@ class Body:
 
     def reach_arms(self, hips, local, predicted):
         """Lays the arms along predicted joints [J, 3], bone by bone; mixed styles predict rotations that fit less."""
-        positions, world = self.forward_kinematics(hips, local)
+        local, (positions, world) = local.copy(), self.forward_kinematics(hips, local)
         for arm in self.arms:
             at, carried = positions[arm[0]], np.array([1.0, 0.0, 0.0, 0.0])
             for joint, below in zip(arm[:-1], arm[1:], strict=True):

@@ -10,7 +10,7 @@ from .foot_lock import FootLocks
 from .ground import mix, to_world, turn_towards
 from .loop import NOW, PublishedLoop
 from .network import load_network
-from .rotations import about, about_vertical, from_axes, from_half_angles, mix_rotations, multiply
+from .rotations import about, about_vertical, conjugate, from_axes, from_half_angles, mix_rotations, multiply, rotate
 from .standing import Standing, at_height, ground, middle, smooth
 from .tracking import Tracking
 
@@ -63,7 +63,9 @@ class Character:
         self.loop.velocity, self.loop.facing = self.speed * facing, facing
         centre = position - complex(speeds["stance"]["hips"][1], speeds["stance"]["hips"][0]) * facing
         self.standing = Standing(k["standing"], speeds["stance"], k["leg_length"], self.speed, centre, facing)
-        self._draw(0j, facing)
+        self.root, self.facing, self.contacts = position, facing, np.ones(4)
+        local = self.body.local_rotations(self.next["rotations"])
+        self._set_pose(self.next["joints"][0], local, facing, self.standing.feet, np.ones(2))
 
     def step(self, velocity, direction):
         """Advances one drawn frame under a command: velocity in m/s, and facing; both z + ix.
@@ -171,41 +173,53 @@ class Character:
 
     def _draw(self, velocity, direction):
         """Sets what is drawn: between two predicted frames on rigid bones, or in the stance of the style."""
-        before, after, share = self.previous, self.next, self.progress
-        predicted, contacts = (mix(before[name], after[name], share) for name in ("joints", "contacts"))
-        rotations = mix_rotations(before["rotations"], after["rotations"], share)
-        hips, local = predicted[0], self.body.local_rotations(rotations)
-        hips, local = self.locks.apply(hips, self.body.reach_arms(hips, local, predicted), contacts)
-        joints, world = self.body.forward_kinematics(hips, local)
-        root = mix(before["root"], after["root"], share)
-        facing = turn_towards(before["facing"], after["facing"], share)
-        walk = {"hips": ground(hips), "facing": facing, "contacts": contacts.reshape(2, 2)}
-        walk["feet"] = joints[self.body.feet].reshape(2, 2, 3)
-        standing = self.standing
+        before, after, progress, body = self.previous, self.next, self.progress, self.body
+        predicted, contacts = (mix(before[name], after[name], progress) for name in ("joints", "contacts"))
+        hips = predicted[0]
+        local = body.local_rotations(mix_rotations(before["rotations"], after["rotations"], progress))
+        feet, shares, drop = self.locks.plan(body.forward_kinematics(hips, local)[0], contacts)
+        hips, local = hips - [0.0, drop, 0.0], body.reach_arms(hips, local, predicted)
+        facing, standing = turn_towards(before["facing"], after["facing"], progress), self.standing
+        walk = {"hips": ground(hips), "facing": facing, "feet": feet, "contacts": contacts.reshape(2, 2)}
         standing.update(walk, self.tracking.moving(velocity), direction)
+        self.root, self.facing, self.contacts = mix(before["root"], after["root"], progress), facing, contacts
         if standing.weight > 0.0:
-            hips, local = self._standing_pose(hips, local, facing)
-            joints, world = self.body.forward_kinematics(hips, local)
-            away = 1.0 - smooth(standing.weight)
-            root = standing.hips + away * (root - walk["hips"]) * standing.facing / facing
-            contacts = mix(contacts, standing.contacts(), 1.0 - away)
-        self.hips, self.local_rotations, self.joints, self.rotations = hips, local, joints, world
-        self.root, self.facing, self.contacts = root, standing.facing, contacts
+            stands, turned = smooth(standing.weight), standing.facing / facing
+            self.root = standing.hips + (1.0 - stands) * (self.root - walk["hips"]) * turned
+            self.facing, self.contacts = standing.facing, mix(contacts, standing.contacts(), stands)
+        self._set_pose(hips, local, facing, feet, shares)
 
-    def _standing_pose(self, hips, local, facing):
-        """Returns the pose between that of the network and the stance, with the feet where the stance has them."""
-        standing, body, share = self.standing, self.body, smooth(self.standing.weight)
+    def _set_pose(self, hips, local, facing, feet, shares):
+        """Sets the drawn pose, with its feet placed: that of the walk, or between it and the stance.
+
+        Args:
+            hips, local, facing: of the body as the network has it.
+            feet, shares: [2, 2, 3] and [2], where its heels and toes go, and how far toes decide.
+        """
+        standing, body = self.standing, self.body
+        if standing.weight > 0.0:
+            hips, local = self._blend(hips, local, facing)
+        positions, world = body.forward_kinematics(hips, local)
+        if standing.weight > 0.0:
+            drop = np.array([0.0, self.locks.needed_drop(positions, standing.feet.reshape(4, 3)), 0.0])
+            hips, positions, shares = hips - drop, positions - drop, np.ones(2)
+            feet = [body.lift_heel(leg, positions, foot) for leg, foot in zip(body.legs, standing.feet, strict=True)]
+        local = local.copy()
+        for leg, foot, share in zip(body.legs, feet, shares, strict=True):
+            body.place_leg(leg, local, world, positions, foot, share)
+        self.hips, self.local_rotations = hips, local
+        self.joints, self.rotations = body.forward_kinematics(hips, local)
+
+    def _blend(self, hips, local, facing):
+        """Returns hips and local rotations between the walk and the stance, which breathes and sways."""
+        standing, chest, share = self.standing, self.body.chest, smooth(self.standing.weight)
         walked = local.copy()
         walked[0] = multiply(about_vertical(np.conj(facing)), local[0])
         local = mix_rotations(walked, standing.rotations, share)
-        local[0] = multiply(about_vertical(standing.facing), local[0])
         shift, pitch = standing.sway()
-        left = standing.facing * 1j
-        hips = at_height(standing.hips + shift * left, mix(hips[1], standing.height, share))
-        positions, world = body.forward_kinematics(hips, local)
-        if body.chest is not None:
-            body.turn_joint(local, world, body.chest, about(at_height(left, 0.0), pitch))
-        drop = np.array([0.0, -self.locks.needed_drop(positions, standing.feet.reshape(4, 3)), 0.0])
-        for leg, foot in zip(body.legs, standing.feet, strict=True):
-            body.place_leg(leg, local, world, positions + drop, body.lift_heel(leg, positions + drop, foot), 1.0)
-        return hips + drop, local
+        if chest is not None:  # about the axis that points to the left in the stance
+            left = rotate(conjugate(standing.chest), np.array([1.0, 0.0, 0.0]))
+            local[chest] = multiply(local[chest], about(left, pitch))
+        local[0] = multiply(about_vertical(standing.facing), local[0])
+        height = mix(hips[1], standing.height, share)
+        return at_height(standing.hips + shift * 1j * standing.facing, height), local

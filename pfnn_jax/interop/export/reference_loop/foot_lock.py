@@ -28,9 +28,13 @@ class FootLocks:
         self.places, self.offsets, self.velocities = np.zeros((3, 4, 3))
         self.held, self.strength, self.drop = np.zeros(4, bool), np.zeros(4), (0.0, 0.0)
 
-    def apply(self, hips, local, contacts):
-        """Returns the hips [3] and the local rotations [J, 4] with the feet held, by contacts [4] in [0, 1]."""
-        positions, world = self.body.forward_kinematics(hips, local)
+    def plan(self, positions, contacts):
+        """Returns where heels and toes [2, 2, 3] go, the shares [2] by which toes decide, and the drop of the hips.
+
+        Args:
+            positions: [J, 3] of the joints as predicted.
+            contacts: [4] in [0, 1].
+        """
         feet = positions[self.body.feet]
         self._update(feet, contacts)
         targets = feet + self.offsets
@@ -38,12 +42,8 @@ class FootLocks:
         needed = self.needed_drop(positions, targets)
         drop, speed = self._decay(self.drop[0] - needed, self.drop[1])
         self.drop = needed + drop, speed
-        lowered = np.array([0.0, -self.drop[0], 0.0])
-        local, share = local.copy(), self.strength**2 * (3.0 - 2.0 * self.strength)
-        for side, leg in enumerate(self.body.legs):
-            goal = targets[2 * side : 2 * side + 2]
-            self.body.place_leg(leg, local, world, positions + lowered, goal, share[2 * side + 1])
-        return hips + lowered, local
+        share = self.strength[1::2]
+        return targets.reshape(2, 2, 3), share**2 * (3.0 - 2.0 * share), self.drop[0]
 
     def carry(self, turned, shift):
         """Rotates the locks about the origin by a unit number, then shifts them by a point on the ground."""

@@ -56,7 +56,7 @@ class Standing:
         self.constants, self.leg_length, self.speed = constants, leg_length, speed
         self.height, self.stance_hips = stance["height"], complex(stance["hips"][1], stance["hips"][0])
         self.rotations, self.stance_feet = np.array(stance["rotations"]), np.array(stance["feet"])
-        self.floor = self.stance_feet[..., 1]
+        self.floor, self.chest = self.stance_feet[..., 1], np.array(stance["chest"])
         self.weight, self.stopped, self.seconds = 1.0, True, 0.0
         self.facing, self.turn_rate, self.centre = facing, 0.0, centre
         self.hips, self.velocity = centre + self.stance_hips * facing, 0j
@@ -134,9 +134,9 @@ class Standing:
         k, dt = self.constants, 1.0 / self.constants["fps"]
         self.seconds += dt
         most, wanted = k["max_turn_acceleration"] * dt, 0.0
-        if self.seconds > k["turn_delay"]:
-            bound = k["max_turn_rate"]
-            wanted = np.clip(k["turn_gain"] * angle(self.facing, direction), -bound, bound)
+        left = angle(self.facing, direction)
+        if self.seconds > k["turn_delay"] or abs(left) < k["straighten"]:
+            wanted = np.clip(k["turn_gain"] * left, -k["max_turn_rate"], k["max_turn_rate"])
         self.turn_rate += np.clip(wanted - self.turn_rate, -most, most)
         self.facing = self.facing * np.exp(1j * self.turn_rate * dt)
         rate, goal = k["rest_rate"], self.centre + self.stance_hips * self.facing
@@ -186,8 +186,7 @@ class Standing:
         time = max(self.seconds - k["turn_delay"], 0.0)
         share, turn = smooth(self.weight) * smooth(min(time, 1.0)), 2.0 * np.pi * time
         (shift_seconds, breath_seconds), (shift, breath) = k["sway_seconds"], k["sway"]
-        # Two periods without a common multiple: the weight never shifts in the same way twice.
-        shifted = 0.7 * np.sin(turn / shift_seconds) + 0.3 * np.sin(turn / (0.618 * shift_seconds))
+        shifted = 0.8 * np.sin(turn / shift_seconds) + 0.2 * np.sin(3.0 * turn / shift_seconds)
         return share * shift * self.leg_length * shifted, share * breath * np.sin(turn / breath_seconds)
 
     def contacts(self):
