@@ -28,9 +28,10 @@ class Skeleton(Command):
     reading: Reading = ReadOptions()
 
     def run(self) -> Any:
-        from pfnn_jax.motion.clip_files import read_rig
+        from pfnn_jax.motion.clip_files import list_clip_names, read_rig
 
         about = describe_skeleton(read_rig(self.clip, self.reading, self.roles))
+        about["clips"] = list_clip_names(self.clip)
         _print(about)
         return about
 
@@ -57,6 +58,7 @@ def describe_skeleton(clip: Any) -> dict[str, Any]:
     names = skeleton.names
     return {
         "file": clip.source,
+        "frames": clip.num_frames,
         "joints": skeleton.num_joints,
         "map": humanoid.names(names),
         "left_out": left_out(skeleton, humanoid),
@@ -89,8 +91,12 @@ def _print(about: dict[str, Any]) -> None:
         from pfnn_jax.motion.length_unit import unit_name
 
         read = about["reading"]
-        print(f"file: unit {unit_name(read['unit'])}, {read['up']} up, {read['fps']:.4g} frames per second")
+        rate = f", {read['fps']:.4g} frames per second" if about["frames"] > 1 else ""
+        print(f"file: unit {unit_name(read['unit'])}, {read['up']} up{rate}")
     print(f"legs: {about['leg_metres']:.2f} m")
+    if about.get("clips"):
+        shown = [name if name.isprintable() else ascii(name) for name in about["clips"]]
+        print(f"clips: {', '.join(shown)}")
     print(f"pairs: {len(about['pairs'])} of left and right, {len(about['midline'])} joints on the midline")
     print(f"confidence: {about['confidence']:.2f}")
     for line in about["explanation"]:

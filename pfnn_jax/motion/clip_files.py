@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.assumptions import repair
 from pfnn_jax.motion.bvh import read_skeleton, read_whole
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.gltf.animations import clip_names
 from pfnn_jax.motion.gltf.clips import read_gltf_clip, read_gltf_rig
 from pfnn_jax.motion.gltf.container import read_document
 from pfnn_jax.motion.reading import ReadOptions, Travel, Up, check_options
@@ -99,14 +101,30 @@ def read_rig(path: str | Path, options: ReadOptions, roles_file: str | Path | No
     return read_whole_clip(path, options, roles_file)
 
 
-def read_any_skeleton(path: str | Path) -> Skeleton:
+def list_clip_names(path: str | Path) -> list[str]:
+    """Returns the names of the clips of a glTF file, which may be none; empty for a BVH file.
+
+    Raises:
+        InputError: if the file cannot be read.
+    """
+    return clip_names(read_document(path)) if is_gltf_file(path) else []
+
+
+def read_any_skeleton(
+    path: str | Path, options: ReadOptions | None = None, roles_file: str | Path | None = None
+) -> Skeleton:
     """Reads the skeleton of a file with its humanoid map, in metres, from the hips downwards.
+
+    Args:
+        path: file to read, with or without motion.
+        options: what is known about the file.
+        roles_file: as in `read_clip`.
 
     Raises:
         InputError: as `read_clip`.
     """
-    options = ReadOptions(travel="keep")
-    clip = read_rig(path, options)
+    options = replace(options or ReadOptions(), travel="keep")
+    clip = read_rig(path, options, roles_file)
     return repair(clip, options).skeleton if clip.num_frames > 1 else clip.skeleton
 
 

@@ -22,7 +22,7 @@ MIN_FRAMES = 6
 """Fewest frames of a cycle."""
 
 STEP, CLOSED = 1.8, 0.35
-"""How far the first pose may be from the last one, in usual steps from frame to frame: it follows on it, or equals it."""
+"""How far the first pose may be from the last one, in usual steps from frame to frame: it follows on it, or is it."""
 
 SWAY = 0.05
 """Metres by which the hips of a cycle on the spot may end apart from where they began."""

@@ -10,6 +10,7 @@ import pytest
 from pfnn_jax.motion.gltf.character import read_character
 from pfnn_jax.motion.gltf.nodes import read_nodes
 from pfnn_jax.motion.gltf.skin import read_mesh
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import quat_from_axis_angle
 from pfnn_jax.motion.skeleton import rest_pose
@@ -164,7 +165,7 @@ def test_a_character_is_turned_to_face_forward(tmp_path, yaw):
         data["nodes"][len(NAMES)].pop("skin")
 
     character = read_character(make_rig(turned).write(tmp_path / "a.glb"))
-    body = character.skeleton.humanoid
+    body = need_humanoid(character.skeleton)
     across = character.bind_positions[body.left_thigh] - character.bind_positions[body.right_thigh]
     assert np.allclose(across / np.linalg.norm(across), [1.0, 0.0, 0.0], atol=ROUNDING)
 
@@ -179,7 +180,7 @@ def test_feet_under_the_root_are_put_under_the_legs(tmp_path):
             data["nodes"][foot]["translation"] = world[f"{side}Foot"].tolist()
 
     skeleton = read_character(make_rig(under_root).write(tmp_path / "a.glb")).skeleton
-    body = skeleton.humanoid
+    body = need_humanoid(skeleton)
     assert skeleton.parents[body.left_foot] == body.left_shin
     assert skeleton.parents[body.right_foot] == body.right_shin
 

@@ -8,7 +8,10 @@ import pytest
 from pfnn_jax.motion.clip_files import is_clip_file, read_any_skeleton, read_clip, read_rig, read_whole_clip
 from pfnn_jax.motion.datasets.labelled import load_labelled
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
+from pfnn_jax.motion.datasets.target_skeleton import find_target
+from pfnn_jax.motion.features.layout import LAYOUTS
 from pfnn_jax.motion.gltf.animations import RATES
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_axis_angle, quat_multiply, quat_to_matrix
 from pfnn_jax.motion.reading import ReadOptions
 from tests.gltf.rigs import NAMES, make_rig, places
@@ -153,6 +156,12 @@ def test_a_character_without_motion_is_a_skeleton_but_no_clip(tmp_path):
     assert read_any_skeleton(path).names[0] == "Hips" and read_rig(path, ReadOptions()).num_frames == 1
 
 
+def test_a_character_without_motion_can_be_the_skeleton_of_a_data_set(tmp_path):
+    path = make_rig().write(tmp_path / "a.glb")
+    target = find_target(path, [], LAYOUTS["mason2018"](1))
+    assert target.names[0] == "Hips" and target.resting_heights is not None
+
+
 def test_a_clip_without_a_mesh_has_the_joints_that_it_turns(tmp_path):
     rig = make_rig()
     del rig.json["skins"], rig.json["meshes"], rig.json["nodes"][-1]
@@ -178,7 +187,7 @@ def test_a_vrm_animation_is_read_by_its_map(tmp_path):
         node["name"] = f"n{number}"
     rig.animate({(LEG, "rotation"): (np.arange(31) / 30, about(X, np.linspace(0, 1, 31)))})
     clip = read_whole_clip(rig.write(tmp_path / "a.vrma"), ReadOptions())
-    names = clip.skeleton.humanoid.names(clip.skeleton.names)
+    names = need_humanoid(clip.skeleton).names(clip.skeleton.names)
     assert names["left_shin"] == f"n{LEG}" and names["hips"] == f"n{HIPS}"
 
 

@@ -189,6 +189,23 @@ def test_too_many_joints_are_refused_with_the_limit(tmp_path):
     refused(tmp_path, rig, rule_mentions="2000")
 
 
+@pytest.mark.parametrize(
+    "times", [[0.0, 1e30], [-1e9, 1.0], [0.0, np.nan], [0.0, -1.0], [0.0, 15_000.0], [0.0], [0.0, 1.0, 2.0]]
+)
+def test_times_of_keys_that_are_none_are_refused(tmp_path, times):
+    """Too long, not finite, descending, and not as many as values."""
+    rig = make_rig()
+    rig.animate({(LEG, "rotation"): (times, [[0, 0, 0, 1]] * 2)})
+    refused(tmp_path, rig)
+
+
+@pytest.mark.parametrize("values", [np.zeros((2, 4)), np.full((2, 4), np.inf), np.ones((2, 3))])
+def test_rotations_that_are_none_are_refused(tmp_path, values):
+    rig = make_rig()
+    rig.animate({(LEG, "rotation"): ([0.0, 1.0], values)})
+    refused(tmp_path, rig)
+
+
 def test_a_file_without_a_skin_is_refused(tmp_path):
     rig = make_rig()
     del rig.json["skins"], rig.json["nodes"][-1]["skin"]

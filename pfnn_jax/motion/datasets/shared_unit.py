@@ -45,7 +45,7 @@ def share_units(clips: Sequence[ClipFile]) -> list[ClipFile]:
 
 
 def _likely_units(path: Path) -> tuple[tuple[str, ...], dict[str, float]] | None:
-    """Returns a file's joints and the log likelihood of each unit; None without legs, or if it states its unit or is bad."""
+    """Returns a file's joints and the log likelihood of each unit; None if it states its unit, lacks legs or is bad."""
     if is_gltf_file(path):
         return None  # its unit is stated
     try:

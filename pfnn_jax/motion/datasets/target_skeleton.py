@@ -11,7 +11,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.clip_files import read_joints
+from pfnn_jax.motion.clip_files import is_gltf_file, read_any_skeleton, read_joints
 from pfnn_jax.motion.datasets.labelled import read_cut_clip
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.features.layout import FrameLayout
@@ -75,7 +75,7 @@ def find_target(
     source = "skeleton"
     if not isinstance(skeleton, Skeleton):
         clip_file = _clip_file(skeleton, clips)
-        source, skeleton = str(clip_file.path), read_cut_clip(clip_file, roles_file).clip.skeleton
+        source, skeleton = str(clip_file.path), _read(clip_file, roles_file)
     need_roles(skeleton, source)
     skeleton = replace(skeleton, humanoid=humanoid_of(skeleton, source))
     if layout.next_frame:
@@ -109,6 +109,13 @@ def check_one_skeleton(clips: Sequence[ClipFile]) -> None:
         if sorted(names) != sorted(known[1]):
             rule = f"must be that of {known[0].data_set}, of {len(known[1])} joints, {ADVICE}"
             raise InputError(clip.path, "skeleton", f"{len(names)} joints", rule)
+
+
+def _read(clip_file: ClipFile, roles_file: Path | None) -> Skeleton:
+    """Returns the skeleton of a clip, or of a character, which may have no clip."""
+    if is_gltf_file(clip_file.path):
+        return read_any_skeleton(clip_file.path, clip_file.read_options, clip_file.roles_file or roles_file)
+    return read_cut_clip(clip_file, roles_file).clip.skeleton
 
 
 def _clip_file(path: ClipFile | str | Path, clips: Sequence[ClipFile]) -> ClipFile:

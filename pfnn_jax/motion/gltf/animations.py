@@ -271,10 +271,11 @@ def _local(tree: NodeTree, node: int, keys: dict[str, np.ndarray] | None, count:
     """Returns the local matrices [T, 4, 4] of a node, or [1, 4, 4] if it is not animated."""
     if keys is None:
         return tree.matrices[node][None]
-    rotation = keys.get("rotation", tree.rotations[node])
+    still = {"translation": tree.translations[node], "rotation": tree.rotations[node], "scale": tree.scales[node]}
+    pose = {**still, **keys}
     local = np.zeros((count, 4, 4))
-    local[:, :3, :3] = quat_to_matrix(rotation) * keys.get("scale", tree.scales[node])[..., None, :]
-    local[:, :3, 3] = keys.get("translation", tree.translations[node])
+    local[:, :3, :3] = quat_to_matrix(pose["rotation"]) * pose["scale"][..., None, :]
+    local[:, :3, 3] = pose["translation"]
     local[:, 3, 3] = 1.0
     return local
 

@@ -283,6 +283,6 @@ def _unique(names: tuple[str, ...], nodes: list[int]) -> tuple[str, ...]:
     """Returns names of which no two are alike: a joint without a name, or with that of another, is given its number."""
     found: list[str] = []
     for name, node in zip(names, nodes, strict=True):
-        base = name or "joint"
+        base = (name if name.isprintable() else ascii(name)) or "joint"
         found.append(base if name and base not in found else f"{base}_{node}")
     return tuple(found)
