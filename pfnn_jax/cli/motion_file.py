@@ -60,6 +60,28 @@ class MotionFile:
         write_whole(out, content)
         return clip
 
+    def write_set(self, out: Path, clips: Any, overwrite: bool) -> None:
+        """Writes clips of one skeleton by name into one file of a character, and prints what was assumed."""
+        from pfnn_jax.io.files import refuse_existing, write_whole
+
+        content = self._set_content(clips)
+        refuse_existing(out, overwrite)
+        write_whole(out, content)
+
+    def _set_content(self, clips: Any) -> bytes:
+        if self.onto is not None:
+            from pfnn_jax.workflows.characters import put_clips_onto
+
+            notes: list[str] = []
+            content = put_clips_onto(clips, self.onto, root_motion=self.root_motion, note_callback=notes.append)
+            print_notes(self.onto, notes)
+            return content
+        from pfnn_jax.motion.gltf.write import glb_bytes
+        from pfnn_jax.viewer.body import grow_body
+
+        skeleton = next(iter(clips.values())).skeleton
+        return glb_bytes(skeleton, grow_body(skeleton), clips, root_motion=self.root_motion)
+
     def _content(self, out: Path, clip: Any, name: str | None) -> bytes:
         from pfnn_jax.motion.bvh import bvh_text
         from pfnn_jax.workflows.characters import clip_name, is_character_file, put_onto, put_onto_rig

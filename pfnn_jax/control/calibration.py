@@ -1,4 +1,4 @@
-"""Initialisation of a controller: foot heights, speed calibration, and a hidden warm-up walk that ends standing."""
+"""Initialisation of a controller: foot heights, speed calibration, and characters that stand."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from pfnn_jax.control.controller_state import (
     ControllerParams,
     ControllerSetup,
     ControllerState,
-    feet_clearance,
-    interpolate_pose,
+    carry_frame,
+    draw_body,
+    feet_distance,
     network_step,
-    predicted_frame,
     style_speed,
 )
 from pfnn_jax.control.ik.foot_lock import initial_locks
 from pfnn_jax.control.ik.pose import Pose, Rig
 from pfnn_jax.control.loop.rollout import warm_up
-from pfnn_jax.control.loop.state import ROOT, CharacterState, initial_state, place_state, standing_state
+from pfnn_jax.control.loop.state import ROOT, carry_state, initial_state
 from pfnn_jax.control.loop.step import Command
+from pfnn_jax.control.standing import init_standing, mix_stances
 from pfnn_jax.control.tracking import MIN_WALK_SPEED, init_tracking
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
-from pfnn_jax.motion.ground import facing_of, yaw_of
+from pfnn_jax.motion.ground import facing_of, to_world
 
 TRIAL_GAINS = (0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0)
 """Requested speeds that `calibrate_speeds` tries, as multiples of a style's natural speed."""
@@ -134,50 +135,31 @@ def start_standing(
 ) -> ControllerState:
     """Returns a character that stands at a position [2] metres, facing `yaw` [] radians, in a style [C].
 
-    Without command tracking it walks from its first frame on.
+    Without command tracking it walks from its first frame on. The network of a mixture waits in a frame of the style
+    of the greatest weight.
     """
-    speed = style_speed(params, style)
-    motion, y, facing = _lowest_frame(setup, params, style)
-    angle, direction = yaw - yaw_of(motion.directions[ROOT]), facing_of(yaw)
-    motion = place_state(motion, position, yaw)
-    frame = predicted_frame(setup, params, motion, y, facing, angle)
-    clearance = feet_clearance(setup, params, motion.joint_positions)
+    assert params.stances is not None
+    speed, direction = style_speed(params, style), facing_of(yaw)
+    waiting = jax.tree.map(lambda leaf: jnp.take(leaf, jnp.argmax(style), axis=0), params.waiting)
+    motion, frame = carry_state(waiting.motion, yaw, position), carry_frame(waiting.frame, yaw, position)
     time_scale = 1.0 if setup.tracking is None else 0.0
+    stance = mix_stances(params.stances, style)
+    # The root, where the hips are on the ground, is at the position.
+    centre = position - to_world(stance.hips, direction)
     state = ControllerState(
         motion=replace(motion, target_velocity=speed.natural * direction, target_direction=direction),
         previous=frame,
         next=frame,
         progress=jnp.float32(1.0),
         style=style,
-        tracking=init_tracking(speed.natural * AHEAD, clearance, time_scale),
+        tracking=init_tracking(speed.natural * AHEAD, feet_distance(setup.rig, frame.joints), time_scale),
         root=frame.root,
         facing=frame.facing,
         contacts=frame.contacts,
         feet=initial_locks(setup.rig),
+        standing=init_standing(stance, centre, direction),
         pose=Pose(hips=frame.joints[0], rotations=frame.rotations),
         joints=frame.joints,
         world_rotations=frame.rotations,
     )
-    return interpolate_pose(setup, state)
-
-
-def _lowest_frame(
-    setup: ControllerSetup, params: ControllerParams, style: jax.Array
-) -> tuple[CharacterState, jax.Array, jax.Array]:
-    """Returns the state, output [Dy] and root facing [2] of the warm-up's frame with the lowest feet, of its second
-    half."""
-    layout, speed = setup.layout, style_speed(params, style)
-    predictor = params.mixed_predictor(style)
-    origin, zero = jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32)
-    if layout.has_input("gait"):  # trained on standing, too
-        state, velocity = standing_state(layout, params.initial_row, origin, zero), 0.0 * speed.natural
-    else:
-        state = initial_state(layout, params.initial_row, params.initial_phase, origin, zero)
-        velocity = speed.gain * speed.natural
-    command = Command(velocity=velocity * AHEAD, direction=jnp.asarray(AHEAD))
-    states, ys = warm_up(partial(network_step, setup, predictor, speed.natural), state, command, WARM_UP_FRAMES)
-    heights = states.joint_positions[:, np.array(setup.rig.feet), 1] - params.foot_heights[None]
-    unready = jnp.arange(WARM_UP_FRAMES) < WARM_UP_FRAMES // 2
-    best = jnp.argmin(jnp.max(heights, axis=1) + unready)
-    state, y = jax.tree.map(lambda leaf: leaf[best], (states, ys))
-    return state, y, state.directions[ROOT - 1]
+    return draw_body(setup, params, state, Command(velocity=0.0 * direction, direction=direction))

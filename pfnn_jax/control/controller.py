@@ -25,8 +25,9 @@ from pfnn_jax.control.controller_state import (
     ControllerParams,
     ControllerSetup,
     ControllerState,
-    feet_clearance,
-    interpolate_pose,
+    draw_body,
+    feet_distance,
+    follow_body,
     network_step,
     predicted_frame,
     style_speed,
@@ -36,6 +37,8 @@ from pfnn_jax.control.ik.pose import make_rig
 from pfnn_jax.control.loop.state import ROOT, straight_row, turn_state
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, held_command
 from pfnn_jax.control.run_settings import default_speed, loop_config, mean_speed, recorded_speed
+from pfnn_jax.control.stance import find_stances
+from pfnn_jax.control.standing import StandingConfig
 from pfnn_jax.control.tracking import (
     StyleSpeed,
     TrackingConfig,
@@ -205,7 +208,8 @@ def assemble_controller(
         tracking = replace(tracking, fps=float(layout.fps))
     rig = make_rig(body.skeleton, getattr(body, "path", "skeleton"))
     loop = loop or LOOP_CONFIGS[layout.name]
-    setup = ControllerSetup(layout, loop, rig, FootLockConfig() if foot_ik else None, tracking)
+    standing = StandingConfig(fps=float(layout.fps))
+    setup = ControllerSetup(layout, loop, rig, FootLockConfig() if foot_ik else None, tracking, standing)
     rows = max(capacity or 0, len(styles)) if styles else 1
     default_speed = mean_speed(layout, normaliser) if default_speed is None else default_speed
     mean_row = jnp.asarray(normaliser.inputs.mean, jnp.float32)
@@ -234,11 +238,33 @@ def _padded(tree: Any, rows: int) -> Any:
 
 
 def with_calibrated_speeds(controller: Controller, styles: Sequence[str]) -> Controller:
-    """Returns the controller with the speeds of some of its styles calibrated, from the speeds in its `params`."""
-    rows, params = [controller.styles.index(name) for name in styles], controller.params
+    """Returns the controller with the speeds of some of its styles calibrated, from the speeds in its `params`, and with
+    the stances of these styles."""
+    rows, setup = [controller.styles.index(name) for name in styles], controller.setup
+    # Without the stances of before, which calibration does not read: it is then compiled once.
+    params = replace(controller.params, stances=None, waiting=None)
     speeds, gains = np.array(params.speeds), np.array(params.speed_gains)
-    speeds[rows], gains[rows] = calibrate_speeds(controller.setup, params, rows)
-    return replace(controller, params=replace(params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains)))
+    speeds[rows], gains[rows] = calibrate_speeds(setup, params, rows)
+    params = replace(params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains))
+    found = find_stances(setup, params, np.eye(len(speeds), dtype=np.float32)[rows])
+    stances, waiting = _with_rows((controller.params.stances, controller.params.waiting), rows, found, len(speeds))
+    return replace(controller, params=replace(params, stances=stances, waiting=waiting))
+
+
+def _with_rows(old: Any, rows: Sequence[int], new: Any, capacity: int) -> Any:
+    """Returns leaves [C, ...] with some rows replaced by those of `new`; before the first, the others are zeros."""
+
+    def put(new: Any, old: Any) -> jax.Array:
+        new = np.asarray(new)
+        bank = np.zeros((capacity, *new.shape[1:]), new.dtype)
+        if old is not None:
+            bank[: len(old)] = old
+        bank[rows] = new
+        return jnp.asarray(bank)
+
+    if old[0] is None:
+        return jax.tree.map(lambda leaf: put(leaf, None), new)
+    return jax.tree.map(put, new, old)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -251,11 +277,13 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
     predictor, speed = params.mixed_predictor(style), style_speed(params, style)
     tracking = state.tracking
     if setup.tracking is not None:
+        state = follow_body(setup, state, is_moving(command))
         tracking = update_time_scale(tracking, command, setup.tracking)
     progress = state.progress + tracking.time_scale
     state = replace(state, style=style, tracking=tracking, progress=progress)
     advance = partial(_advance_network, setup, params, predictor, speed, command)
-    return interpolate_pose(setup, jax.lax.while_loop(lambda inner: inner.progress > 1.0, advance, state))
+    state = jax.lax.while_loop(lambda inner: inner.progress > 1.0, advance, state)
+    return draw_body(setup, params, state, command)
 
 
 def _moved_style(style: jax.Array, target: jax.Array) -> jax.Array:
@@ -283,8 +311,8 @@ def _advance_network(
         tracked = network_command(command, facing, speed, tracking, config)
         requested = jax.tree.map(partial(jnp.where, is_moving(command)), tracked, held)
         motion, y = network_step(setup, predictor, speed.natural, before, requested)
-        clearance = feet_clearance(setup, params, motion.joint_positions)
-        tracking = update_tracking(tracking, before, motion, command, clearance, config)
+        distance, stands = feet_distance(setup.rig, motion.joint_positions), state.standing.weight >= 1.0
+        tracking = update_tracking(tracking, before, motion, command, distance, stands, config)
         angle = heading_correction(tracking, command, config)
         motion = turn_state(motion, angle)
     frame = predicted_frame(setup, params, motion, y, facing, angle)

@@ -5,8 +5,8 @@ at all. The published loop leaves it at that. Command tracking wraps it in three
 
 - Time scaling. The character runs at `time_scale` times network time: its frames are interpolated, and drawn faster or
   slower than they were predicted. Root, feet and phase change speed together, so feet stay in step with the ground, and
-  the inputs of the network do not change. When commanded to stop, the character completes the current step and freezes
-  (time scale 0) once both feet are down.
+  the inputs of the network do not change. When commanded to stop, the drawn body leaves the network's motion
+  (`standing`); the network goes on unseen until its feet pass each other, and waits there (time scale 0).
 - Heading correction. With every network frame the whole character, including its feet and its past trajectory, is
   rotated about its root towards the commanded heading at a bounded rate. Network inputs are relative to the root, so
   they do not change. A standing character is never rotated. The foot lock removes what this slides a planted foot.
@@ -35,12 +35,8 @@ STOP_SPEED = 0.05
 MIN_WALK_SPEED = 0.05
 """Metres per second; lower bound of a walking speed used as a divisor."""
 
-CLEARANCE_RISE, STOPPING_CLEARANCE_RISE = 0.02, 0.06
-"""Metres per second at which the recent minimum of the feet's height rises again: per second of network time while
-walking; per second of real time while waiting to stop, so that a slow walk does not take longer to stop."""
-
-FREEZE_TIME_SCALE = 0.03
-"""A stopping character whose time scale falls below this freezes."""
+DISTANCE_RISE = 0.05
+"""Metres per second of network time at which the recent minimum of the distance between the feet rises again."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +47,8 @@ class TrackingConfig:
     Attributes:
         min_time_scale, max_time_scale: bounds of the time scale while walking; speeds beyond them are not reached.
         time_scale_rate: of the time scale towards its target.
-        stopping_time_scale: upper bound of the time scale while the last step before a stop is completed.
-        freeze_rate: of the time scale towards 0, once both feet are down.
-        contact_tolerance: metres above the recent minimum height of both feet within which they count as down.
+        stopping_time_scale: lower bound of the time scale of a network that goes on unseen.
+        passing_tolerance: metres above the recent minimum of the distance between the feet within which they pass.
         velocity_rate: of the running mean of the character's velocity, which spans about one step.
         heading_rate: of the running mean of the heading error.
         correction_gain: radians per second of heading correction per radian of heading error.
@@ -72,8 +67,7 @@ class TrackingConfig:
     max_time_scale: float = 2.0
     time_scale_rate: float = 0.1
     stopping_time_scale: float = 0.6
-    freeze_rate: float = 0.2
-    contact_tolerance: float = 0.005
+    passing_tolerance: float = 0.03
     velocity_rate: float = 0.05
     heading_rate: float = 0.08
     correction_gain: float = 4.0
@@ -86,7 +80,7 @@ class TrackingConfig:
     fps: float = 60.0
 
     def __post_init__(self) -> None:
-        check_share(self, "time_scale_rate", "freeze_rate", "velocity_rate", "heading_rate")
+        check_share(self, "time_scale_rate", "velocity_rate", "heading_rate")
         check_positive(self, "min_time_scale", "stopping_time_scale", "strafe_timeout", "max_lookahead_ratio", "fps")
         if self.max_time_scale < self.min_time_scale:
             found = f"got {self.max_time_scale}"
@@ -112,38 +106,38 @@ class TrackingState:
     """The state of command tracking for one character.
 
     Attributes:
-        time_scale: [] seconds of network time per second of real time; 0 while the character stands.
+        time_scale: [] seconds of network time per second of real time; 0 while the network waits.
         velocity: [2] metres per second of network time relative to the root: a running mean.
         heading_error: [] radians about +Y from the actual to the commanded heading: a running mean.
         strafe_failure: [] seconds of network time by which failing to strafe outweighs succeeding.
-        min_clearance: [] metres, recent minimum of the higher foot's height.
-        stopping: [] bool, whether both feet are down and the time scale falls to 0.
+        min_distance: [] metres, recent minimum of the distance between the feet.
+        waiting: [] bool, whether the network waits for the next walk.
     """
 
     time_scale: jax.Array
     velocity: jax.Array
     heading_error: jax.Array
     strafe_failure: jax.Array
-    min_clearance: jax.Array
-    stopping: jax.Array
+    min_distance: jax.Array
+    waiting: jax.Array
 
 
-def init_tracking(velocity: jax.Array, clearance: jax.Array, time_scale: float) -> TrackingState:
-    """Returns the state of a character that starts at a time scale; at 0 it stands.
+def init_tracking(velocity: jax.Array, distance: jax.Array, time_scale: float) -> TrackingState:
+    """Returns the state of a character that starts at a time scale; at 0 its network waits.
 
     Args:
         velocity: [2] metres per second of network time, relative to the root.
-        clearance: [] metres, height of the higher foot.
+        distance: [] metres between the feet.
         time_scale: initial time scale.
     """
-    zero = jnp.zeros_like(clearance)
+    zero = jnp.zeros_like(distance)
     return TrackingState(
         time_scale=zero + time_scale,
         velocity=velocity,
         heading_error=zero,
         strafe_failure=zero,
-        min_clearance=clearance,
-        stopping=jnp.asarray(time_scale == 0.0),
+        min_distance=distance,
+        waiting=jnp.asarray(time_scale == 0.0),
     )
 
 
@@ -193,7 +187,8 @@ def update_tracking(
     before: CharacterState,
     after: CharacterState,
     command: Command,
-    clearance: jax.Array,
+    distance: jax.Array,
+    stands: jax.Array,
     config: TrackingConfig,
 ) -> TrackingState:
     """Returns the tracking state after one more network frame.
@@ -202,26 +197,23 @@ def update_tracking(
         tracking: state before the frame.
         before, after: states of the character before and after the frame.
         command: of the user. The heading error of a character that is commanded to stop is 0.
-        clearance: [] metres, height of the higher foot after the frame.
+        distance: [] metres between the feet after the frame.
+        stands: [] bool, whether nothing of the network's motion is drawn, so that it may wait.
         config: constants.
     """
     moving, facing = is_moving(command), before.directions[ROOT]
     step = (after.positions[ROOT] - before.positions[ROOT]) * config.fps
     velocity = lerp(tracking.velocity, to_local(step, facing), config.velocity_rate)
     heading_error = _heading_error(tracking, turn(facing, yaw_of(velocity)), command, config)
-    # While waiting to stop, raise the height that counts as "foot down" each frame so that stopping always terminates.
-    waiting_rise = STOPPING_CLEARANCE_RISE / jnp.maximum(tracking.time_scale, config.min_time_scale)
-    rise = jnp.where(moving, CLEARANCE_RISE, waiting_rise)
-    min_clearance = jnp.minimum(clearance, tracking.min_clearance + rise / config.fps)
-    slow = tracking.time_scale <= config.stopping_time_scale + 0.05
-    down = (clearance <= min_clearance + config.contact_tolerance) & slow
+    min_distance = jnp.minimum(distance, tracking.min_distance + DISTANCE_RISE / config.fps)
+    passing = distance <= min_distance + config.passing_tolerance
     return replace(
         tracking,
         velocity=velocity,
         heading_error=heading_error,
         strafe_failure=_strafe_failure(tracking, heading_error, command, config),
-        min_clearance=min_clearance,
-        stopping=~moving & (tracking.stopping | down),
+        min_distance=min_distance,
+        waiting=~moving & (tracking.waiting | (passing & stands)),
     )
 
 
@@ -255,11 +247,9 @@ def heading_correction(tracking: TrackingState, command: Command, config: Tracki
 def update_time_scale(tracking: TrackingState, command: Command, config: TrackingConfig) -> TrackingState:
     """Returns the tracking state with the time scale of the next displayed frame."""
     moving, time_scale = is_moving(command), tracking.time_scale
-    stopping = tracking.stopping & ~moving
+    waiting = tracking.waiting & ~moving
     reachable = length(command.velocity) / jnp.maximum(length(tracking.velocity), MIN_WALK_SPEED)
     walking = jnp.clip(reachable, config.min_time_scale, config.max_time_scale)
-    waiting = jnp.where(stopping, 0.0, jnp.minimum(time_scale, config.stopping_time_scale))
-    target = jnp.where(moving, walking, waiting)
-    time_scale = lerp(time_scale, target, jnp.where(stopping, config.freeze_rate, config.time_scale_rate))
-    frozen = stopping & (time_scale < FREEZE_TIME_SCALE)
-    return replace(tracking, time_scale=jnp.where(frozen, 0.0, time_scale), stopping=stopping)
+    target = jnp.where(moving, walking, jnp.maximum(time_scale, config.stopping_time_scale))
+    time_scale = jnp.where(waiting, 0.0, lerp(time_scale, target, config.time_scale_rate))
+    return replace(tracking, time_scale=time_scale, waiting=waiting)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
@@ -43,19 +43,31 @@ def put_onto(
     Raises:
         InputError: if the file cannot be read, or holds no humanoid.
     """
-    target, say = Path(target), note_callback or (lambda note: None)
+    target = Path(target)
     if target.suffix.lower() == ".bvh":
         moved, unit = put_onto_rig(clip, target, note_callback=note_callback)
         return bvh_text(moved, unit=unit).encode()
     if not is_character_file(target):
         rule = f"must be a character ({', '.join(CHARACTER_SUFFIXES)}) or a BVH file of a rig"
         raise InputError(target, "suffix", target.suffix or "none", rule)
-    character = read_character(target)
+    clips = {name or clip_name(clip): clip}
+    return put_clips_onto(clips, target, root_motion=root_motion, note_callback=note_callback)
+
+
+def put_clips_onto(
+    clips: Mapping[str, MotionClip],
+    target: str | Path,
+    *,
+    root_motion: bool = False,
+    note_callback: Callable[[str], None] | None = None,
+) -> bytes:
+    """Returns the file of a character with clips of one skeleton appended under their names; see `put_onto`."""
+    character, say = read_character(target), note_callback or (lambda note: None)
     for note in character.notes:
         say(note)
-    moved = retarget_closed(clip, character.skeleton)
-    say(moved.summary)
-    return character_bytes(character, {name or clip_name(clip): moved.clip}, root_motion=root_motion)
+    moved = {name: retarget_closed(clip, character.skeleton) for name, clip in clips.items()}
+    say(next(iter(moved.values())).summary)
+    return character_bytes(character, {name: each.clip for name, each in moved.items()}, root_motion=root_motion)
 
 
 def put_onto_rig(

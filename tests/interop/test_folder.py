@@ -47,7 +47,7 @@ def test_description_contains_the_speed_to_command(runs, tmp_path, monkeypatch):
     asked = [1.0, 1.1 * 0.4]
     description = export_run(run.path, "bins", tmp_path / "all")
     assert [style["asked_speed"] for style in description["styles"]] == pytest.approx(asked)
-    assert [reference_loop.Character(tmp_path / "all", n).asked_speed for n in range(2)] == pytest.approx(asked)
+    assert [reference_loop.load(tmp_path / "all", n)[2]["asked_speed"] for n in range(2)] == pytest.approx(asked)
     one = export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
     assert one["styles"][0]["asked_speed"] == one["start"]["asked_speed"] == pytest.approx(asked[1])
     assert one["start"]["speed"] == pytest.approx(1.1)
@@ -131,17 +131,43 @@ def test_files_of_the_2018_demo_need_their_description(runs, tmp_path):
     assert error.file.endswith("description.json")
 
 
-def test_reference_loop_takes_style_names_and_refuses_other_formats(runs, tmp_path):
+def test_styles_are_taken_by_name_or_number(runs, tmp_path):
     run = runs("mason2018", "cp")
     export_run(run.path, "bins", tmp_path / "all")
-    by_name, by_place = (reference_loop.Character(tmp_path / "all", style) for style in ("style1", 1))
-    assert by_name.asked_speed == by_place.asked_speed
-    np.testing.assert_array_equal(
-        *(c.evaluate(np.ones(len(run.normaliser.inputs.mean)), 0.3) for c in (by_name, by_place))
+    (_, by_name, speeds), (_, by_place, same) = (
+        reference_loop.load(tmp_path / "all", style) for style in ("style1", 1)
     )
+    assert speeds == same and speeds["name"] == "style1"
+    np.testing.assert_array_equal(*(f(np.ones(len(run.normaliser.inputs.mean)), 0.3) for f in (by_name, by_place)))
     for style in ("style2", 2):
         with pytest.raises(ValueError, match=f"style {style!r}"):
-            reference_loop.Character(tmp_path / "all", style)
-    export_run(run.path, "stablehlo", tmp_path / "one", style="style1")
-    with pytest.raises(ValueError, match="stablehlo"):
-        reference_loop.Character(tmp_path / "one")
+            reference_loop.load(tmp_path / "all", style)
+
+
+@pytest.mark.parametrize(
+    ("settings", "place", "value"),
+    [
+        ({"format": "onnx", "opset": 14}, "opset", "14"),
+        ({"format": "onnx", "opset": 23}, "opset", "23"),
+        ({"format": "stablehlo", "opset": 15}, "opset", "stablehlo"),
+        ({"format": "bins", "tables": 5}, "tables", "5"),
+    ],
+)
+def test_settings_of_other_formats_or_sizes_are_refused(runs, tmp_path, settings, place, value):
+    path = runs("mason2018", "cp").path
+    assert_refused(lambda: export_run(path, out=tmp_path / "out", **settings), place=place, value=value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_four_tables_hold_what_fifty_hold(runs, tmp_path):
+    """Fifty tables are the same spline at more phases, so the loop reads the same network from both."""
+    run = runs("mason2018", "cp")
+    evaluate, sizes = {}, {}
+    for tables in (4, 50):
+        export_run(run.path, "bins", tmp_path / str(tables), tables=tables)
+        evaluate[tables] = reference_loop.load(tmp_path / str(tables), "style1")[1]
+        sizes[tables] = sum(file.stat().st_size for file in (tmp_path / str(tables)).glob("*.bin"))
+    assert sizes[50] > 10 * sizes[4]
+    for phase in np.linspace(0.0, 6.0, 7):
+        few, all_tables = (f(np.ones(run.layout.input_size), phase) for f in evaluate.values())
+        np.testing.assert_array_equal(few, all_tables)

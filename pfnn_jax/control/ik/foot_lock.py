@@ -123,14 +123,14 @@ def lock_feet(
     locks = _advance(rig, feet, contacts, locks, config)
     targets = feet + locks.offsets
     targets = targets.at[:, 1].max(config.floor)
-    needed = _needed_drop(rig, positions, targets, config)
+    needed = needed_drop(rig, positions, targets, config)
     drop, speed = critically_damped_step(locks.drop[0] - needed, locks.drop[1], config)
     locks = replace(locks, drop=jnp.stack([needed + drop, speed]))
     lowered = jnp.stack([jnp.zeros_like(needed), -locks.drop[0], jnp.zeros_like(needed)])
     pose = replace(pose, hips=pose.hips + lowered)
     positions = positions + lowered[None]
     shares = _smooth(locks.strength[np.array([1, 3])])
-    return _place_feet(rig, pose, positions, world, targets.reshape(2, 2, 3), shares), locks
+    return place_feet(rig, pose, positions, world, targets.reshape(2, 2, 3), shares), locks
 
 
 def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, config: FootLockConfig) -> FootLocks:
@@ -171,7 +171,7 @@ def critically_damped_step(
     return (offset + push * dt) * fade, (velocity - push * (rate * dt)) * fade
 
 
-def _needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: FootLockConfig) -> jax.Array:
+def needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: FootLockConfig) -> jax.Array:
     """Returns the distance [] in metres by which the hips must sink for both heels to be within reach."""
     drops = []
     for side, (hip, knee, heel, _) in enumerate(rig.legs):
@@ -184,7 +184,7 @@ def _needed_drop(rig: Rig, positions: jax.Array, targets: jax.Array, config: Foo
     return jnp.clip(jnp.maximum(*drops), 0.0, config.max_drop * rig.leg_length)
 
 
-def _place_feet(
+def place_feet(
     rig: Rig, pose: Pose, positions: jax.Array, world: jax.Array, targets: jax.Array, toe_shares: jax.Array
 ) -> Pose:
     """Places heels and toes at targets [2, 2, 3], both legs at once."""

@@ -49,6 +49,15 @@ class Rig:
         return len(self.parents)
 
     @property
+    def chest(self) -> int | None:
+        """Returns the last joint above both arms, or None without arms or if that is the root."""
+        if not self.arms:
+            return None
+        left, right = (chain_up(np.array(self.parents), arm[0])[1:] for arm in self.arms)
+        shared = next((joint for joint in left if joint in right), 0)
+        return int(shared) or None
+
+    @property
     def feet(self) -> tuple[int, int, int, int]:
         """Returns the joints in the order of contacts: left heel, left toe, right heel, right toe."""
         (_, _, *left), (_, _, *right) = self.legs

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 import jax
@@ -13,7 +14,7 @@ from flax import struct
 
 from pfnn_jax.control.vectors import lerp, orthonormal, to_3d, unit
 from pfnn_jax.motion.features.layout import GAITS, TRAJECTORY_OFFSETS, FrameLayout
-from pfnn_jax.motion.ground import facing_of, to_local, to_world
+from pfnn_jax.motion.ground import facing_of, to_local, to_world, turn
 
 STRIDE = TRAJECTORY_OFFSETS[1] - TRAJECTORY_OFFSETS[0]
 """Frames between two trajectory samples of a network."""
@@ -147,6 +148,24 @@ def turn_state(state: CharacterState, angle: jax.Array) -> CharacterState:
 
     Relative to its root nothing changes. Its targets in the world stay."""
     return _moved(state, lambda v: to_world(v, facing_of(angle)), state.positions[ROOT])
+
+
+def carry_state(state: CharacterState, angle: jax.Array, shift: jax.Array) -> CharacterState:
+    """Rotates a character with its targets by an angle [] radians about the origin, then shifts it by [2] metres.
+
+    An angle and a shift of 0 leave every number as it is."""
+    turned = partial(turn, angle=angle)
+    return replace(
+        state,
+        positions=turned(state.positions) + shift[None],
+        directions=turned(state.directions),
+        joint_positions=turned(state.joint_positions) + to_3d(shift)[None],
+        joint_velocities=turned(state.joint_velocities),
+        target_velocity=turned(state.target_velocity),
+        target_direction=turned(state.target_direction),
+        joint_forward=None if state.joint_forward is None else turned(state.joint_forward),
+        joint_up=None if state.joint_up is None else turned(state.joint_up),
+    )
 
 
 def _moved(state: CharacterState, turned: Callable[[jax.Array], jax.Array], to: jax.Array) -> CharacterState:

@@ -1,11 +1,13 @@
 """Raw float32 files in the layouts of the authors' demos (Holden 2017, Mason 2018, Mason 2022).
 
-`pfnn2017` and `mason2018` networks are written as fifty tables over the phase. CP styles of `mason2018` get separate
-files; other styles are added into the tables. `mason2022` networks keep their experts, and a style is four vectors.
+`pfnn2017` and `mason2018` networks are written as tables over the phase: the four that determine them, or all fifty
+that the demos read. CP styles of `mason2018` get separate files; other styles are added into the tables. `mason2022`
+networks keep their experts, and a style is four vectors.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,8 +28,12 @@ from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.motion.units import authors2018, convert_columns
 from pfnn_jax.run import Run
 
-LOOP_TABLES = range(0, NUM_TABLES, 5)
-"""Tables from which the reference loop recovers the control points; four are enough, ten are better conditioned."""
+FEW_TABLES = (0, 12, 25, 37)
+"""Tables from which the reference loop recovers the control points: those nearest to them, which the 2017 demo reads in
+its cubic mode. The condition number of the recovery is 1.04."""
+
+TABLES: dict[int, Sequence[int]] = {len(FEW_TABLES): FEW_TABLES, NUM_TABLES: range(NUM_TABLES)}
+"""Indices of the tables that can be written, by their number."""
 
 _STATISTICS = {"x": "X", "y": "Y", "phase": "GT_X"}
 
@@ -48,7 +54,7 @@ class Bins:
     styles: list[dict[str, Any]]
 
 
-def write_bins(folder: Path, run: Run, choice: StyleChoice = None) -> Bins:
+def write_bins(folder: Path, run: Run, choice: StyleChoice = None, tables: int = len(FEW_TABLES)) -> Bins:
     """Writes a run's network in the file layout of the authors' demo of its frame layout.
 
     Args:
@@ -56,11 +62,14 @@ def write_bins(folder: Path, run: Run, choice: StyleChoice = None) -> Bins:
         run: a run of layout `pfnn2017`, `mason2018`, or `mason2022` with FiLM styles.
         choice: a style or a mixture. None writes all styles that have separate files (CP styles of `mason2018`, FiLM
             styles of `mason2022`), and otherwise the style-agnostic network.
+        tables: for `pfnn2017` and `mason2018`: 4, or 50 as the demos read them.
 
     Raises:
-        InputError: for a layout without a demo, or styles that the demo does not support.
+        InputError: for another number of tables, a layout without a demo, or styles that the demo does not support.
     """
     name, kind = run.layout.name, run.config.adapter.kind
+    if tables not in TABLES:
+        raise InputError(run.path, "tables", tables, f"must be {' or '.join(map(str, TABLES))}")
     if name == "mason2022" and kind == "film":
         return _write_experts(folder, run, choose_styles(run, choice))
     if name not in ("pfnn2017", "mason2018"):
@@ -75,10 +84,10 @@ def write_bins(folder: Path, run: Run, choice: StyleChoice = None) -> Bins:
             kind,
             f"must not be film, because the demo of {name} has no layer norm: use --format onnx",
         )
-    return _write_tables(folder, run, choice)
+    return _write_tables(folder, run, choice, TABLES[tables])
 
 
-def _write_tables(folder: Path, run: Run, choice: StyleChoice) -> Bins:
+def _write_tables(folder: Path, run: Run, choice: StyleChoice, tables: Sequence[int]) -> Bins:
     split = run.layout.name == "mason2018"
     styles = choose_styles(run, choice, "cp") if split or choice is not None else ()
     separate = [style for style in styles if split and style.kind == "cp"]
@@ -89,29 +98,29 @@ def _write_tables(folder: Path, run: Run, choice: StyleChoice) -> Bins:
         layout = authors2018(run.layout.num_joints)
         normaliser, rows = _convert(run.normaliser, run.layout, layout)
     _write_statistics(folder, normaliser)
-    for index, c in enumerate(spline_design(range(NUM_TABLES))):
+    for index, c in zip(tables, spline_design(tables), strict=True):
         layers = network_at(run.shared, folded[0].parameters if folded else None, c)
         for n, (weights, biases) in enumerate(layers):
             order = rows if n == 2 else slice(None)
             _write(folder, f"W{n}_{index:03d}", weights[order])
             _write(folder, f"b{n}_{index:03d}", biases[order])
-    entries = [{"name": s.name, "kind": s.kind, "files": _write_cp(folder, s)} for s in separate]
+    entries = [{"name": s.name, "kind": s.kind, "files": _write_cp(folder, s, tables)} for s in separate]
     entries += [{"name": s.name, "kind": s.kind, "files": {}} for s in folded]
-    return Bins(layout, normaliser, _table_network(run), entries)
+    return Bins(layout, normaliser, _table_network(run, len(tables)), entries)
 
 
-def _table_network(run: Run) -> dict[str, Any]:
+def _table_network(run: Run, num_tables: int) -> dict[str, Any]:
     def files(letter: str, layer: int) -> list[str]:
-        return [f"{letter}{layer}_{index:03d}" for index in LOOP_TABLES]
+        return [f"{letter}{layer}_{index:03d}" for index in FEW_TABLES]
 
     return {
         "kind": "pfnn",
         "hidden": run.config.network.hidden,
-        "tables": NUM_TABLES,
+        "tables": num_tables,
         "statistics": _statistics_files(run.normaliser),
         "layers": [{"weights": files("W", n), "biases": files("b", n)} for n in range(3)],
         # Maps the tables above to control points.
-        "mixing": np.linalg.pinv(spline_design(LOOP_TABLES)).tolist(),
+        "mixing": np.linalg.pinv(spline_design(FEW_TABLES)).tolist(),
         "gating": [],
     }
 
@@ -136,18 +145,18 @@ def float64(tree: Tree) -> Tree:
     return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), tree)
 
 
-def _write_cp(folder: Path, style: ExportStyle) -> dict[str, Any]:
+def _write_cp(folder: Path, style: ExportStyle, tables: Sequence[int]) -> dict[str, Any]:
     """Writes the factors A diag(D) B of a CP style, with one file of D for each table, and returns their names."""
     layer = style.parameters
     assert isinstance(layer, CPLayer)
     _write(folder, f"{style.stem}_W0", layer.b.T)
     _write(folder, f"{style.stem}_W2", layer.a)
     _write(folder, f"{style.stem}_b", layer.bias)
-    for index, c in enumerate(spline_design(range(NUM_TABLES))):
+    for index, c in zip(tables, spline_design(tables), strict=True):
         _write(folder, f"{style.stem}_W1_{index:03d}", c @ np.asarray(layer.d, np.float64))
     rank, hidden = layer.d.shape[1], layer.a.shape[0]
     named = [[f"{style.stem}_W2", hidden], [f"{style.stem}_W0", rank], [f"{style.stem}_b", 1]]
-    return {"cp": named, "cp_diagonal": [f"{style.stem}_W1_{index:03d}" for index in LOOP_TABLES]}
+    return {"cp": named, "cp_diagonal": [f"{style.stem}_W1_{index:03d}" for index in FEW_TABLES]}
 
 
 def _write_experts(folder: Path, run: Run, styles: tuple[ExportStyle, ...]) -> Bins:

@@ -9,13 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.control.generation import starting_row
-from pfnn_jax.control.loop.state import NUM_POINTS, ROOT
-from pfnn_jax.control.run_settings import loop_config
+from pfnn_jax.control import tracking
+from pfnn_jax.control.calibration import WARM_UP_FRAMES, foot_heights
+from pfnn_jax.control.ik.foot_lock import DECAYED, FootLockConfig
+from pfnn_jax.control.ik.pose import make_rig
+from pfnn_jax.control.loop.state import NUM_POINTS, ROOT, straight_row
+from pfnn_jax.control.run_settings import default_speed, loop_config
 from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.interop.export.walks import Walk, walks_of
 from pfnn_jax.motion.features.layout import GAITS, TRAJECTORY_OFFSETS, FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.motion.labels.contacts import MAX_HEIGHT, MAX_SPEED
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.motion.units import block_unit
 from pfnn_jax.run import Run
@@ -61,7 +65,8 @@ def describe(
         "skeleton": skeleton_to_json(run.skeleton),
         "styles": [{**style, **asdict(walk)} for style, walk in zip(styles, walks, strict=True)],
         "loop": describe_loop(run),
-        "start": describe_start(layout, normaliser, start),
+        "controller": describe_controller(run),
+        "start": describe_start(layout, normaliser, default_speed(run, None), start),
     }
 
 
@@ -112,7 +117,31 @@ def describe_loop(run: Run) -> dict[str, Any]:
     return {**asdict(loop_config(run)), "num_points": NUM_POINTS, "root": ROOT}
 
 
-def describe_start(layout: FrameLayout, normaliser: Normaliser, walk: Walk) -> dict[str, Any]:
-    """Returns a row x and a phase from which a walk along +Z can start (`starting_row`), and its speeds."""
-    x, phase = (np.asarray(values, np.float64).tolist() for values in starting_row(layout, normaliser, walk.speed))
-    return {"x": x, "phase": phase, **asdict(walk)}
+def describe_controller(run: Run) -> dict[str, Any] | None:
+    """Returns what the controller adds to the published loop: constants of command tracking and of the foot lock, and
+    the joints of legs and arms. None for a skeleton without roles, which has no controller."""
+    if run.skeleton.roles is None:
+        return None
+    rig = make_rig(run.skeleton, run.path)
+    config = asdict(tracking.TrackingConfig(fps=float(run.layout.fps)))
+    names = ("STOP_SPEED", "MIN_WALK_SPEED", "CLEARANCE_RISE", "STOPPING_CLEARANCE_RISE", "FREEZE_TIME_SCALE")
+    return {
+        "tracking": config | {name.lower(): getattr(tracking, name) for name in names},
+        "foot_lock": {**asdict(FootLockConfig()), "decayed": DECAYED},
+        "legs": [list(leg) for leg in rig.legs],
+        "arms": [list(arm) for arm in rig.arms],
+        "leg_length": rig.leg_length,
+        "foot_heights": foot_heights(run.layout, run.normaliser, rig).tolist(),
+        "contact_speed": MAX_SPEED * rig.leg_length,
+        "contact_height": MAX_HEIGHT * rig.leg_length,
+        "warm_up_frames": WARM_UP_FRAMES,
+    }
+
+
+def describe_start(layout: FrameLayout, normaliser: Normaliser, speed: float, walk: Walk) -> dict[str, Any]:
+    """Returns a row x and a phase from which a walk along +Z can start, and its speeds.
+
+    It is the row from which the controller starts: the mean pose on a straight trajectory at a speed in m/s.
+    """
+    x = np.asarray(straight_row(layout, normaliser.inputs.mean, speed), np.float64)
+    return {"x": x.tolist(), "phase": np.asarray(normaliser.initial_phase(), np.float64).tolist(), **asdict(walk)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,11 +14,12 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import assemble_predictor, make_predictor
 from pfnn_jax.inference.style_choice import StyleChoice
+from pfnn_jax.interop.export import reference_loop
 from pfnn_jax.interop.export.batch import batch_function, sample_rows
-from pfnn_jax.interop.export.bins import write_bins
+from pfnn_jax.interop.export.bins import FEW_TABLES, write_bins
 from pfnn_jax.interop.export.description import FILE, SCHEMA, describe
 from pfnn_jax.interop.export.formats import Format
-from pfnn_jax.interop.export.onnx import write_onnx
+from pfnn_jax.interop.export.onnx import OPSET, check_opset, write_onnx
 from pfnn_jax.interop.export.stablehlo import write_stablehlo
 from pfnn_jax.interop.export.styles import choose_styles, write_style
 from pfnn_jax.io.files import refuse_existing, replacing
@@ -36,6 +38,8 @@ def export_run(
     *,
     style: StyleChoice = None,
     film_input: bool = False,
+    opset: int | None = None,
+    tables: int = len(FEW_TABLES),
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Exports the network of a run to a format that engines read.
@@ -48,18 +52,24 @@ def export_run(
             styles); for `bins` and with `film_input` it exports all styles.
         film_input: for a FiLM run, keep the style an input of the network (onnx, stablehlo), so that an engine can
             switch and mix styles; their parameters are written to `styles/`.
+        tables: for `bins`: number of tables over the phase, 4 or 50, see `write_bins`.
+        opset: version of the ONNX operators, by default `onnx.OPSET`.
         overwrite: whether to replace an earlier export.
 
     Returns:
         The contents of `description.json`.
 
     Raises:
-        InputError: for an unknown style or format, a layout that the format does not support, a failed check, a missing
-            library, a FiLM run without styles, or if `out` exists and is not an export or must not be replaced.
+        InputError: for an unknown style, format or opset, a layout that the format does not support, a failed check, a
+            missing library, a FiLM run without styles, or if `out` exists and is not an export or must not be replaced.
     """
     run, out = load_run(run_path), Path(out)
     if format not in ("onnx", "stablehlo", "bins"):
         raise InputError(run.path, "format", format, "must be onnx, stablehlo or bins")
+    if opset is not None:
+        if format != "onnx":
+            raise InputError(run.path, "opset", format, "must be left out, except for the format onnx")
+        check_opset(run.path, opset)
     _check_place(out, overwrite)
     with replacing(out) as new:
         new.mkdir()
@@ -71,17 +81,23 @@ def export_run(
                     format,
                     "must be off for bins, which always stores styles in files of their own",
                 )
-            made = write_bins(new, run, style)
+            made = write_bins(new, run, style, tables)
             description = describe(run, format, made.layout, made.normaliser, made.network, made.styles, style)
         else:
-            network, styles = _write_function(new, run, format, style, film_input)
+            network, styles = _write_function(new, run, format, style, film_input, opset or OPSET)
             description = describe(run, format, run.layout, run.normaliser, network, styles, style)
+        _copy_loop(new)
         (new / FILE).write_text(json.dumps(description, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return description
 
 
 def _write_function(
-    folder: Path, run: Run, format: Literal["onnx", "stablehlo"], choice: StyleChoice, film_input: bool
+    folder: Path,
+    run: Run,
+    format: Literal["onnx", "stablehlo"],
+    choice: StyleChoice,
+    film_input: bool,
+    opset: int,
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     if film_input and run.config.adapter.kind != "film":
         rule = "requires FiLM styles; export one network per style instead"
@@ -96,12 +112,21 @@ def _write_function(
     else:
         predictor = make_predictor(run, choice)
     function = batch_function(jax.tree.map(jnp.asarray, predictor), film_input)
-    write = {"onnx": write_onnx, "stablehlo": write_stablehlo}[format]
+    write = {"onnx": partial(write_onnx, opset=opset), "stablehlo": write_stablehlo}[format]
     info = write(folder / _FILES[format], function, rows)
     inputs = [{"name": name, "shape": ["B", *a.shape[1:]], "type": "float32"} for name, a in rows.items()]
     output = {"name": "y", "shape": ["B", run.layout.output_size], "type": "float32"}
     network = {"kind": "function", "file": _FILES[format], "inputs": inputs, "outputs": [output], **info}
     return network, [write_style(folder, style) for style in chosen]
+
+
+def _copy_loop(folder: Path) -> None:
+    """Puts the reference loop next to the network, for those who port it."""
+    source = Path(reference_loop.__file__).parent
+    target = folder / source.name
+    target.mkdir()
+    for file in sorted(source.glob("*.py")):
+        (target / file.name).write_bytes(file.read_bytes())
 
 
 def _check_place(out: Path, overwrite: bool) -> None:

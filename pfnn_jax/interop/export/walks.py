@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
-from pfnn_jax.control.controller import Controller, make_controller
+from pfnn_jax.control.controller import make_controller
 from pfnn_jax.control.controller_state import style_speed
 from pfnn_jax.control.run_settings import default_speed
+from pfnn_jax.control.tracking import TrackingConfig
 from pfnn_jax.inference.mixture import choice_weights
 from pfnn_jax.inference.style_choice import StyleChoice
 from pfnn_jax.run import Run
@@ -21,15 +22,17 @@ class Walk:
 
     Attributes:
         speed: speed at which the style walks.
-        asked_speed: speed to command for it; networks do not walk exactly at the commanded speed.
+        asked_speed: speed to command for it in the published loop; networks do not walk exactly at that.
+        tracked_speed: speed that command tracking, which also limits the look-ahead, commands for it.
     """
 
     speed: float
     asked_speed: float
+    tracked_speed: float
 
 
 def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
-    """Measures the walks of choices of style in the published loop (`control.calibration.calibrate_speeds`).
+    """Measures the walks of choices of style, without and with command tracking (`calibration.calibrate_speeds`).
 
     A skeleton without roles cannot have a controller; its walks are the recorded speeds of the styles.
 
@@ -42,19 +45,21 @@ def walks_of(run: Run, choices: Sequence[StyleChoice]) -> list[Walk]:
     """
     if run.skeleton.roles is None:
         speeds = [default_speed(run, choice) for choice in choices]
-        return [Walk(speed, speed) for speed in speeds]
+        return [Walk(speed, speed, speed) for speed in speeds]
+    published, tracked = (_speeds(run, choices, tracking) for tracking in (None, TrackingConfig()))
+    return [Walk(speed, asked, held) for (speed, asked), (_, held) in zip(published, tracked, strict=True)]
+
+
+def _speeds(run: Run, choices: Sequence[StyleChoice], tracking: TrackingConfig | None) -> list[tuple[float, float]]:
+    """Returns the natural speed of each choice, and the speed to command for it, in metres per second."""
     weights = [choice_weights(run, choice) for choice in choices]
     names = tuple(dict.fromkeys(name for each in weights for name in each))
-    styled = _controller(run, names) if names else None
-    plain = _controller(run, ()) if not all(weights) else None
+    styled = make_controller(run, names, foot_ik=False, tracking=tracking) if names else None
+    plain = make_controller(run, (), foot_ik=False, tracking=tracking) if not all(weights) else None
     found = []
     for each in weights:
         controller = styled if each else plain
         assert controller is not None
         speed = style_speed(controller.params, jnp.asarray(controller.style_weights(each or 0)))
-        found.append(Walk(float(speed.natural), float(speed.natural) * float(speed.gain)))
+        found.append((float(speed.natural), float(speed.natural) * float(speed.gain)))
     return found
-
-
-def _controller(run: Run, names: Sequence[str]) -> Controller:
-    return make_controller(run, names, foot_ik=False, tracking=None)

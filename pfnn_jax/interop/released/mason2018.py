@@ -16,7 +16,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.style_choice import file_stem
 from pfnn_jax.interop.released.files import DESCRIPTION, read_array, read_description, read_statistics
-from pfnn_jax.interop.released.holden2017 import NUM_TABLES, read_tables, recover_control_points
+from pfnn_jax.interop.released.holden2017 import read_tables, recover_control_points
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.layers.full import BlendedLayer
@@ -59,7 +59,10 @@ def import_released_cp(directory: str | Path, out: str | Path, overwrite: bool =
     shared = _reorder(shared, convert_columns(theirs, ours, "outputs")[0])
     styles = {file_stem(s["name"]): s for s in description["styles"] if s["files"]}
     hidden = config_of(shared).hidden
-    layers = {name: _read_style(directory, Path(s["files"]["cp"][1][0]).name, hidden) for name, s in styles.items()}
+    layers = {
+        name: _read_style(directory, Path(s["files"]["cp"][1][0]).name, hidden, facts["tables"])
+        for name, s in styles.items()
+    }
     rank = next((layer.d.shape[1] for layer in layers.values()), AdapterConfig().rank)
     config = RunConfig(
         network=config_of(shared),
@@ -85,14 +88,14 @@ def _reorder(network: Network, columns: np.ndarray) -> Network:
     return replace(network, layers=(first, second, last))
 
 
-def _read_style(directory: Path, down: str, hidden: int) -> CPLayer:
-    """Reads the factors of the style whose first file is `down`, i.e. NAME_W0, without suffix."""
+def _read_style(directory: Path, down: str, hidden: int, indices: list[int]) -> CPLayer:
+    """Reads the factors of the style whose first file is `down`, i.e. NAME_W0, without suffix, at these tables."""
     stem = down.removesuffix("_W0")
-    rank = len(read_array(directory / f"{stem}_W1_000.bin", None))
-    tables = np.stack([read_array(directory / f"{stem}_W1_{index:03d}.bin", (rank,)) for index in range(NUM_TABLES)])
+    rank = len(read_array(directory / f"{stem}_W1_{indices[0]:03d}.bin", None))
+    tables = np.stack([read_array(directory / f"{stem}_W1_{index:03d}.bin", (rank,)) for index in indices])
     return CPLayer(
         a=jnp.asarray(read_array(directory / f"{stem}_W2.bin", (hidden, rank))),
         b=jnp.asarray(read_array(directory / f"{stem}_W0.bin", (rank, hidden)).T),
-        d=jnp.asarray(recover_control_points(tables, range(NUM_TABLES))[0], jnp.float32),
+        d=jnp.asarray(recover_control_points(tables, indices)[0], jnp.float32),
         bias=jnp.asarray(read_array(directory / f"{stem}_b.bin", (hidden,))),
     )
