@@ -63,7 +63,7 @@ class Written:
 
 @pytest.fixture(scope="module")
 def clips(mocap) -> dict[str, MotionClip]:
-    """A straight walk and a circle of procedural walkers, and a person who walks up to 48° to the side of where they face."""
+    """A straight walk and a circle of procedural walkers, and a person who walks to the side by up to 48°."""
     frames = np.zeros(90)
     strafe = read_clip(mocap / "bandai-namco-1" / "dataset-1_walk-left_tired_001.bvh")
     return {
