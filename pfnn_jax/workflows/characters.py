@@ -65,6 +65,8 @@ def put_clips_onto(
     character, say = read_character(target), note_callback or (lambda note: None)
     for note in character.notes:
         say(note)
+    if character.document.path.suffix.lower() == ".gltf":
+        say("its buffers and images are packed into one GLB file")
     moved = {name: retarget_closed(clip, character.skeleton) for name, clip in clips.items()}
     say(next(iter(moved.values())).summary)
     return character_bytes(character, {name: each.clip for name, each in moved.items()}, root_motion=root_motion)

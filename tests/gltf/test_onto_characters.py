@@ -63,9 +63,9 @@ class Written:
 
 @pytest.fixture(scope="module")
 def clips(mocap) -> dict[str, MotionClip]:
-    """A straight walk and a circle of procedural walkers, and a strafe of a person."""
+    """A straight walk and a circle of procedural walkers, and a person who walks to the side by up to 48°."""
     frames = np.zeros(90)
-    strafe = read_clip(mocap / "bandai-namco-1" / "dataset-1_walk-left_normal_001.bvh")
+    strafe = read_clip(mocap / "bandai-namco-1" / "dataset-1_walk-left_tired_001.bvh")
     return {
         "our walk": resample(synthesise("neutral", frames, frames + 1.2)[0], FPS),
         "our circle": resample(synthesise("proud", frames + 0.8, frames + 1.2)[0], FPS),

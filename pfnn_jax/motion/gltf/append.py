@@ -16,6 +16,9 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.gltf.container import Document, read_uri
 from pfnn_jax.motion.kinematics import quat_align
 
+Property = Literal["rotation", "translation"]
+"""What is animated of a node."""
+
 FLOAT = 5126
 """Component type of accessors of float32."""
 
@@ -34,7 +37,7 @@ class Channel:
     """
 
     node: int
-    path: Literal["rotation", "translation"]
+    path: Property
     values: np.ndarray
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.gltf.append import Channel
+from pfnn_jax.motion.gltf.append import Channel, Property
 from pfnn_jax.motion.gltf.character import Character
 from pfnn_jax.motion.gltf.nodes import NodeTree, read_nodes
 from pfnn_jax.motion.humanoid.describe import leg_length_of
@@ -128,7 +128,7 @@ def _pose_node(
     moves: bool,
     turns: bool,
     near: float,
-) -> tuple[_Pose, dict[str, np.ndarray]]:
+) -> tuple[_Pose, dict[Property, np.ndarray]]:
     """Returns the world transforms of a node, and its keys: "rotation" [T, 4] and "translation" [T, 3], as needed.
 
     Args:
@@ -140,7 +140,8 @@ def _pose_node(
         near: distance up to which no translation is keyed otherwise, in the units of the file.
     """
     above = _above_node(tree, int(tree.parents[node]), poses)
-    translation, rotation, keys = tree.translations[None, node], None, {}
+    translation, rotation = tree.translations[None, node], None
+    keys: dict[Property, np.ndarray] = {}
     if wanted is not None:
         positions, rotations = wanted
         carried = above.positions + np.einsum("tij,tj->ti", above.linear, translation)

@@ -14,6 +14,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import median
 from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import positions_of
 from pfnn_jax.motion.retargeting.body import SIDES, humanoid_of, limb
@@ -86,7 +87,7 @@ def same_floor(skeleton: Skeleton, other: Skeleton, scale: float = 1.0) -> bool:
     if skeleton.resting_heights is None or other.resting_heights is None:
         return True
     apart = np.abs(scale * skeleton.resting_heights - other.resting_heights).max()
-    return bool(apart <= SAME_FLOOR * leg_length_of(other, humanoid_of(other)))
+    return bool(apart <= SAME_FLOOR * leg_length_of(other, need_humanoid(other)))
 
 
 def _lowest(heights: np.ndarray) -> np.ndarray:
