@@ -12,6 +12,7 @@ import numpy as np
 from pfnn_jax.control.controller import Controller, Embodiment, rollout_commands
 from pfnn_jax.control.controller_state import ControllerState, style_speed
 from pfnn_jax.control.loop.step import Command
+from pfnn_jax.control.standing import StandingConfig
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, cut, move_clip
 from pfnn_jax.motion.cycles import GAIT_SECONDS, cut_cycle
@@ -23,11 +24,14 @@ from pfnn_jax.motion.world_motion import world_motion
 WARM_UP_SECONDS = 4.0
 """A move is shown from here on: the character has reached its speed and heading."""
 
-SHOWN_SECONDS = 6.0
-"""At least two cycles of the slowest gait."""
+SHOWN_SECONDS = 9.0
+"""At least two cycles of the slowest gait, and one of the sway of standing."""
 
-IDLE_SECONDS = (2.0, 5.5)
-"""Shortest and longest loop of standing."""
+IDLE_SECONDS = (0.99 * StandingConfig().sway_seconds[0], 1.01 * StandingConfig().sway_seconds[0])
+"""Shortest and longest loop of standing: its sway repeats itself exactly after a weight shift."""
+
+SPOT_SECONDS = (0.5, 4.5)
+"""Shortest and longest loop of turning on the spot; a whole turn takes 4 s."""
 
 CURVE, SPOT = np.deg2rad(60.0), np.deg2rad(90.0)
 """Radians per second of turns while walking and on the spot."""
@@ -64,8 +68,8 @@ MOVES: dict[str, Move] = {
     "walk": Move(),
     "walk_left": Move(turn_rate=CURVE),
     "walk_right": Move(turn_rate=-CURVE),
-    "turn_left": Move(speed=0.0, turn_rate=SPOT, seconds=IDLE_SECONDS),
-    "turn_right": Move(speed=0.0, turn_rate=-SPOT, seconds=IDLE_SECONDS),
+    "turn_left": Move(speed=0.0, turn_rate=SPOT, seconds=SPOT_SECONDS),
+    "turn_right": Move(speed=0.0, turn_rate=-SPOT, seconds=SPOT_SECONDS),
     "strafe_left": Move(speed=ASIDE, heading=np.pi / 2),
     "strafe_right": Move(speed=ASIDE, heading=-np.pi / 2),
     "backward": Move(speed=ASIDE, heading=np.pi),
