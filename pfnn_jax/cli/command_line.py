@@ -16,11 +16,12 @@ from pfnn_jax.errors import InputError, TrainingError
 COMMANDS = {
     "demo": "Run the full pipeline on procedural motion and write a report.",
     "download": "Download a published data set.",
-    "prepare": "Turn folders of BVH files into a dataset for training.",
+    "prepare": "Turn folders of BVH or glTF clips into a dataset for training.",
     "pretrain": "Train a network and its styles on a dataset.",
     "few-shot": "Learn a new style from one clip.",
     "sample": "List the sample clips, or write one.",
     "generate": "Generate motion in a style along a path.",
+    "retarget": "Put a clip onto your own character or rig.",
     "transfer": "Put a clip into the style of another.",
     "train-transfer": "Train a network that puts any clip into a style.",
     "play": "Drive a character in the browser.",

@@ -19,7 +19,7 @@ class Evaluate(Command):
 
     Attributes:
         run_path: a run, or `base`.
-        source: folder of BVH files, or one file.
+        source: folder of clips (BVH, GLB, glTF, VRM), or one file.
         style: style of the run to test on all clips; by default the one that each clip is named after.
         roles: JSON file that names the joints' roles.
         reading: what is known about the files, where it is not found or wrong.

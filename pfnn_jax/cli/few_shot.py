@@ -27,7 +27,8 @@ class FewShot(Command):
 
     Attributes:
         run_path: a pretrained run, or `base` for the network of the package.
-        clip: BVH file. A `.phase` file of the same name is used if there is one; otherwise phases are labelled.
+        clip: BVH, GLB, glTF or VRM file. A `.phase` file of the same name is used if there is one; otherwise phases are
+            labelled.
         name: name of the new style.
         start: first frame to use, counted at the file's own frame rate.
         stop: frame before which to end; by default the end of the file.
@@ -43,7 +44,7 @@ class FewShot(Command):
     """
 
     run_path: Run
-    clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP.bvh")]
+    clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP")]
     name: str
     start: int = 0
     stop: int | None = None

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pfnn_jax.cli.command import Command, Run, check_output, open_run, parse_choice
+from pfnn_jax.cli.command import FLAT, Command, Run, open_run, parse_choice
+from pfnn_jax.cli.motion_file import MotionFile
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.modes import Mode
 
 
 @dataclass(frozen=True, kw_only=True)
 class Generate(Command):
-    """Generate motion in a style along a path, and write it to a BVH file.
+    """Generate motion in a style along a path, and write it to a BVH or GLB file, or onto your own character.
 
     Attributes:
         run_path: a run, or `base`.
@@ -29,7 +30,8 @@ class Generate(Command):
             the published loop.
         foot_ik: feet are held in place while they are in contact; `--no-foot-ik` leaves them as the network predicts
             them.
-        out: the BVH file, in centimetres.
+        out: the file to write: .bvh in centimetres, .glb, .vrm for a VRM character, or .vrma for every VRM character.
+        file: whose body moves.
         overwrite: replace an existing file.
     """
 
@@ -43,19 +45,19 @@ class Generate(Command):
     published_loop: bool = False
     mode: Mode = "cubic"
     foot_ik: bool = True
+    file: Annotated[MotionFile, FLAT] = MotionFile()
     overwrite: bool = False
 
     def run(self) -> Any:
         from pfnn_jax.motion.paths import make_path
 
-        check_output(self.out, self.overwrite, ".bvh")
+        self.file.check(self.out, self.overwrite)
         if self.mode != "cubic" and not self.published_loop:
             raise InputError("command line", "mode", self.mode, "must be cubic without --published-loop")
         path = make_path(self.path, self.size)
         run_path = open_run(self.run_path)
         style = parse_choice(self.style, run_path)
         from pfnn_jax.cli.progress import stages
-        from pfnn_jax.motion.bvh import write_bvh
         from pfnn_jax.run import load_run, load_style
         from pfnn_jax.workflows.generate import generate_clip
 
@@ -66,7 +68,8 @@ class Generate(Command):
         with stages("generating") as stage:
             stage("compiling the network and walking the path")
             clip = generate_clip(run, style, path, published_loop=self.published_loop, mode=self.mode, **options)
-        write_bvh(self.out, clip, overwrite=self.overwrite)
+            stage("writing")
+            clip = self.file.write(self.out, clip, self.overwrite)
         seconds = clip.num_frames / clip.fps
         print(f"{self.out}: {seconds:.1f} s")
         return {"out": self.out, "seconds": seconds, "frames": clip.num_frames}

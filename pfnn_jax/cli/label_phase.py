@@ -18,25 +18,25 @@ class LabelPhase(Command):
     """Label the phase of a clip and write it to a `.phase` file, which can be corrected by hand.
 
     Attributes:
-        clip: BVH file.
-        out: the `.phase` file: one value in cycles for each frame of the BVH file; 0 is the right foot's contact.
+        clip: BVH, GLB, glTF or VRM file.
+        out: the `.phase` file: one value in cycles for each frame of the clip; 0 is the right foot's contact.
         roles: JSON file that names the joints' roles.
         reading: what is known about the file, where it is not found or wrong.
         overwrite: replace an existing file.
     """
 
-    clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP.bvh")]
+    clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP")]
     out: Path
     roles: Path | None = None
     reading: Reading = ReadOptions()
     overwrite: bool = False
 
     def run(self) -> Any:
-        from pfnn_jax.motion.bvh import read_bvh
+        from pfnn_jax.motion.clip_files import read_clip
         from pfnn_jax.motion.labels.phase import label_phase, pad_phase, write_phase
 
         check_output(self.out, self.overwrite, ".phase")
-        clip = read_bvh(self.clip, **asdict(self.reading), roles_file=self.roles)
+        clip = read_clip(self.clip, **asdict(self.reading), roles_file=self.roles)
         print_notes(self.clip, clip.notes)
         labels = label_phase(clip)
         if clip.reading is not None:

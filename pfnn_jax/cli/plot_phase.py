@@ -20,7 +20,7 @@ class PlotPhase(Command):
     """Plot the local phases of hands and toes over time.
 
     Attributes:
-        clip: BVH file.
+        clip: BVH, GLB, glTF or VRM file.
         out: the picture, a PNG file.
         start: time in the clip at which the picture begins, in seconds.
         seconds: length of the part that is shown. The phases are always computed from the whole clip.
@@ -30,7 +30,7 @@ class PlotPhase(Command):
         config: when a toe touches the ground.
     """
 
-    clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP.bvh")]
+    clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP")]
     out: Path
     start: float = 0.0
     seconds: float = 6.0
@@ -40,12 +40,12 @@ class PlotPhase(Command):
     config: Annotated[LocalPhaseConfig, FLAT] = field(default_factory=LocalPhaseConfig)
 
     def run(self) -> Any:
-        from pfnn_jax.motion.bvh import read_bvh
         from pfnn_jax.motion.clip import resample
+        from pfnn_jax.motion.clip_files import read_clip
         from pfnn_jax.motion.trajectory import LAYOUT_FPS
 
         check_output(self.out, self.overwrite, ".png")
-        clip = resample(read_bvh(self.clip, **asdict(self.reading), roles_file=self.roles), LAYOUT_FPS)
+        clip = resample(read_clip(self.clip, **asdict(self.reading), roles_file=self.roles), LAYOUT_FPS)
         print_notes(self.clip, clip.notes)
         first, last = (round(second * clip.fps) for second in (self.start, self.start + self.seconds))
         if not 0 <= first < min(last, clip.num_frames - 1):

@@ -1,4 +1,4 @@
-"""`pfnn-jax prepare`: from folders of BVH files to a dataset."""
+"""`pfnn-jax prepare`: from folders of clips to a dataset."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Prepare(Command):
-    """Turn folders of BVH files into a dataset for training.
+    """Turn folders of BVH or glTF clips into a dataset for training.
 
     Attributes:
-        folders: folders of BVH files, each with one folder per style, or a known data set. Styles that several have
-            are named after their folder too: FOLDER_STYLE.
+        folders: folders of BVH or glTF files, each with one folder per style, or a known data set. Styles that several
+            have are named after their folder too: FOLDER_STYLE.
         out: folder of the dataset.
         kind: naming convention of the files; auto recognises it.
-        skeleton: put all clips onto this skeleton: that of a BVH file, `synthetic` (that of the procedural walkers), or
+        skeleton: put all clips onto this skeleton: that of a file, `synthetic` (that of the procedural walkers), or
             the name of one of the folders, for that of its first clip. Without it all clips must share one.
         styles: styles to keep, by their names in the dataset; all by default.
         roles: JSON file that names the joints' roles, for skeletons whose joints are not recognised.
@@ -88,7 +88,7 @@ class Prepare(Command):
 
 def _print_unlisted(files: list[Path]) -> None:
     if files:
-        print(f"note: {len(files)} BVH files are not used, such as {files[0]}: their folder or name does not fit")
+        print(f"note: {len(files)} clips are not used, such as {files[0]}: their folder or name does not fit")
 
 
 def _files_of_notes(dataset: Dataset) -> dict[str, list[str]]:

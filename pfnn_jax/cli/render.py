@@ -25,7 +25,7 @@ class Render(Command):
     A `.phase` file of the same name as a clip is used instead of labelling its phase.
 
     Attributes:
-        clips: BVH files of any skeletons.
+        clips: BVH, GLB, glTF or VRM files of any skeletons.
         out: `.html` for an interactive page that needs no server, `.gif` or `.mp4` for a film, or `.png` for poses
             along time.
         names: captions, one for each clip; by default the names of the files.
@@ -38,7 +38,7 @@ class Render(Command):
         overwrite: replace an existing file.
     """
 
-    clips: Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CLIP.bvh [CLIP.bvh ...]")]]
+    clips: Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CLIP [CLIP ...]")]]
     out: Path
     names: tuple[str, ...] = ()
     start: float = 0.0
@@ -57,7 +57,7 @@ class Render(Command):
         check_writable(self.out)
         refuse_existing(self.out, self.overwrite)
         if not self.clips:
-            raise InputError("command line", "clips", "none", "name at least one BVH file")
+            raise InputError("command line", "clips", "none", "name at least one file")
         if self.names and len(self.names) != len(self.clips):
             value = f"{len(self.names)} for {len(self.clips)} clips"
             raise InputError("command line", "names", value, "give one for each clip")
@@ -75,10 +75,10 @@ class Render(Command):
         return {"out": self.out, "seconds": seconds, "bytes": size, "notes": notes}
 
     def _annotated(self, path: Path, name: str) -> AnnotatedClip:
-        from pfnn_jax.motion.bvh import read_bvh
+        from pfnn_jax.motion.clip_files import read_clip
         from pfnn_jax.viewer.draw.annotated_clip import annotate
 
-        clip = read_bvh(path, **asdict(self.reading), roles_file=self.roles)
+        clip = read_clip(path, **asdict(self.reading), roles_file=self.roles)
         print_notes(path, clip.notes)
         phase = path.with_suffix(".phase")
         annotated = annotate(clip, name, phase if phase.is_file() else None)

@@ -18,19 +18,19 @@ class Skeleton(Command):
     """Show which joint of a skeleton is taken for which part of the body, how the file is read, and what is doubtful.
 
     Attributes:
-        clip: BVH file.
+        clip: BVH, GLB, glTF or VRM file, with or without motion.
         roles: JSON file that names the joints of bones; the others are found.
         reading: what is known about the file, where it is not found or wrong.
     """
 
-    clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP.bvh")]
+    clip: Annotated[Positional[Path], tyro.conf.arg(metavar="CLIP")]
     roles: Path | None = None
     reading: Reading = ReadOptions()
 
     def run(self) -> Any:
-        from pfnn_jax.motion.bvh import read_whole
+        from pfnn_jax.motion.clip_files import read_rig
 
-        about = describe_skeleton(read_whole(self.clip, self.reading, self.roles))
+        about = describe_skeleton(read_rig(self.clip, self.reading, self.roles))
         _print(about)
         return about
 

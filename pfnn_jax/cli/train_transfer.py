@@ -20,7 +20,7 @@ class TrainTransfer(Command):
     """Train a network that puts any clip into one style, for `transfer --run`. One run holds many styles.
 
     Attributes:
-        data: folder of BVH files, with one folder per style, or a known data set. The clips of other styles are the
+        data: folder of clips, with one folder per style, or a known data set. The clips of other styles are the
             contents to train on.
         style: one of its styles.
         out: folder of the run; one that exists gets the style as one more.

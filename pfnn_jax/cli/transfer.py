@@ -21,10 +21,10 @@ class Transfer(Command):
     The result is on the clip's own skeleton, at its own frame rate and in its own unit, with Y up.
 
     Attributes:
-        content: BVH file of the clip to transfer.
-        style: the style clip, one BVH file or several of one style; or, with --run, the name of a style of the
-            run, which may be left out if it has one only. BVH files need no training.
-        run_path: a run of `train-transfer`, for its styles; or, with BVH files as style, for its autoencoder.
+        content: BVH, GLB, glTF or VRM file of the clip to transfer.
+        style: the style clip, one file or several of one style; or, with --run, the name of a style of the
+            run, which may be left out if it has one only. Files need no training.
+        run_path: a run of `train-transfer`, for its styles; or, with files as style, for its autoencoder.
         out: the BVH file to write.
         strength: 0 is the content, 1 the result; up to 1.5, the style is exaggerated.
         parts: of the body that take the style: all, upper, lower, or arms. The others keep the content's motion.
@@ -35,9 +35,9 @@ class Transfer(Command):
         overwrite: replace an existing file.
     """
 
-    content: Annotated[Positional[Path], tyro.conf.arg(metavar="CONTENT.bvh")]
+    content: Annotated[Positional[Path], tyro.conf.arg(metavar="CONTENT")]
     out: Path
-    style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STYLE.bvh [STYLE.bvh ...]|NAME")] = ()
+    style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STYLE [STYLE ...]|NAME")] = ()
     run_path: Annotated[Path | None, tyro.conf.arg(name="run", metavar="RUN")] = None
     strength: float = 1.0
     parts: Literal["all", "upper", "lower", "arms"] = "all"
@@ -84,13 +84,17 @@ class Transfer(Command):
         Raises:
             InputError: for neither, for a mixture of both, for several names, or for a name without a run.
         """
-        clips = [style for style in self.style if Path(style).suffix.lower() == ".bvh"]
+        from pfnn_jax.motion.clip_files import is_clip_file
+
+        clips = [style for style in self.style if is_clip_file(style)]
         if clips and len(clips) == len(self.style):
             return {"style": [Path(clip) for clip in clips]}
         shown = " ".join(self.style) or "none"
         if self.run_path is None:
-            rule = "must be BVH files, or the name of a style of --run RUN"
+            rule = "must be files of clips, or the name of a style of --run RUN"
             raise InputError("command line", "style", shown, rule)
         if len(self.style) > 1:
-            raise InputError("command line", "style", shown, "must be BVH files, or one name of a style of the run")
+            raise InputError(
+                "command line", "style", shown, "must be files of clips, or one name of a style of the run"
+            )
         return {"style_name": self.style[0] if self.style else None}

@@ -33,7 +33,16 @@ def join_components(parts: Sequence[Any], xp: Any, dtype: Any = float) -> Any:
     """Returns N arrays [...] as one array [..., N]; `dtype` applies to NumPy only."""
     if xp is not np:
         return xp.stack(xp.broadcast_arrays(*parts), axis=-1)
-    joined = np.empty(np.broadcast_shapes(*(part.shape for part in parts)) + (len(parts),), dtype)
+    joined = np.empty(np.broadcast(*parts).shape + (len(parts),), dtype)
     for i, part in enumerate(parts):  # filling in place takes half the time of stacking
         joined[..., i] = part
     return joined
+
+
+def cross(a: ArrayLike, b: ArrayLike) -> Any:
+    """Returns the cross product [..., 3] of vectors; for few vectors in NumPy four times as fast as `np.cross`."""
+    xp = array_namespace(a, b)
+    if xp is not np:
+        return xp.cross(xp.asarray(a), xp.asarray(b))
+    (ax, ay, az), (bx, by, bz) = components(a), components(b)
+    return join_components((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), np)

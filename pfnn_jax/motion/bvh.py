@@ -695,6 +695,20 @@ def write_bvh(path: str | Path, clip: MotionClip, *, unit: float = CENTIMETRE, o
     """
     path = Path(path)
     refuse_existing(path, overwrite)
+    write_whole(path, bvh_text(clip, unit=unit, path=path))
+
+
+def bvh_text(clip: MotionClip, *, unit: float = CENTIMETRE, path: str | Path = "clip") -> str:
+    """Returns the text of a BVH file, as `write_bvh` writes it.
+
+    Args:
+        clip: the motion, in metres.
+        unit: metres per unit of the file.
+        path: of the file, for messages.
+
+    Raises:
+        InputError: if the clip is empty or not finite, or the unit is not positive.
+    """
     if not (np.isfinite(unit) and unit > 0):
         raise InputError(path, "unit", unit, "must be a positive, finite number of metres")
     for what, values in (("root positions", clip.root_positions), ("rotations", clip.rotations)):
@@ -703,7 +717,7 @@ def write_bvh(path: str | Path, clip: MotionClip, *, unit: float = CENTIMETRE, o
             raise InputError(path, f"frame {frame}", f"non-finite {what}", "every value must be finite")
     if clip.num_frames < 1:
         raise InputError(path, "clip", "0 frames", "must have at least one frame")
-    write_whole(path, "\n".join(_hierarchy_lines(clip.skeleton, unit) + _motion_lines(clip, unit)) + "\n")
+    return "\n".join(_hierarchy_lines(clip.skeleton, unit) + _motion_lines(clip, unit)) + "\n"
 
 
 def _depth_first(skeleton: Skeleton) -> list[int]:

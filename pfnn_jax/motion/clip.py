@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.kinematics import quat_slerp
+from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate, quat_slerp
 from pfnn_jax.motion.reading import Reading
 from pfnn_jax.motion.reflection import WORLD_REFLECTION, WORLD_TURN, frame_reflections, reflect_rotations
 from pfnn_jax.motion.skeleton import Skeleton
@@ -93,6 +93,19 @@ def resample(clip: MotionClip, fps: float) -> MotionClip:
     positions[between] += weight * (clip.root_positions[second] - clip.root_positions[first])
     rotations[between] = quat_slerp(clip.rotations[first], clip.rotations[second], weight)
     return replace(clip, fps=float(fps), root_positions=positions, rotations=rotations)
+
+
+def move_clip(clip: MotionClip, rotation: np.ndarray, translation: np.ndarray) -> MotionClip:
+    """Returns a clip rotated about the origin, then translated.
+
+    Args:
+        clip: the motion.
+        rotation: [4] wxyz.
+        translation: [3] metres.
+    """
+    rotations = clip.rotations.copy()
+    rotations[:, 0] = quat_multiply(rotation, rotations[:, 0])
+    return replace(clip, root_positions=quat_rotate(rotation, clip.root_positions) + translation, rotations=rotations)
 
 
 def mirror_clip(clip: MotionClip, turns: np.ndarray | None = None) -> MotionClip:

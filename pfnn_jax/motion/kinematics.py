@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pfnn_jax.motion.arrays import array_namespace, as_floats, components, join_components
+from pfnn_jax.motion.arrays import array_namespace, as_floats, components, cross, join_components
 from pfnn_jax.motion.skeleton import Skeleton
 
 AXES = {"X": 0, "Y": 1, "Z": 2}
@@ -208,10 +208,10 @@ def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
     start, end = xp.broadcast_arrays(*(_direction(each, xp) for each in given))
     dot = xp.sum(start * end, axis=-1, keepdims=True)
     opposite = dot < -1.0 + (1e-9 if start.dtype == np.float64 else 1e-6)
-    q = xp.concatenate((1.0 + dot, xp.cross(start, end)), axis=-1)
+    q = xp.concatenate((1.0 + dot, cross(start, end)), axis=-1)
     x, y = (xp.broadcast_to(xp.asarray(axis, dtype=start.dtype), start.shape) for axis in np.eye(3)[:2])
     away = xp.where(xp.abs(start[..., :1]) < 0.9, x, y)
-    half_turn = xp.concatenate((xp.zeros_like(dot), xp.cross(start, away)), axis=-1)
+    half_turn = xp.concatenate((xp.zeros_like(dot), cross(start, away)), axis=-1)
     return quat_normalise(xp.where(opposite, half_turn, q))
 
 
@@ -230,8 +230,8 @@ def quat_from_forward_up(forward: ArrayLike, up: ArrayLike) -> Any:
     """
     xp, along, upward = as_floats(forward, up)
     z = _direction(along, xp)
-    x = _direction(xp.cross(upward, z), xp)
-    return quat_from_matrix(xp.stack((x, xp.cross(z, x), z), axis=-1))
+    x = _direction(cross(upward, z), xp)
+    return quat_from_matrix(xp.stack((x, cross(z, x), z), axis=-1))
 
 
 def forward_kinematics(

@@ -1,7 +1,7 @@
 """How a motion file is to be read, and how it was read.
 
 `ReadOptions` is what the user says, `Reading` is what was decided: a BVH file states neither its unit nor its up axis,
-and what it states may be wrong. `assumptions` decides.
+and what any file states may be wrong. `assumptions` decides.
 """
 
 from __future__ import annotations
@@ -33,15 +33,18 @@ class ReadOptions:
         unit: of lengths: metre, decimetre, centimetre, millimetre, inch, foot, CMU (0.056444 m), or a number of
             metres. By default it is guessed from the length of the legs.
         up: the axis that points up; auto finds it from how the body stands.
-        source_fps: frames per second of the file, in place of its `Frame Time`.
+        source_fps: frames per second of the file, in place of its `Frame Time` or the times of its keys.
         travel: rebuild makes a walk on the spot travel, by the foot that stands; keep leaves it; auto rebuilds the
             travel of a body that stays in place while its standing feet slide.
+        clip_name: name of the clip to read of a glTF file that holds several; by default the only one that moves, or
+            else the plain walk.
     """
 
     unit: float | UnitName | None = None
     up: Up = "auto"
     source_fps: float | None = None
     travel: Travel = "auto"
+    clip_name: str | None = None
 
     @property
     def metres(self) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 from collections.abc import Mapping
@@ -90,6 +91,11 @@ class Skeleton:
 
 def rest_pose(skeleton: Skeleton) -> np.ndarray:
     """Returns joint positions [J, 3] with all rotations zero."""
+    return _rest_pose(skeleton).copy()
+
+
+@functools.lru_cache(maxsize=64)  # retargeting asks for it several times a frame
+def _rest_pose(skeleton: Skeleton) -> np.ndarray:
     pose = np.zeros((skeleton.num_joints, 3))
     for joint in range(1, skeleton.num_joints):
         pose[joint] = pose[skeleton.parents[joint]] + skeleton.offsets[joint]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pfnn_jax.motion.arrays import as_floats
+from pfnn_jax.motion.arrays import as_floats, cross
 from pfnn_jax.motion.kinematics import quat_between, quat_from_axis_angle, quat_rotate
 
 SOFT = 0.97
@@ -43,7 +43,7 @@ def bend(upper: Any, middle: Any, end: Any, target: Any, pole: Any) -> tuple[Any
     xp, upper, middle, end, target, pole = as_floats(upper, middle, end, target, pole)
     u, v = middle - upper, end - middle
     axis = _hinge(u, v, pole, xp)
-    along, aside = _dot(u, v, xp), _dot(xp.cross(axis, v), u, xp)
+    along, aside = _dot(u, v, xp), _dot(cross(axis, v), u, xp)
     both = _length(xp.concatenate((along, aside), axis=-1), xp)
     squares = _dot(u, u, xp) + _dot(v, v, xp)
     bent = -_angle(aside, along, xp)
@@ -64,8 +64,8 @@ def bend(upper: Any, middle: Any, end: Any, target: Any, pole: Any) -> tuple[Any
 def _hinge(u: Any, v: Any, pole: Any, xp: Any) -> Any:
     """Returns the unit axis [..., 3] perpendicular to u about which the limb bends: of its own plane, or of the pole's
     if it is nearly straight."""
-    natural = _unit(xp.cross(pole, u), _across(u, xp), xp)
-    own = xp.cross(u, v) / xp.maximum(_length(u, xp) * _length(v, xp), 1e-9)
+    natural = _unit(cross(pole, u), _across(u, xp), xp)
+    own = cross(u, v) / xp.maximum(_length(u, xp) * _length(v, xp), 1e-9)
     share = xp.clip(_dot(own, own, xp) / BENT**2, 0.0, 1.0)
     lean = LEAN * (1.0 - share * (2.0 - share))
     return _unit(own + lean * natural, natural, xp)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.clip import MotionClip, move_clip
 from pfnn_jax.motion.humanoid.map import LEG, SIDES, HumanoidMap
-from pfnn_jax.motion.kinematics import quat_multiply, quat_rotate
 from pfnn_jax.motion.reading import AXES, Axis
 
 HALF = np.sqrt(0.5)
@@ -67,6 +64,4 @@ def stand_up(clip: MotionClip, up: Axis) -> MotionClip:
     """
     if up == "y":
         return clip
-    rotations = clip.rotations.copy()
-    rotations[:, 0] = quat_multiply(TURNS[up], rotations[:, 0])
-    return replace(clip, root_positions=quat_rotate(TURNS[up], clip.root_positions), rotations=rotations)
+    return move_clip(clip, TURNS[up], np.zeros(3))

@@ -63,7 +63,7 @@ def learn_style(
 
     Args:
         run: a pretrained run, or its directory.
-        clip_file: the clip, its frames and the style's name; or a BVH file, after which the style is named.
+        clip_file: the clip, its frames and the style's name; or a BVH or glTF file, after which the style is named.
         config: the grid of settings, with a method that trains an adapter; `default_config` of the run by default.
         mirror: also learn from the mirrored clip; by default unless its left and right differ, see `inspect_clip`.
         roles_file: JSON naming the joints' roles.
@@ -244,7 +244,9 @@ def _as_clip_file(clip_file: ClipFile | str | Path) -> ClipFile:
     if isinstance(clip_file, ClipFile):
         return clip_file
     if not isinstance(clip_file, str | Path):
-        raise InputError("clip", "argument", type(clip_file).__name__, "must be a ClipFile or the path of a BVH file")
+        raise InputError(
+            "clip", "argument", type(clip_file).__name__, "must be a ClipFile or the path of a BVH or glTF file"
+        )
     return ClipFile(Path(clip_file), Path(clip_file).stem)
 
 

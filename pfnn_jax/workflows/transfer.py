@@ -14,8 +14,8 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.blending import Parts, check_parts
-from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, resample
+from pfnn_jax.motion.clip_files import read_clip
 from pfnn_jax.motion.length_unit import CENTIMETRE
 from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.training.loop import no_progress
@@ -41,7 +41,7 @@ SAME = 1e-4
 """Metres and radians per frame by which the rows of one motion differ at the most, after it was written and read."""
 
 Clip = MotionClip | str | Path
-"""A clip, or the path of a BVH file."""
+"""A clip, or the path of a BVH or glTF file."""
 
 Method = Callable[[np.ndarray], np.ndarray]
 """From the rows of a content to those of the result, [T, D] in layout units."""
@@ -96,7 +96,7 @@ def transfer_clip(
     style is applied (Holden et al. 2017). Clips longer than `transfer.pieces.PIECE` frames are done in pieces.
 
     Args:
-        content: the clip to transfer, or its BVH file.
+        content: the clip to transfer, or its file.
         style: the style clip, or several of one style.
         run: a run of style transfer, or its directory; by default the autoencoder of the package.
         style_name: one of the run's styles; may be left out if it has one only.
@@ -238,7 +238,7 @@ def _style_clips(style: Clip | Sequence[Clip] | None, style_name: str | None) ->
 def _read(clip: Clip, reading: ReadOptions | None, roles_file: str | Path | None) -> MotionClip:
     if isinstance(clip, MotionClip):
         return clip
-    return read_bvh(clip, **asdict(reading or ReadOptions()), roles_file=roles_file)
+    return read_clip(clip, **asdict(reading or ReadOptions()), roles_file=roles_file)
 
 
 def _chosen_style(run: TransferRun, name: str | None) -> str:

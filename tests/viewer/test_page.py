@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.bvh import read_bvh
+from pfnn_jax.motion.gltf.write import glb_bytes
+from pfnn_jax.viewer.body import grow_body
 from pfnn_jax.workflows.samples import sample_clips
 
 # A tab can close while its picture is being sent; `play` ignores the warning, but each test has its own filters.
@@ -152,7 +154,7 @@ def test_a_bad_clip_is_refused_and_changes_nothing(visitor, served, played_run, 
     before, styles, style = files_of(played_run), visitor.options("Style"), visitor.read("style")
     bad = tmp_path / "walk.bvh"
     bad.write_text("HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 nought\n}\n")
-    visitor.upload("Upload a BVH file", bad)
+    visitor.upload("Upload a clip", bad)
     message = visitor.page.locator("[data-message=bad]")
     message.wait_for()
     assert "walk.bvh" in message.inner_text()
@@ -162,7 +164,7 @@ def test_a_bad_clip_is_refused_and_changes_nothing(visitor, served, played_run, 
 
 
 def test_a_good_clip_becomes_a_style_that_moves(visitor, played_run, zombie_bvh):
-    visitor.upload("Upload a BVH file", zombie_bvh)
+    visitor.upload("Upload a clip", zombie_bvh)
     visitor.page.locator("[data-message=good], [data-message=warning]").wait_for(timeout=LEARNING)
     assert "zombie walk" in visitor.options("Style")
     visitor.wait(lambda: visitor.read("style") == "zombie walk", "the character is in the new style")
@@ -312,3 +314,27 @@ def share(visitor, style: str) -> float:
         if part.startswith(style + " ") and part.endswith("%"):
             return float(part.split()[-1].strip("%")) / 100.0
     return 0.0
+
+
+def test_a_character_is_worn_driven_and_taken_off(visitor, zombie_bvh, tmp_path):
+    clip = read_bvh(zombie_bvh)
+    path = tmp_path / "my rig.glb"
+    path.write_bytes(glb_bytes(clip.skeleton, grow_body(clip.skeleton), {}))
+    visitor.upload("Wear a character", path)
+    visitor.wait(lambda: visitor.page.get_by_text("my rig (").count(), "the character is worn")
+    visitor.walk(0.3)
+    visitor.press("Own body")
+    visitor.wait(lambda: not visitor.page.get_by_text("my rig (").count(), "it is taken off")
+    visitor.walk(0.3)
+    assert not visitor.errors
+
+
+def test_a_file_that_holds_a_body_and_no_clip_is_offered_to_wear(visitor, zombie_bvh, tmp_path):
+    clip = read_bvh(zombie_bvh)
+    path = tmp_path / "statue.glb"
+    path.write_bytes(glb_bytes(clip.skeleton, grow_body(clip.skeleton), {}))
+    visitor.upload("Upload a clip", path)
+    visitor.press("Wear it")
+    visitor.wait(lambda: visitor.page.get_by_text("statue (").count(), "the character is worn")
+    visitor.press("Own body")
+    assert not visitor.errors

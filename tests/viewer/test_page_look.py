@@ -33,7 +33,7 @@ def test_the_main_controls_are_visible_and_not_covered_by_notices(visitor, serve
             "style": visitor.field("Style"),
             "triangle": visitor.page.locator("[data-triangle]"),
             "record": visitor.page.get_by_role("button", name="Record").first,
-            "upload": visitor.page.get_by_role("button", name="Upload a BVH file").first,
+            "upload": visitor.page.get_by_role("button", name="Upload a clip").first,
             "sample": visitor.page.get_by_role("button", name="soldier").first,
         }
         visitor.wait(lambda: all(what.evaluate(REACHED) for what in found.values()), f"{list(found)} are visible")

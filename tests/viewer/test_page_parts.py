@@ -1,4 +1,4 @@
-"""Parts of the page that need no browser: meshes, widgets, messages, and the addresses of a server."""
+"""Parts of the page that need no browser: widgets, messages, and the addresses of a server."""
 
 from __future__ import annotations
 
@@ -9,57 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pfnn_jax.motion.kinematics import forward_kinematics, quat_rotate
-from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.viewer.draw.body import capsule_ends
 from pfnn_jax.viewer.page import background, pace, widgets
 from pfnn_jax.viewer.page.drive_input import parse_message
 from pfnn_jax.viewer.page.framing import frame_character
 from pfnn_jax.viewer.page.guard import names_of, objection
-from pfnn_jax.viewer.page.meshes import TAPER, BodyMeshes, Mesh, frustum, sphere
 from pfnn_jax.viewer.page.play import check_address
 from pfnn_jax.viewer.page.scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET, camera_yaw
 from pfnn_jax.viewer.page.view import Dial
 from tests.raising import assert_refused
 
 EXACT = 1e-9  # float64 over a few products
-ROUND = 0.05  # fraction of a sphere's volume that its flat faces cut off
-
-
-def volume(mesh: Mesh) -> float:
-    """Returns the signed volume of a closed surface; positive if the faces point outwards."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    return float(np.sum(np.cross(a, b) * c)) / 6.0
-
-
-def test_meshes_are_round_and_face_outwards():
-    ball = sphere()
-    assert np.allclose(np.linalg.norm(ball.vertices, axis=1), 1.0, atol=EXACT)
-    assert (1.0 - ROUND) * 4.0 / 3.0 * np.pi < volume(ball) < 4.0 / 3.0 * np.pi
-    side = frustum(TAPER)
-    a, b, c = (side.vertices[side.faces[:, i]] for i in range(3))
-    outwards = (a + b + c) / 3.0 * [1.0, 0.0, 1.0]
-    assert (np.sum(np.cross(b - a, c - a) * outwards, axis=1) > 0.0).all()
-
-
-def test_mesh_instances_lie_on_the_bones():
-    clip, _ = synthesise("zombie", np.full(40, 0.5), np.ones(40))
-    positions, rotations = forward_kinematics(clip.skeleton, clip.root_positions, clip.rotations)
-    body = BodyMeshes(clip.skeleton)
-    starts, turned, balls = body.place(positions[-1], rotations[-1])
-    tips = starts + quat_rotate(turned, np.array([0.0, 1.0, 0.0]) * body.limb_scales)
-    ends = [
-        joint + quat_rotate(rotations[-1][i], offset)
-        for i, offset in clip.skeleton.end_sites
-        for joint in [positions[-1][i]]
-    ]
-    points = np.concatenate([positions[-1], np.array(ends).reshape(-1, 3)])
-    expected = [capsule_ends(points, capsule) for capsule in body.capsules]
-    assert np.allclose(starts, [start for start, _ in expected], atol=EXACT)
-    assert np.allclose(tips, [end for _, end in expected], atol=1e-6)  # lengths of the rest pose
-    assert np.allclose(balls, np.concatenate([starts, tips]), atol=1e-6)
-    sides = {side: sum(capsule.side == side for capsule in body.capsules) for side in ("left", "right", "middle")}
-    assert sides["left"] == sides["right"] > 3 and sides["middle"] > 0
 
 
 @pytest.mark.parametrize(

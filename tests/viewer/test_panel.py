@@ -17,9 +17,8 @@ from pfnn_jax.motion.synthetic.walks import synthesise
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
-from pfnn_jax.viewer.page import panel as panel_module  # noqa: E402
+from pfnn_jax.viewer.page import downloads, widgets  # noqa: E402
 from pfnn_jax.viewer.page import tab as tab_module  # noqa: E402
-from pfnn_jax.viewer.page import widgets  # noqa: E402
 from pfnn_jax.viewer.page.learning import LearningBoard  # noqa: E402
 from pfnn_jax.viewer.page.pace import UNSEEN  # noqa: E402
 from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
@@ -113,7 +112,7 @@ def client(server) -> Iterator[Client]:
 
 @pytest.fixture
 def panel(client) -> Any:
-    return Panel(client, any_of(Library()), any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0)))
+    return Panel(client, any_of(Library()), any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0, outfit=None)))
 
 
 def any_of(stand_in: object) -> Any:
@@ -217,7 +216,7 @@ def test_every_tab_shows_what_is_learned_and_its_outcome(client):
     library = any_of(Library())
     library.learning.clock = lambda: 100.0
     job = library.learning.begin("run", "<zombie>")
-    opened_later = Panel(client, library, any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0)))
+    opened_later = Panel(client, library, any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0, outfit=None)))
     opened_later.serve(0.0)
     assert "Learning &lt;zombie&gt; on run" in opened_later._jobs.content
     assert "about 40 s left" in opened_later._jobs.content
@@ -305,8 +304,8 @@ def test_a_learned_style_is_not_selected_after_a_change_of_run(panel):
 
 
 def test_a_download_is_written_in_the_background(panel, client, monkeypatch):
-    written, free = panel_module.bvh_bytes, threading.Event()
-    monkeypatch.setattr(panel_module, "bvh_bytes", lambda clip: free.wait(SOON) and written(clip))
+    written, free = downloads.recording_bytes, threading.Event()
+    monkeypatch.setattr(downloads, "recording_bytes", lambda *given: free.wait(SOON) and written(*given))
     panel._record_or_stop()
     assert panel._character.recording and not client.received
     panel._character.clip = synthesise("zombie", np.zeros(30), np.ones(30))[0]

@@ -14,6 +14,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.clip_files import is_gltf_file
 from pfnn_jax.motion.datasets.labelled import LabelledClip, load_labelled
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.datasets.splits import SPLITS, clip_generator, row_windows, split_blocks
@@ -144,6 +145,8 @@ def has_hand_ends(source: Source) -> bool:
     """Returns whether a clip's hands end away from the wrists; for a file, whether any of its End Sites does."""
     if isinstance(source, LabelledClip):
         return extend_hands(source.clip) is not source.clip
+    if is_gltf_file(source.path):
+        return False  # it has no End Sites
     try:
         with source.path.open(encoding="latin-1") as file:
             hierarchy = takewhile(lambda line: line.strip().upper() != "MOTION", islice(file, MAX_HIERARCHY_LINES))

@@ -1,9 +1,10 @@
 """Reads `clips.csv`, a small table that says how the files of a folder are to be read where that is not found or wrong.
 
-    files,unit,up,source_fps,travel,roles
-    *,centimetre,,,,
-    old/*,inch,z,,,old/roles.json
-    old/walk_03.bvh,,,60,keep,
+    files,unit,up,source_fps,travel,clip_name,roles
+    *,centimetre,,,,,
+    old/*,inch,z,,,,old/roles.json
+    old/walk_03.bvh,,,60,keep,,
+    hero.glb,,,,,Walk_A,
 
 `files` and `roles` are paths relative to the folder, `files` with `*` for any characters. An empty cell leaves the
 value open. Where several lines fit a file, the last one that has a value counts.
@@ -76,7 +77,7 @@ def read_options(folder: Path, paths: Sequence[Path], reading: ReadOptions) -> l
         found.append((options, roles_file))
     for row in rows:
         if row.line not in used:
-            raise InputError(table, f"line {row.line}", row.pattern, "must fit a BVH file that is read from the folder")
+            raise InputError(table, f"line {row.line}", row.pattern, "must fit a clip that is read from the folder")
     return found
 
 

@@ -21,7 +21,7 @@ def list_data_sets(
     `bandai-namco-1_old`. Other styles keep their names. Folders of the same name are distinguished by those above them.
 
     Args:
-        folders: folders, each of one convention, or BVH files, which belong to the folder that they lie in.
+        folders: folders, each of one convention, or files, which belong to the folder that they lie in.
         kind: as in `list_clips`.
         reading: what is known about all files; the table `clips.csv` of a folder takes precedence.
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.assumptions import repair
-from pfnn_jax.motion.bvh import read_whole
 from pfnn_jax.motion.clip import MotionClip, cut, resample
+from pfnn_jax.motion.clip_files import read_whole_clip
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.labels.contacts import flat_crouch, read_gait, resample_gait
 from pfnn_jax.motion.labels.phase import PhaseLabels, cut_phase, label_phase, read_phase, resample_phase
@@ -67,10 +67,10 @@ def read_cut_clip(clip_file: ClipFile, roles_file: str | Path | None = None) -> 
         roles_file: JSON file that names the joints' roles, unless the clip has its own.
 
     Raises:
-        InputError: as `read_bvh`; or if the cut starts beyond the end, naming the table that states it.
+        InputError: as `read_whole_clip`; or if the cut starts beyond the end, naming the table that states it.
     """
     path = clip_file.path
-    whole = read_whole(path, clip_file.read_options, clip_file.roles_file or roles_file)
+    whole = read_whole_clip(path, clip_file.read_options, clip_file.roles_file or roles_file)
     stop = whole.num_frames if clip_file.stop is None else clip_file.stop
     file, place = clip_file.cut_by or (path, "cut")
     if clip_file.start >= whole.num_frames:

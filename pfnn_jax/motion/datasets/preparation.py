@@ -16,7 +16,7 @@ import numpy as np
 from pfnn_jax.errors import BadFilesError, InputError, check_field, check_not_negative, check_one_of
 from pfnn_jax.io.files import failure, refuse_existing, replacing
 from pfnn_jax.io.npy import NpyWriter
-from pfnn_jax.motion.bvh import read_skeleton
+from pfnn_jax.motion.clip_files import read_joints
 from pfnn_jax.motion.datasets.clip_rows import (
     ClipGroup,
     ClipRows,
@@ -98,7 +98,7 @@ def prepare(
 ) -> Dataset:
     """Computes the features of many clips and writes them to a folder.
 
-    If the layout uses the phase of the gait cycle, a `.phase` file next to a BVH file takes precedence over the
+    If the layout uses the phase of the gait cycle, a `.phase` file next to a clip takes precedence over the
     labeller. Clips without steps are then skipped and named in `dataset.json`, as are clips too short for any layout,
     and idle clips under the `mason2022` layouts. Symmetric styles get mirrored copies, with left and right exchanged.
     Every style keeps all of its rows. Validation and test rows are one contiguous block each of every clip, and the
@@ -112,7 +112,7 @@ def prepare(
         clips: a folder that `list_clips` reads, or files as it returns them, or labelled clips in memory, or both.
         out: folder to create.
         config: layout, mirroring, statistics, splits; the default `PrepareConfig` if None.
-        skeleton: the skeleton to put all clips onto, or a BVH file that has it; None for clips that share one.
+        skeleton: the skeleton to put all clips onto, or a BVH or glTF file that has it; None for clips that share one.
         roles_file: JSON file that names the joints' roles.
         overwrite: whether to replace an existing folder.
         skip_bad: whether to leave out bad files and name them in `dataset.json`; otherwise all of them are refused
@@ -178,7 +178,7 @@ def _target(
         check_one_skeleton(files)
         return None
     if not isinstance(skeleton, Skeleton | ClipFile | str | Path):
-        raise InputError(out, "skeleton", type(skeleton).__name__, "must be a Skeleton or a BVH file")
+        raise InputError(out, "skeleton", type(skeleton).__name__, "must be a Skeleton or a BVH or glTF file")
     return find_target(skeleton, files, LAYOUTS[config.layout](1), roles_file)
 
 
@@ -188,7 +188,7 @@ def _joint_names(sources: Sequence[Source]) -> tuple[str, ...]:
         if isinstance(source, LabelledClip):
             return source.clip.skeleton.names
         with suppress(InputError):
-            return read_skeleton(source.path).names
+            return read_joints(source.path).names
     return ()
 
 

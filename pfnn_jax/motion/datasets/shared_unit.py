@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import read_skeleton
+from pfnn_jax.motion.clip_files import is_gltf_file, read_joints
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.find import find_humanoid
@@ -45,9 +45,11 @@ def share_units(clips: Sequence[ClipFile]) -> list[ClipFile]:
 
 
 def _likely_units(path: Path) -> tuple[tuple[str, ...], dict[str, float]] | None:
-    """Returns a file's joints and the log likelihood of each unit; None if it has no legs or is bad."""
+    """Returns a file's joints and the log likelihood of each unit; None without legs, or if it states its unit or is bad."""
+    if is_gltf_file(path):
+        return None  # its unit is stated
     try:
-        skeleton = read_skeleton(path)
+        skeleton = read_joints(path)
         body = find_humanoid(skeleton, source=str(path))
         leg = 0.0 if None in (body.left_foot, body.right_foot) else leg_length_of(skeleton, body)
     except (InputError, ValueError):

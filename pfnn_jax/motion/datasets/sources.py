@@ -1,6 +1,6 @@
 """Lists the clips of a motion capture folder: style, content, frames used, and whether they may be mirrored.
 
-Five naming conventions are recognised:
+Five naming conventions are recognised, of BVH and of glTF files (`clip_files.CLIP_SUFFIXES`):
 
 - `bandai`: `dataset-N_CONTENT_STYLE_ID.bvh` (Bandai-Namco Research Motion Dataset 1 and 2).
 - `100style`: `STYLE_GAIT.bvh`, in the folder or in one folder per style, with `Frame_Cuts.csv` and, for symmetry,
@@ -8,7 +8,7 @@ Five naming conventions are recognised:
 - `xia`: `STYLE_CONTENT_TAKE.bvh` with a two-digit content and a three-digit take (Xia et al. 2015).
 - `pfnn`: `NAME.bvh` with `NAME.phase` (Holden et al. 2017), all of style `neutral`. Files without a `.phase` file are
   skipped, and so are `_mirror` files: mirrored copies are made from the clips themselves.
-- `folders`: one folder of BVH files per style, named after the style; the files may lie in folders of it. Styles are
+- `folders`: one folder of clips per style, named after the style; the files may lie in folders of it. Styles are
   mirrored except those listed in `asymmetric.txt` (one per line, in the folder of the style folders); without that
   file, except the papers' asymmetric styles.
 """
@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import swap_sides
+from pfnn_jax.motion.clip_files import is_clip_file, is_gltf_file
 from pfnn_jax.motion.datasets.clip_table import read_options
 from pfnn_jax.motion.datasets.style100 import CUTS, GAITS, STYLE_GAIT, read_lines, read_tables
 from pfnn_jax.motion.length_unit import CENTIMETRE, CMU
@@ -61,7 +62,7 @@ class ClipFile:
     """A clip on disk, described before it is read.
 
     Attributes:
-        path: the BVH file; a string becomes a `Path`.
+        path: a BVH or glTF file (`clip_files.CLIP_SUFFIXES`); a string becomes a `Path`.
         style: name of the style, valid as a file name.
         content: what is performed, such as `walk` or `walk-turn-left`; empty if unknown.
         symmetric: whether the style may be mirrored.
@@ -109,7 +110,8 @@ class ClipFile:
     @property
     def read_options(self) -> ReadOptions:
         """What is known about the file: what the user says, and the unit of its convention."""
-        return self.reading if self.reading.unit is not None else replace(self.reading, unit=self.unit)
+        known = self.reading.unit is not None or is_gltf_file(self.path)  # which are in metres
+        return self.reading if known else replace(self.reading, unit=self.unit)
 
 
 def is_symmetric(style: str) -> bool:
@@ -123,7 +125,7 @@ def list_clips(folder: str | Path, kind: str = "auto", reading: ReadOptions | No
     A table `clips.csv` in the folder may say how files are to be read, see `clip_table`.
 
     Args:
-        folder: folder in one of the module's conventions, or one BVH file, whose style is taken from its name.
+        folder: folder in one of the module's conventions, or one file, whose style is taken from its name.
         kind: bandai, 100style, xia, pfnn or folders; auto recognises it by the names.
         reading: what is known about all files; the table takes precedence.
 
@@ -137,11 +139,11 @@ def list_clips(folder: str | Path, kind: str = "auto", reading: ReadOptions | No
     if folder.is_file():
         return [replace(_single(folder), reading=reading)]
     if not folder.is_dir():
-        raise InputError(folder, "folder", "absent", "must be a folder of BVH files or a BVH file")
+        raise InputError(folder, "folder", "absent", "must be a folder of BVH or glTF files, or one file")
     kind = find_kind(folder) if kind == "auto" else kind
     clips = KINDS[kind](folder)
     if not clips:
-        raise InputError(folder, "folder", "no clips", f"must hold BVH files of kind {kind}")
+        raise InputError(folder, "folder", "no clips", f"must hold clips of kind {kind}")
     for clip in clips:
         check_style_name(clip.style, clip.path)
     options = read_options(folder, [clip.path for clip in clips], reading)
@@ -149,10 +151,10 @@ def list_clips(folder: str | Path, kind: str = "auto", reading: ReadOptions | No
 
 
 def unlisted_files(folder: str | Path, clips: Iterable[ClipFile]) -> list[Path]:
-    """Returns the BVH files in a folder, at any depth, that are not among its clips."""
+    """Returns the files with clips in a folder, at any depth, that are not among its clips."""
     folder = Path(folder)
     listed = {clip.path for clip in clips}
-    return [path for path in _bvh_files_below(folder) if path not in listed] if folder.is_dir() else []
+    return [path for path in _clips_below(folder) if path not in listed] if folder.is_dir() else []
 
 
 def select_styles(clips: Iterable[ClipFile], styles: Collection[str], source: str | Path) -> list[ClipFile]:
@@ -175,12 +177,12 @@ def select_styles(clips: Iterable[ClipFile], styles: Collection[str], source: st
 
 
 def find_kind(folder: Path) -> str:
-    """Returns the naming convention that all BVH files of a folder follow.
+    """Returns the naming convention that all clips of a folder follow.
 
     Raises:
         InputError: if there is none.
     """
-    stems = [path.stem for path in _bvh_files(folder)]
+    stems = [path.stem for path in _clips_in(folder)]
     if (folder / CUTS).is_file():
         return "100style"
     for kind, pattern in (("bandai", BANDAI), ("xia", XIA), ("100style", STYLE_GAIT)):
@@ -188,9 +190,9 @@ def find_kind(folder: Path) -> str:
             return kind
     if any((folder / f"{stem}.phase").is_file() for stem in stems):
         return "pfnn"
-    if not stems and _bvh_files_below(folder):
+    if not stems and _clips_below(folder):
         return "folders"
-    found = f"{len(stems)} BVH files, such as {stems[0]}.bvh" if stems else "no BVH files"
+    found = f"{len(stems)} clips, such as {stems[0]}" if stems else "no BVH or glTF files"
     rule = "name files dataset-N_CONTENT_STYLE_ID, STYLE_GAIT or STYLE_CC_TTT, or make one folder per style"
     raise InputError(folder, "folder", found, rule)
 
@@ -210,13 +212,14 @@ def check_style_name(name: str, source: str | Path = "style") -> str:
     return name
 
 
-def _bvh_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() == ".bvh" and path.is_file())
+def _clips_in(folder: Path) -> list[Path]:
+    """Returns the files of a folder that hold clips, by their suffixes."""
+    return sorted(path for path in folder.iterdir() if is_clip_file(path) and path.is_file())
 
 
-def _bvh_files_below(folder: Path) -> list[Path]:
-    """Returns the BVH files of a folder and of its sub-folders at any depth."""
-    return sorted(path for path in folder.rglob("*") if path.suffix.lower() == ".bvh" and path.is_file())
+def _clips_below(folder: Path) -> list[Path]:
+    """Returns the files with clips of a folder and of its sub-folders at any depth."""
+    return sorted(path for path in folder.rglob("*") if is_clip_file(path) and path.is_file())
 
 
 def _match(pattern: re.Pattern[str], path: Path, form: str) -> re.Match[str]:
@@ -242,7 +245,7 @@ def style100_files(folder: Path, paths: Iterable[Path]) -> list[ClipFile]:
 
     Args:
         folder: of the tables. Without `Dataset_List.csv`, symmetry follows the paper's list (`is_symmetric`).
-        paths: BVH files.
+        paths: files with clips.
 
     Raises:
         InputError: for another file name, or a table that lacks a clip or is malformed.
@@ -271,34 +274,34 @@ def _single(path: Path) -> ClipFile:
 
 
 def _list_bandai(folder: Path) -> list[ClipFile]:
-    return [_bandai_file(path) for path in _bvh_files(folder)]
+    return [_bandai_file(path) for path in _clips_in(folder)]
 
 
 def _list_100style(folder: Path) -> list[ClipFile]:
-    inner = [path for child in sorted(folder.iterdir()) if child.is_dir() for path in _bvh_files(child)]
-    return style100_files(folder, _bvh_files(folder) + inner)
+    inner = [path for child in sorted(folder.iterdir()) if child.is_dir() for path in _clips_in(child)]
+    return style100_files(folder, _clips_in(folder) + inner)
 
 
 def _list_xia(folder: Path) -> list[ClipFile]:
-    return [_xia_file(path) for path in _bvh_files(folder)]
+    return [_xia_file(path) for path in _clips_in(folder)]
 
 
 def _list_pfnn(folder: Path) -> list[ClipFile]:
-    paths = [path for path in _bvh_files(folder) if path.with_suffix(".phase").is_file()]
+    paths = [path for path in _clips_in(folder) if path.with_suffix(".phase").is_file()]
     return [ClipFile(path, "neutral", path.stem, unit=CMU) for path in paths if not path.stem.endswith("_mirror")]
 
 
 def _list_folders(folder: Path) -> list[ClipFile]:
     listed = folder / "asymmetric.txt"
     asymmetric = {line.strip().lower() for line in read_lines(listed)} - {""} if listed.is_file() else ASYMMETRIC
-    styles = sorted(child for child in folder.iterdir() if child.is_dir() and _bvh_files_below(child))
+    styles = sorted(child for child in folder.iterdir() if child.is_dir() and _clips_below(child))
     unknown = asymmetric - {child.name.lower() for child in styles}
     if unknown and listed.is_file():
         raise InputError(listed, "line", sorted(unknown)[0], "must be the name of a style folder")
     return [
         ClipFile(path, style.name, path.stem, style.name.lower() not in asymmetric)
         for style in styles
-        for path in _bvh_files_below(style)
+        for path in _clips_below(style)
     ]
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import read_skeleton
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.clip_files import read_joints
 from pfnn_jax.motion.datasets.labelled import read_cut_clip
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips
 from pfnn_jax.motion.features.layout import FrameLayout
@@ -34,9 +34,9 @@ def named_skeleton(name: str, clips: Sequence[ClipFile], reading: ReadOptions | 
     """Returns the skeleton of a name, or the clip that has it.
 
     Args:
-        name: a BVH file, `synthetic`, or the name or path of a folder of the clips, whose first clip is taken.
+        name: a file, `synthetic`, or the name or path of a folder of the clips, whose first clip is taken.
         clips: as `list_data_sets` returns them.
-        reading: what is known about the BVH file, if it is not among the clips.
+        reading: what is known about the file, if it is not among the clips.
 
     Raises:
         InputError: for any other name.
@@ -50,7 +50,9 @@ def named_skeleton(name: str, clips: Sequence[ClipFile], reading: ReadOptions | 
         if name == clip.data_set or (path.is_dir() and path.resolve() in clip.path.resolve().parents):
             return clip
     names = ", ".join(dict.fromkeys(clip.data_set for clip in clips))
-    raise InputError("--skeleton", "name", name, f"must be a BVH file, {SYNTHETIC}, or one of the folders: {names}")
+    raise InputError(
+        "--skeleton", "name", name, f"must be a BVH or glTF file, {SYNTHETIC}, or one of the folders: {names}"
+    )
 
 
 def find_target(
@@ -62,10 +64,10 @@ def find_target(
     """Returns the skeleton that clips are put onto, with what retargeting needs, as `dataset.json` stores it.
 
     Args:
-        skeleton: it, or a BVH file that has it.
+        skeleton: it, or a BVH or glTF file that has it.
         clips: all clips; if the file is among them, it is read as they are.
         layout: if it has the ends of hands as joints, the skeleton gets them.
-        roles_file: JSON file that names the joints' roles, for a BVH file.
+        roles_file: JSON file that names the joints' roles, for a file.
 
     Raises:
         InputError: if the file cannot be read or is not a file, or if the skeleton is not a humanoid with all roles.
@@ -100,7 +102,7 @@ def check_one_skeleton(clips: Sequence[ClipFile]) -> None:
     for clip in clips:
         if clip.data_set not in first:
             with suppress(InputError):
-                first[clip.data_set] = clip, plain_names(read_skeleton(clip.path).names)
+                first[clip.data_set] = clip, plain_names(read_joints(clip.path).names)
     known: tuple[ClipFile, tuple[str, ...]] | None = None
     for clip, names in first.values():
         known = known or (clip, names)
@@ -114,7 +116,7 @@ def _clip_file(path: ClipFile | str | Path, clips: Sequence[ClipFile]) -> ClipFi
         given = path
     else:
         if Path(path).is_dir():
-            raise InputError(path, "skeleton", "a folder", "must be a BVH file")
+            raise InputError(path, "skeleton", "a folder", "must be a BVH or glTF file")
         given = list_clips(path)[0]
     same = given.path.resolve()
     return next((clip for clip in clips if clip.path.resolve() == same), given)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import cross
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_axis_angle, quat_multiply, quat_rotate
@@ -111,8 +112,10 @@ def pitch_foot(turns: np.ndarray, scale: float, source: FlatFoot, target: FlatFo
     axis = quat_rotate(turns, RIGHT)
     now, wanted = _pitch_to_height(quat_rotate(turns, target.toe), axis, height)
     wanted = np.maximum(wanted, np.minimum(now, -STEEPEST))
-    # a foot that hangs or points backwards has no pitch that raises it, and keeps that of the source
-    return quat_multiply(quat_from_axis_angle(axis, _forward_share(now) * (wanted - now)), turns)
+    # a foot that hangs or points backwards has no pitch that raises it, and keeps that of the source; a foot whose toe
+    # lies steeply below its ankle even when it stands hangs no sooner than the source's
+    own, _ = _pitch_to_height(quat_rotate(turns, source.toe), axis, height)
+    return quat_multiply(quat_from_axis_angle(axis, _forward_share(own) * (wanted - now)), turns)
 
 
 def ankle_targets(
@@ -152,14 +155,14 @@ def ankle_targets(
     clearance = places[:, 1] - target.height + raised - floor
     near = np.clip((CLEAR - clearance / leg) / (CLEAR - NEAR), 0.0, 1.0)
     # a flat foot's toe is ahead of the source's by the excess; the ankle makes up for what the turned foot lacks
-    excess, heading = target.standing - scale * source.standing, _heading(turns)
-    lacking = excess[2] * heading + excess[0] * np.cross(UP, heading) - other + own
+    excess, heading = target.standing - scale * source.standing, foot_headings(turns)
+    lacking = excess[2] * heading + excess[0] * cross(UP, heading) - other + own
     return places + (near * on_toe)[:, None] * lacking * np.array([1.0, 0.0, 1.0])
 
 
-def _heading(turns: np.ndarray) -> np.ndarray:
+def foot_headings(turns: np.ndarray) -> np.ndarray:
     """Returns the horizontal directions [T, 3] of feet with world rotations [T, 4] from the reference pose."""
-    heading = np.cross(quat_rotate(turns, -RIGHT), UP)
+    heading = cross(quat_rotate(turns, -RIGHT), UP)
     size = np.linalg.norm(heading, axis=-1, keepdims=True)
     return np.where(size > 0.1, heading / np.maximum(size, 0.1), quat_rotate(turns, FORWARD))
 
@@ -242,7 +245,7 @@ def _pitch_to_height(bones: np.ndarray, axis: np.ndarray, height: np.ndarray) ->
     """
     across = np.sum(bones * axis, axis=-1)
     ahead = bones - across[:, None] * axis
-    upwards = np.cross(axis, ahead)  # where a quarter turn takes it
+    upwards = cross(axis, ahead)  # where a quarter turn takes it
     # at pitch p the end is at the height across * axis + radius sin p
     radius = np.hypot(ahead[:, 1], upwards[:, 1])
     now = np.arctan2(ahead[:, 1], upwards[:, 1])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import cross
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import quat_from_axis_angle, quat_multiply, quat_rotate
 from pfnn_jax.motion.retargeting.body import SIDES, UP, limb
@@ -61,31 +62,34 @@ def place_legs(
     Returns:
         Positions [T, 3] of the hips.
     """
-    hips = hips + match_extension(_legs(body, skeleton, hips, world), targets, extension)[:, None] * UP
-    hips = hips - excess_height(_legs(body, skeleton, hips, world), targets)[:, None] * UP
+    legs = _legs(body, skeleton, hips, world)
+    rise = match_extension(legs, targets, extension)[:, None] * UP
+    legs = [tuple(joint + rise for joint in leg) for leg in legs]
+    sink = excess_height(legs, targets)[:, None] * UP
     for number, side in enumerate(SIDES):
         thigh, shin, _ = _joints(body, side)
-        _limit_backward_bend(body, skeleton, hips, world, side, left)
-        top, knee, ankle = _leg(body, skeleton, hips, world, side)
-        over, under, _ = bend(top, knee, ankle, targets[:, number], np.cross(knee - top, left))
+        top, knee, ankle = (joint - sink for joint in legs[number])
+        back = _backward_bend(top, knee, ankle, left)
+        world[:, shin] = quat_multiply(back, world[:, shin])
+        ankle = knee + quat_rotate(back, ankle - knee)
+        over, under, _ = bend(top, knee, ankle, targets[:, number], cross(knee - top, left))
         world[:, thigh] = quat_multiply(over, world[:, thigh])
         world[:, shin] = quat_multiply(over, quat_multiply(under, world[:, shin]))
-    return hips
+    return hips + rise - sink
 
 
-def _limit_backward_bend(
-    body: HumanoidMap, skeleton: Skeleton, hips: np.ndarray, world: np.ndarray, side: str, left: np.ndarray
-) -> None:
-    """Turns shins in place whose knee is bent backwards by more than `MOST_BACKWARD`: it would bend on that way."""
-    top, knee, ankle = _leg(body, skeleton, hips, world, side)
+def _backward_bend(top: np.ndarray, knee: np.ndarray, ankle: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Returns the rotations [T, 4] of shins whose knee is bent backwards by more than `MOST_BACKWARD` to that angle.
+
+    The two-bone leg would bend them on that way.
+    """
     upper, lower = knee - top, ankle - knee
     across = np.sum(left * upper, axis=-1, keepdims=True) / np.maximum(np.sum(upper**2, axis=-1, keepdims=True), 1e-12)
     hinge = left - across * upper
     hinge = hinge / np.maximum(np.linalg.norm(hinge, axis=-1, keepdims=True), 1e-6)
-    bent = np.arctan2(np.sum(np.cross(upper, lower) * hinge, axis=-1), np.sum(upper * lower, axis=-1))
+    bent = np.arctan2(np.sum(cross(upper, lower) * hinge, axis=-1), np.sum(upper * lower, axis=-1))
     back = np.where((bent < -MOST_BACKWARD) & (bent > -np.pi / 2), -MOST_BACKWARD - bent, 0.0)
-    shin = _joints(body, side)[1]
-    world[:, shin] = quat_multiply(quat_from_axis_angle(hinge, back), world[:, shin])
+    return quat_from_axis_angle(hinge, back)
 
 
 def match_extension(legs: Legs, targets: np.ndarray, extension: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import moving_minimum
 from pfnn_jax.motion.humanoid.describe import leg_length_of
+from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.humanoid.map import ARM, LEG, HumanoidMap
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
@@ -23,6 +24,7 @@ from pfnn_jax.motion.kinematics import (
     quat_multiply,
     quat_rotate,
 )
+from pfnn_jax.motion.retargeting.ankles import with_ankles
 from pfnn_jax.motion.retargeting.body import (
     FORWARD,
     LEFT,
@@ -38,6 +40,7 @@ from pfnn_jax.motion.retargeting.feet import (
     FlatFoot,
     ankle_targets,
     flat_foot,
+    foot_headings,
     keep_toes_above,
     lift_toes,
     pitch_foot,
@@ -54,6 +57,9 @@ STANCE_SECONDS = 1.0
 
 ARMS_DOWN = np.deg2rad(75.0)
 """Radians below the T-pose at which the arms of the target hang where the source has none."""
+
+WIDER = 0.1
+"""Leg lengths by which the hip joints of two people may lie further out; a figure's may by a whole leg."""
 
 ALIKE = 1e-6  # of the longest bone: offsets that differ by less are equal
 
@@ -100,20 +106,64 @@ def retarget(
     Raises:
         InputError: if either skeleton has no humanoid map, no ankles, or a leg without length.
     """
-    source_map = humanoid_of(clip.skeleton, clip.source or "clip") if source_map is None else source_map
-    target_map = humanoid_of(target) if target_map is None else target_map
-    lengths = [leg_length_of(clip.skeleton, source_map), leg_length_of(target, target_map)]
-    if not min(lengths) > 0:
-        raise InputError(
-            clip.source or "clip", "skeleton", "a leg of no length", "hips, knees and ankles must be apart"
-        )
-    scale = lengths[1] / lengths[0]
-    if same_bones(clip.skeleton, target, scale) and same_floor(clip.skeleton, target, scale):
-        moved = replace(clip, skeleton=target, root_positions=scale * clip.root_positions)
-    else:
-        moved = _retarget(clip, target, source_map, target_map, scale)
+    retargeter = make_retargeter(clip.skeleton, target, source_map=source_map, target_map=target_map, clip=clip)
     joints = f"{clip.skeleton.num_joints} to {target.num_joints} joints"
-    return Retargeted(moved, scale, f"retargeted from {joints}, legs scaled by {scale:.2f}")
+    summary = f"retargeted from {joints}, legs scaled by {retargeter.scale:.2f}"
+    return Retargeted(retargeter.clip(clip), retargeter.scale, summary)
+
+
+def make_retargeter(
+    source: Skeleton,
+    target: Skeleton,
+    *,
+    source_map: HumanoidMap | None = None,
+    target_map: HumanoidMap | None = None,
+    clip: MotionClip | None = None,
+) -> Retargeter:
+    """Returns what puts motions of one skeleton onto another; see `retarget`.
+
+    Args:
+        source: J joints.
+        target: K joints.
+        source_map, target_map: the humanoid maps of both skeletons; by default their own.
+        clip: a motion on the source, which shows its reference pose and resting heights where the skeleton does not.
+
+    Raises:
+        InputError: as `retarget`.
+    """
+    file = (clip.source if clip is not None else "") or "clip"
+    source_map = humanoid_of(source, file) if source_map is None else source_map
+    standing, target_map = _with_feet(target, target_map)
+    lengths = [leg_length_of(source, source_map), leg_length_of(standing, target_map)]
+    if not min(lengths) > 0:
+        raise InputError(file, "skeleton", "a leg of no length", "hips, knees and ankles must be apart")
+    scale = lengths[1] / lengths[0]
+    if same_bones(source, target, scale) and same_floor(source, target, scale):
+        return Retargeter(source, target, scale)
+    references = _source_reference(source, source_map, clip), reference_pose(standing, target_map)
+    feet = _flat_feet(source, standing, source_map, target_map, references, clip)
+    wider = _wider(source, standing, source_map, target_map, scale, lengths[1])
+    bodies = Bodies(standing, source_map, target_map, *references, tuple(zip(*feet, strict=True)), wider)
+    return Retargeter(source, target, scale, bodies)
+
+
+def _wider(
+    source: Skeleton, target: Skeleton, source_map: HumanoidMap, target_map: HumanoidMap, scale: float, leg: float
+) -> float:
+    """Returns the metres by which the target's feet stand further out: its hips are wider by more than a person's."""
+    halves = [
+        np.linalg.norm(rest_pose(skeleton)[body.left_thigh] - rest_pose(skeleton)[body.right_thigh]) / 2
+        for skeleton, body in ((source, source_map), (target, target_map))
+    ]
+    return max(float(halves[1] - scale * halves[0]) - WIDER * leg, 0.0)
+
+
+def _with_feet(target: Skeleton, body: HumanoidMap | None) -> tuple[Skeleton, HumanoidMap]:
+    """Returns the target with ankles and its map; see `with_ankles`."""
+    if body is None:
+        body = need_humanoid(target)
+    standing, body = with_ankles(target, body)
+    return standing, humanoid_of(replace(standing, humanoid=body))
 
 
 def same_bones(skeleton: Skeleton, other: Skeleton, scale: float = 1.0) -> bool:
@@ -124,77 +174,188 @@ def same_bones(skeleton: Skeleton, other: Skeleton, scale: float = 1.0) -> bool:
     return bool(np.all(np.abs(scale * skeleton.offsets - other.offsets) <= tolerance))
 
 
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """What two different bodies need to take each other's motion.
+
+    Attributes:
+        target: the target skeleton with ankles, which come last where it has none of its own.
+        source_map, target_map: the humanoid maps.
+        source_reference, target_reference: [J, 4] and [K, 4] reference poses.
+        feet: the source's and the target's foot, left and right.
+        wider: metres by which each foot of the target stands further out than the source's, scaled.
+    """
+
+    target: Skeleton
+    source_map: HumanoidMap
+    target_map: HumanoidMap
+    source_reference: np.ndarray
+    target_reference: np.ndarray
+    feet: tuple[tuple[FlatFoot, FlatFoot], ...]
+    wider: float
+
+
+@dataclass(frozen=True, eq=False)
+class Retargeter:
+    """Puts motions of one skeleton onto another, as whole clips or frame by frame.
+
+    Attributes:
+        source: J joints.
+        target: K joints.
+        scale: leg length of the target over that of the source, by which travel is scaled.
+        bodies: what both bodies differ in; None if they have the same bones up to scale, so that rotations are kept.
+    """
+
+    source: Skeleton
+    target: Skeleton
+    scale: float
+    bodies: Bodies | None = None
+
+    def clip(self, clip: MotionClip) -> MotionClip:
+        """Returns a clip of the source on the target."""
+        if self.bodies is None:
+            return replace(clip, skeleton=self.target, root_positions=self.scale * clip.root_positions)
+        positions, world = forward_kinematics(self.source, clip.root_positions, clip.rotations)
+        floor = moving_minimum(self.sole_heights(positions), stance_frames(clip.fps))
+        roots, moved = self.world_poses(positions, world, floor)
+        return replace(clip, skeleton=self.target, root_positions=roots, rotations=_local(self.target, moved))
+
+    def pose(self, positions: np.ndarray, world: np.ndarray, floor: float) -> tuple[np.ndarray, np.ndarray]:
+        """Returns one pose on the target: what `clip` returns for that frame above the same floor.
+
+        Args:
+            positions: [J, 3] metres of the source's joints.
+            world: [J, 4] their world rotations.
+            floor: metres, the lowest of `sole_heights` within `STANCE_SECONDS`.
+
+        Returns:
+            Positions [K, 3] in metres and world rotations [K, 4] of the target's joints.
+        """
+        if self.bodies is None:
+            return self.scale * np.asarray(positions, float), np.asarray(world, float)
+        one = np.asarray(positions, float)[None], np.asarray(world, float)[None]
+        roots, moved = self.world_poses(*one, np.array([floor]))
+        return place_joints(self.target, roots[0], moved[0]), moved[0]
+
+    @property
+    def carriers(self) -> np.ndarray:
+        """The joint [K] of the target with which each moves rigidly in all motions; itself if it is moved."""
+        if self.bodies is None:
+            return np.arange(self.target.num_joints)
+        source, target = self.bodies.source_map, self.bodies.target_map
+        still = np.zeros((1, self.source.num_joints, 4))
+        return _carriers(self.bodies.target, target, set(part_turns(still, source, target)))[: self.target.num_joints]
+
+    def sole_heights(self, positions: np.ndarray) -> np.ndarray:
+        """Returns the height [T] in metres of the lower sole of the source in positions [T, J, 3]."""
+        if self.bodies is None:
+            return np.zeros(len(positions))
+        return sole_heights(positions, self.bodies.source_map, [own for own, _ in self.bodies.feet])
+
+    def world_poses(self, positions: np.ndarray, world: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns root positions [T, 3] and world rotations [T, K, 4] of the target, each frame by itself.
+
+        Args:
+            positions: [T, J, 3] metres of the source's joints.
+            world: [T, J, 4] their world rotations.
+            floor: [T] metres below the source's feet.
+        """
+        assert self.bodies is not None
+        roots, moved = _retarget(self.bodies, self.scale, positions, world, self.scale * floor)
+        return roots, moved[:, : self.target.num_joints]
+
+
+def place_joints(skeleton: Skeleton, root: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """Returns the positions [J, 3] of the joints of one pose.
+
+    Args:
+        skeleton: J joints.
+        root: [3] metres, of joint 0.
+        world: [J, 4] world rotations.
+    """
+    bones = quat_rotate(world[skeleton.parents], skeleton.offsets)
+    bones[0] = root
+    for joint in range(1, skeleton.num_joints):
+        bones[joint] += bones[skeleton.parents[joint]]
+    return bones
+
+
 def _retarget(
-    clip: MotionClip, target: Skeleton, source_map: HumanoidMap, target_map: HumanoidMap, scale: float
-) -> MotionClip:
-    """Returns the clip on another skeleton; see `retarget`."""
-    source = clip.skeleton
-    positions, world = forward_kinematics(source, clip.root_positions, clip.rotations)
-    references = _source_reference(clip, source_map), reference_pose(target, target_map)
-    turns = part_turns(quat_multiply(world, quat_conjugate(references[0])), source_map, target_map)
-    moved = np.empty((clip.num_frames, target.num_joints, 4))
-    for joint, turn in turns.items():
-        moved[:, joint] = quat_multiply(turn, references[1][joint])
-    feet = list(zip(*_flat_feet(clip, target, source_map, target_map, references), strict=True))
+    bodies: Bodies, scale: float, positions: np.ndarray, world: np.ndarray, floor: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns root positions [T, 3] and world rotations [T, K, 4]; see `Retargeter.world_poses`.
+
+    Args:
+        bodies: both bodies; the target's has K joints.
+        scale: of travel.
+        positions, world: [T, J, 3] and [T, J, 4] of the source.
+        floor: [T] metres below the target's feet.
+    """
+    target, reference = bodies.target, bodies.target_reference
+    source_map, target_map = bodies.source_map, bodies.target_map
+    turns = part_turns(quat_multiply(world, quat_conjugate(bodies.source_reference)), source_map, target_map)
+    moved = np.empty((len(world), target.num_joints, 4))
+    parts = list(turns)
+    moved[:, parts] = quat_multiply(np.stack([turns[joint] for joint in parts], axis=1), reference[parts])
     leg = leg_length_of(target, target_map)
-    floor = scale * moving_minimum(sole_heights(positions, source_map, [own for own, _ in feet]), _window(clip.fps))
     ankles = []
-    for side, (own, other) in zip(SIDES, feet, strict=True):
+    for side, (own, other) in zip(SIDES, bodies.feet, strict=True):
         (ankle,), (foot,) = limb(source_map, side, "foot"), limb(target_map, side, "foot")
         turned = pitch_foot(turns[foot], scale, own, other)
         places = ankle_targets(positions[:, ankle], turns[foot], turned, scale, own, other, floor, leg)
-        turned, places = keep_toes_above(turned, other, places, floor)
-        ankles.append(places)
-        moved[:, foot] = quat_multiply(turned, references[1][foot])
-    raised = UP * np.mean([other.height - scale * own.height for own, other in feet])
+        turned, lifted = keep_toes_above(turned, other, places, floor)
+        moved_by = lifted - places + SIDES[side] * bodies.wider * np.cross(UP, foot_headings(turns[foot]))
+        # the toe keeps its place where the foot is turned less steep
+        ankles.append(moved_by + ankle_targets(positions[:, ankle], turns[foot], turned, scale, own, other, floor, leg))
+        moved[:, foot] = quat_multiply(turned, reference[foot])
+    higher = UP * np.mean([other.height - scale * own.height for own, other in bodies.feet])
     middle = (positions[:, source_map.left_thigh] + positions[:, source_map.right_thigh]) / 2
-    hips = scale * middle + raised - quat_rotate(moved[:, target_map.hips], _middle_of_legs(target, target_map))
+    hips = scale * middle + higher - quat_rotate(moved[:, target_map.hips], _middle_of_legs(target, target_map))
     left = quat_rotate(turns[target_map.hips], LEFT)
     targets = np.stack(ankles, axis=1)
     hips = place_legs(target_map, target, hips, moved, left, targets, leg_extension(positions, source_map))
-    lift_toes(target_map, target, references[1], moved, targets, [other for _, other in feet], floor)
-    local = _fill(target, target_map, moved, set(turns))
-    at_origin, _ = forward_kinematics(target, np.zeros((clip.num_frames, 3)), local)
-    return replace(clip, skeleton=target, root_positions=hips - at_origin[:, target_map.hips], rotations=local)
+    lift_toes(target_map, target, reference, moved, targets, [other for _, other in bodies.feet], floor)
+    moved = moved[:, _carriers(target, target_map, set(turns))]
+    return _root_of(target, target_map.hips, hips, moved), moved
 
 
 def _flat_feet(
-    clip: MotionClip,
+    source: Skeleton,
     target: Skeleton,
     source_map: HumanoidMap,
     target_map: HumanoidMap,
     references: tuple[np.ndarray, np.ndarray],
+    clip: MotionClip | None,
 ) -> tuple[list[FlatFoot], list[FlatFoot]]:
     """Returns the feet of the source and of the target, left and right, at their resting heights where both are known.
 
     Args:
-        clip: the motion on the source.
-        target: the other skeleton.
+        source, target: the skeletons.
         source_map, target_map: the humanoid maps.
         references: reference poses [J, 4] and [K, 4].
+        clip: a motion on the source, or None.
     """
-    source, known = clip.skeleton, target.resting_heights
+    known = target.resting_heights
     own = [flat_foot(source, source_map, references[0], side) for side in SIDES]
     others = [flat_foot(target, target_map, references[1], side) for side in SIDES]
     if known is None:
         return own, others
     heights = source.resting_heights
-    if heights is None:
+    if heights is None and clip is not None:
         heights = find_resting_heights(clip, source_map)
     if heights is None:
         return own, others
     return list(map(resting_foot, own, heights)), list(map(resting_foot, others, known))
 
 
-def _window(fps: float) -> int:
+def stance_frames(fps: float) -> int:
     """Returns the odd number of frames around each within which a foot stands."""
     return 2 * int(np.ceil(STANCE_SECONDS * fps / 2)) + 1
 
 
-def _source_reference(clip: MotionClip, body: HumanoidMap) -> np.ndarray:
-    """Returns the reference pose [J, 4] of a clip's skeleton, from its motion where nothing else shows it."""
-    skeleton = clip.skeleton
-    if skeleton.poses is None:
+def _source_reference(skeleton: Skeleton, body: HumanoidMap, clip: MotionClip | None) -> np.ndarray:
+    """Returns the reference pose [J, 4] of a skeleton, from a motion on it where nothing else shows it."""
+    if skeleton.poses is None and clip is not None:
         skeleton = replace(skeleton, poses=some_poses(clip.rotations))
     return reference_pose(skeleton, body)
 
@@ -251,17 +412,27 @@ def _hang_arm(turns: dict[int, np.ndarray], side: str, arm: tuple[int | None, ..
     turns.update({joint: quat_multiply(turns[joint], lowered) for joint in arm[1:] if joint is not None})
 
 
-def _fill(skeleton: Skeleton, body: HumanoidMap, world: np.ndarray, known: set[int]) -> np.ndarray:
-    """Returns local rotations [T, J, 4] with joints outside `known` at rest; fills in their world rotations."""
-    local = np.empty_like(world)
-    for joint in range(skeleton.num_joints):
-        parent = int(skeleton.parents[joint])
-        if joint not in known:  # a root above the hips keeps the hips' orientation
-            world[:, joint] = world[:, parent if parent >= 0 else body.hips]
-        if parent < 0:
-            local[:, joint] = world[:, joint]
-        elif joint in known:
-            local[:, joint] = quat_multiply(quat_conjugate(world[:, parent]), world[:, joint])
-        else:
-            local[:, joint] = (1.0, 0.0, 0.0, 0.0)
+def _carriers(skeleton: Skeleton, body: HumanoidMap, known: set[int]) -> np.ndarray:
+    """Returns the joint [J] in `known` with which each turns: itself, or the next above; a root above the hips with
+    these."""
+    carriers = np.arange(skeleton.num_joints)
+    for joint, parent in enumerate(skeleton.parents):
+        if joint not in known:
+            carriers[joint] = carriers[parent] if parent >= 0 else body.hips
+    return carriers
+
+
+def _root_of(skeleton: Skeleton, joint: int, position: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """Returns the root positions [T, 3] with which a joint is at positions [T, 3], at world rotations [T, J, 4]."""
+    while (parent := int(skeleton.parents[joint])) >= 0:
+        position = position - quat_rotate(world[:, parent], skeleton.offsets[joint])
+        joint = parent
+    return position
+
+
+def _local(skeleton: Skeleton, world: np.ndarray) -> np.ndarray:
+    """Returns the local rotations [T, J, 4] of world rotations [T, J, 4]."""
+    above = np.maximum(skeleton.parents, 0)
+    local = quat_multiply(quat_conjugate(world[:, above]), world)
+    local[:, 0] = world[:, 0]
     return local

@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.clip import MotionClip, cut
+from pfnn_jax.motion.clip_files import read_clip
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.labels.contacts import foot_contacts
 from pfnn_jax.motion.labels.footsteps import NoGaitError
@@ -36,7 +36,7 @@ class HasClip(Protocol):
 
 
 Showable = MotionClip | HasClip | str | Path
-"""What the viewer's functions show: a clip, a record with one, or the path of a BVH file."""
+"""What the viewer's functions show: a clip, a record with one, or the path of a BVH or glTF file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,17 +227,17 @@ def as_clip(shown: Showable, number: int = 0) -> MotionClip:
     """Returns the clip of anything that can be shown.
 
     Args:
-        shown: a clip, a record with one, or the path of a BVH file.
+        shown: a clip, a record with one, or the path of a BVH or glTF file.
         number: position among the arguments, for the message.
 
     Raises:
         InputError: for anything else, or for a file that cannot be read.
     """
     if isinstance(shown, str | Path):
-        return read_bvh(Path(shown))
+        return read_clip(Path(shown))
     clip = shown if isinstance(shown, MotionClip) else getattr(shown, "clip", None)
     if not isinstance(clip, MotionClip):
-        rule = "pass a MotionClip, a record with one, or the path of a BVH file"
+        rule = "pass a MotionClip, a record with one, or the path of a BVH or glTF file"
         raise InputError("viewer", f"clip {number + 1}", type(shown).__name__, rule)
     return clip
 

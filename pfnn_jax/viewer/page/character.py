@@ -68,6 +68,12 @@ class Clock:
         self._count(now, self._steps - first)
         return [self._origin + step / self._fps for step in range(first + 1, self._steps + 1)]
 
+    def share(self, now: float) -> float:
+        """Returns how much of the step that is due next has passed, 0 to 1."""
+        if self._origin is None:
+            return 1.0
+        return min(max((now - self._origin) * self._fps - self._steps, 0.0), 1.0)
+
     @property
     def rate(self) -> float:
         """Number of steps that became due in the second before the last call of `due`."""
@@ -202,7 +208,7 @@ class Character:
             self._follow_changes(loaded)
             for moment in self._clock.due(now):
                 self._step(loaded, moment)
-            return self._view(loaded)
+            return self._view(loaded, now)
 
     def start_recording(self) -> None:
         """Records every step from now on, for at most 10 minutes, until the character is moved elsewhere.
@@ -261,6 +267,7 @@ class Character:
         first = max(self._shares, key=lambda name: self._shares[name])
         self._state: ControllerState = controller.start(position=root, yaw=yaw, style=controller.styles.index(first))
         self._facing, self._wanted = yaw, 0.0
+        self._before: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self._root = np.asarray(root, np.float32)  # as given: with some layouts the body is one frame behind
         self._history = RootHistory(np.array(self._state.root), np.array(self._state.facing), loaded.run.layout.fps)
 
@@ -271,6 +278,7 @@ class Character:
             self._keys.press(key, shift, pressed)
         command = self._command(loaded, clock)
         self._state = with_capacity(self._state, loaded.controller.capacity)
+        self._before = np.asarray(self._state.joints), np.asarray(self._state.world_rotations), self._history.root
         started = time.perf_counter()
         self._state = jax.block_until_ready(loaded.controller.step(self._state, command))
         self._durations.append(time.perf_counter() - started)
@@ -299,7 +307,7 @@ class Character:
             return self._speed
         return sum(weight * loaded.speeds[name] for name, weight in self._shares.items())
 
-    def _view(self, loaded: LoadedRun) -> View:
+    def _view(self, loaded: LoadedRun, now: float) -> View:
         recording, state, history = self._recording, self._state, self._history
         future_positions, future_directions = future_trajectory(state, history)
         return View(
@@ -323,6 +331,8 @@ class Character:
             steps_per_second=self._clock.rate,
             recorded_seconds=None if recording is None else recording.seconds,
             recording=recording is not None and recording.open,
+            before=self._before,
+            share=self._clock.share(now),
         )
 
 

@@ -8,6 +8,10 @@ from dataclasses import dataclass
 FRAME = 1.0 / 60.0
 """Seconds between two turns of the loop of a tab that moves; the simulation has the character's own clock."""
 
+PICTURE = 1.0 / 30.0
+"""Seconds between pictures. Each shows the pose at its own moment, so that 30 a second look smooth; twice as many would
+cost twice the messages."""
+
 STANDING_INTERVAL = 1.0 / 15.0
 """Seconds between pictures of a character that stands and sways."""
 
@@ -73,6 +77,6 @@ def picture_interval(work: float, rate: float) -> float:
         work: seconds that a step and a picture take.
         rate: pictures per second that the browser manages, 0 if unknown.
     """
-    browser = 0.9 * FRAME if rate > 50.0 else 1.0 / max(rate, 5.0) if rate else 2.0 * FRAME
+    browser = 1.0 / max(rate, 5.0) if rate else PICTURE
     own = 0.0 if work <= BUSY * FRAME else min(3.0 * work, SLOWEST)
-    return max(browser, own, 0.9 * FRAME)
+    return max(browser, own, PICTURE) - 0.1 * FRAME  # turns of the loop come a little early or late

@@ -11,20 +11,20 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.viewer.draw.palette import BUTTON, HEEL, LEFT, RIGHT, TOE, rgb
 from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.character import Character
+from pfnn_jax.viewer.page.downloads import Downloads
 from pfnn_jax.viewer.page.drive_input import parse_message
 from pfnn_jax.viewer.page.framing import Framing
 from pfnn_jax.viewer.page.pace import UNSEEN
-from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.restyle_panel import RestylePanel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene, camera_yaw
 from pfnn_jax.viewer.page.style_picker import StylePicker
-from pfnn_jax.viewer.page.uploads import NICENESS, LearnedUpload
+from pfnn_jax.viewer.page.uploads import ACCEPTED, NICENESS, LearnedUpload
 from pfnn_jax.viewer.page.view import View
+from pfnn_jax.viewer.page.wardrobe import Wardrobe
 from pfnn_jax.viewer.page.widgets import CONTACT_SECONDS, FieldChanges, Timeline
 from pfnn_jax.workflows.samples import sample_clips
 
@@ -101,6 +101,7 @@ class Panel:
             self._picker = StylePicker(self._gui, library, character)
             self._picker.on_manage(self._queued)
         self._files()
+        self.wardrobe = Wardrobe(client, scene, self.clicks, self.wake)
         self.restyle = RestylePanel(client)
         self._gait()
         self._camera()
@@ -147,6 +148,7 @@ class Panel:
         self._details.content = widgets.details(view, drawn, self.rate)
         self._dial.content = widgets.phase_dial(view.dials)
         self._timeline.show(now)
+        self._downloads.refresh()
         seconds = view.recorded_seconds
         stop = "Stop and download" if view.recording else "Download"
         self._record.label = "Record" if seconds is None else f"{stop} ({seconds:.1f} s)"
@@ -250,13 +252,14 @@ class Panel:
 
     def _files(self) -> None:
         with self._gui.add_folder("Clips"):
-            self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Record the motion as a BVH file.")
+            self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Record the motion to download it.")
             self._record.on_click(self._queued(self._record_or_stop))
-            self.upload = self._gui.add_upload_button("Upload a BVH file", mime_type=".bvh")
+            self.upload = self._gui.add_upload_button("Upload a clip", mime_type=ACCEPTED)
             hint = "Learn the style of a clip that comes with the package."
             self.samples = self._gui.add_button_group("Try a sample", tuple(sample_clips()), hint=hint)
             named = "Of the style that is learned next; empty: as the file is called."
             self._name = self._gui.add_text("Name", "", hint=named)
+            self._downloads = Downloads(self._client, self._scene, self.show_message)
             self._jobs = self._gui.add_html("")
             note = "Upload a walk of a few seconds to learn its style, or try a sample. Name it first if you like."
             self._message = self._gui.add_html(widgets.message("plain", note))
@@ -375,15 +378,7 @@ class Panel:
         if clip is None:
             self._character.start_recording()
             return
-        name = f"{'_'.join(self._character.shares)[:60]}_{clip.num_frames}.bvh"
-        # Ten minutes of motion take seconds to write, during which the character would not move.
-        threading.Thread(target=self._send, args=(name, clip), name="download", daemon=True).start()
-
-    def _send(self, name: str, clip: MotionClip) -> None:
-        try:
-            self._client.send_file_download(name, bvh_bytes(clip), save_immediately=True)
-        except (InputError, OSError) as error:
-            self.show_message("bad", f"{name}: {error}")
+        self._downloads.send("_".join(self._character.shares), clip)
 
     def _look_again(self) -> None:
         self._framing.apply()

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 
-from pfnn_jax.motion.bvh import write_bvh
+from pfnn_jax.motion.bvh import bvh_text
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_normalise
 from pfnn_jax.motion.length_unit import CENTIMETRE
@@ -77,7 +74,4 @@ def bvh_bytes(clip: MotionClip, unit: float = CENTIMETRE) -> bytes:
     Raises:
         InputError: if the clip is not finite or has no frames.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "clip.bvh"
-        write_bvh(path, clip, unit=unit)
-        return path.read_bytes()
+    return bvh_text(clip, unit=unit).encode()

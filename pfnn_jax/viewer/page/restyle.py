@@ -1,7 +1,7 @@
 """Restyling a clip on the page: an uploaded clip takes the style of another, and is shown next to both.
 
-Nothing is written into a run. As in `uploads`, a browser sends bytes and a name; the bytes are parsed as the text of a
-BVH file and as nothing else.
+Nothing is written into a run. As in `uploads`, a browser sends bytes and a name; the bytes are read as BVH or glTF, as
+the name says, and as nothing else.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.blending import Parts
 from pfnn_jax.viewer.draw.annotated_clip import annotate_clips
 from pfnn_jax.viewer.page import background
+from pfnn_jax.viewer.page.outfit import clip_as_bvh, read_offer
 from pfnn_jax.viewer.page.recording import bvh_bytes
-from pfnn_jax.viewer.page.uploads import NICENESS, Progress, check_upload, style_name
+from pfnn_jax.viewer.page.uploads import NICENESS, Progress, check_upload, style_name, suffix_of
 from pfnn_jax.viewer.player.player import player_page
 from pfnn_jax.workflows.transfer import transfer_clip
 
@@ -31,11 +32,13 @@ class ClipUpload(NamedTuple):
 
     Attributes:
         name: its file's name without suffix, reduced to harmless characters.
-        data: the text of a BVH file.
+        data: the bytes of the file.
+        suffix: that of its kind.
     """
 
     name: str
     data: bytes
+    suffix: str = ".bvh"
 
 
 class Restyled(NamedTuple):
@@ -62,11 +65,18 @@ def check_clip(filename: str, data: bytes) -> ClipUpload:
     """Returns an upload that may be a short clip; it is parsed later.
 
     Raises:
-        InputError: for another suffix than `.bvh`, and as `uploads.check_upload`.
+        InputError: for a file of another kind, one without a motion, and as `uploads.check_upload`.
     """
-    name = style_name(filename)
-    check_upload(name, data)
-    return ClipUpload(name, data)
+    name, suffix = style_name(filename), suffix_of(filename)
+    check_upload(name, data, suffix)
+    clips = read_offer(filename, data).clips
+    if not clips:
+        rule = "must hold the motion of a clip: this file holds a character alone, which can be worn"
+        raise InputError(f"{name}{suffix}", "motion", "none", rule)
+    if len(clips) > 1:  # the likely walk
+        filename, data = clip_as_bvh(filename, data, clips[0])
+        return ClipUpload(style_name(filename), data)
+    return ClipUpload(name, data, suffix)
 
 
 def restyle(
@@ -119,7 +129,7 @@ def _restyle(
 
 def _write(folder: Path, clip: ClipUpload) -> Path:
     folder.mkdir()
-    path = folder / f"{clip.name}.bvh"
+    path = folder / f"{clip.name}{clip.suffix}"
     path.write_bytes(clip.data)
     return path
 

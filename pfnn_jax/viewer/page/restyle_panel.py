@@ -13,6 +13,7 @@ from pfnn_jax.transfer.finish import MAX_STRENGTH
 from pfnn_jax.viewer.draw.palette import BUTTON, rgb
 from pfnn_jax.viewer.page import widgets
 from pfnn_jax.viewer.page.restyle import ClipUpload, Restyled, check_clip, restyle
+from pfnn_jax.viewer.page.uploads import ACCEPTED
 from pfnn_jax.workflows.samples import sample_clips
 
 if TYPE_CHECKING:
@@ -47,8 +48,8 @@ class RestylePanel:
         self._working = threading.Lock()
         samples = tuple(sample_clips())
         with gui.add_folder("Restyle a clip", expand_by_default=False):
-            self.upload_content = gui.add_upload_button(CONTENT, mime_type=".bvh")
-            self.upload_style = gui.add_upload_button(STYLE, mime_type=".bvh")
+            self.upload_content = gui.add_upload_button(CONTENT, mime_type=ACCEPTED)
+            self.upload_style = gui.add_upload_button(STYLE, mime_type=ACCEPTED)
             self._style = gui.add_dropdown("Style of", samples, initial_value=samples[0])
             self._strength = gui.add_slider("Strength", 0.0, MAX_STRENGTH, step=0.05, initial_value=1.0)
             self._parts = gui.add_dropdown("Parts", PARTS, initial_value="all")
@@ -101,11 +102,15 @@ class RestylePanel:
     def _receiver(self, take: Callable[[str, bytes], None]) -> Any:
         """Returns a callback that takes an uploaded file, or shows why it is refused."""
 
-        async def received(event: Any) -> None:
+        def work(filename: str, data: bytes) -> None:
             try:
-                take(event.target.value.name, event.target.value.content)
+                take(filename, data)
             except InputError as error:
                 self.show_message("bad", str(error))
+
+        async def received(event: Any) -> None:
+            sent = event.target.value.name, event.target.value.content
+            threading.Thread(target=work, args=sent, name="restyle", daemon=True).start()
 
         return received
 

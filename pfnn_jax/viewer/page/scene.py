@@ -1,19 +1,21 @@
 """The three-dimensional scene of a tab: body, ground, trajectory and foot contacts.
 
-The mouse controls the camera. A camera that follows the character is therefore made by moving the world instead:
-everything is drawn relative to a point that moves with the character and, if wanted, turns with its heading. Orbiting
-stays smooth whatever the network does, and no camera message is ever sent.
+The mouse controls the camera. A camera that follows the character is therefore made by moving the world instead: all
+that stands in it hangs below one node, which is moved so that the character stays in the middle and, if wanted, is seen
+from behind. Orbiting stays smooth whatever the network does, and no camera message is ever sent.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply
+from pfnn_jax.motion.kinematics import quat_from_yaw
 from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.skinned_mesh import SkinnedMesh
+from pfnn_jax.viewer.body import grow_body
 from pfnn_jax.viewer.draw.palette import (
     FUTURE,
     HORIZON,
@@ -24,15 +26,16 @@ from pfnn_jax.viewer.draw.palette import (
     SCENE_SIDES,
     SKY,
 )
-from pfnn_jax.viewer.page.meshes import TAPER, BodyMeshes, Mesh, frustum, sphere
-from pfnn_jax.viewer.page.view import View
+from pfnn_jax.viewer.page.outfit import Fitting, Outfit, height_of
+from pfnn_jax.viewer.page.skinned_body import SkinnedBody
+from pfnn_jax.viewer.page.view import View, at_moment
 
 if TYPE_CHECKING:
     import viser
 
 CELL_SIZE, SECTION_SIZE = 0.5, 2.0  # metres
-EASE = 0.18  # seconds, time constant of the following camera's position
-EASE_TURN = 0.45  # seconds, time constant of its turning
+EASE = 0.1  # seconds, time constant of the following camera's position: it lags behind by twice as much
+EASE_TURN = 0.24  # seconds, time constant of its turning
 ARROW = 0.15  # metres, length of the arrowheads along the trajectory
 LAMP = (2.4, 5.2, -2.8)
 """Metres from the character: behind its left, so that the camera sees the lit side. One lamp that moves along needs one
@@ -48,6 +51,39 @@ CAMERA_FIELD = math.radians(40.0)
 """Vertical field of view."""
 
 
+class Mesh(NamedTuple):
+    """A triangle mesh: vertices [V, 3], faces [F, 3] anticlockwise as seen from outside."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+class Spring:
+    """Follows a target like a critically damped spring: without a jerk when the target jumps, and without overshoot.
+
+    The motion is computed exactly between two moments, so it does not depend on how often it is drawn.
+
+    Args:
+        value: [...] start, at rest.
+        seconds: time constant.
+    """
+
+    def __init__(self, value: np.ndarray, seconds: float) -> None:
+        self.value, self._rate = np.asarray(value, float), 1.0 / seconds
+        self._velocity = np.zeros_like(self.value)
+
+    def follow(self, target: np.ndarray, seconds: float) -> None:
+        """Moves on by some seconds in which the target [...] stands still."""
+        behind, decay = self.value - target, math.exp(-self._rate * seconds)
+        pull = self._velocity + self._rate * behind
+        self.value = target + (behind + pull * seconds) * decay
+        self._velocity = (self._velocity - self._rate * pull * seconds) * decay
+
+    def jump(self, value: np.ndarray) -> None:
+        """Stands at a value at once."""
+        self.value, self._velocity = np.asarray(value, float), np.zeros_like(self.value)
+
+
 class PageScene:
     """Draws body, ground, trajectory and contact discs of one tab.
 
@@ -57,16 +93,24 @@ class PageScene:
     Attributes:
         follow: whether the camera follows the character.
         turn: whether it turns with the heading.
-        origin, yaw: [2] metres and radians, the frame relative to which everything is drawn.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
-        self._skeleton: Skeleton | None = None
+        self._own: Skeleton | None = None
+        self._outfit: Outfit | None = None
+        self._fitting: Fitting | None = None
+        self._skeleton: Skeleton | None = None  # of what is drawn
         self._parts: list[Any] = []
+        self._zoom = 1.0
         self.follow, self.turn = True, True
-        self.origin, self.yaw = np.zeros(2), 0.0
+        self._origin, self._yaw = Spring(np.zeros(2), EASE), Spring(np.zeros(()), EASE_TURN)
         self._light()
+        self._world = scene.add_frame("/world", show_axes=False)
+        self._body = SkinnedBody(scene, "/world/body")
+        # Browsers apply poses of nodes at once, but other changes some pictures later: what is drawn around the
+        # character is given relative to it, so that it does not lag behind.
+        self._around = scene.add_frame("/world/around", show_axes=False)
         self._grid = scene.add_grid(
             "/ground",
             plane="xz",
@@ -83,27 +127,65 @@ class PageScene:
             fade_strength=1.6,
         )
 
+    @property
+    def outfit(self) -> Outfit | None:
+        """The character that is worn."""
+        return self._outfit
+
+    @property
+    def _travel(self) -> float:
+        """Factor on the ground covered by the character that is driven."""
+        return 1.0 if self._fitting is None else self._fitting.retargeter.scale
+
+    @property
+    def origin(self) -> np.ndarray:
+        """Point of the ground [2] in metres that is drawn in the middle."""
+        return self._origin.value
+
+    @property
+    def yaw(self) -> float:
+        """Direction in radians about +Y that is drawn as ahead."""
+        return float(self._yaw.value)
+
     def set_skeleton(self, skeleton: Skeleton) -> None:
-        """Replaces the body by that of a skeleton."""
+        """Sets the skeleton of the views that follow, and draws its body unless another is worn."""
+        self._own = skeleton
+        self.wear(self._outfit)
+
+    def wear(self, outfit: Outfit | None) -> None:
+        """Replaces the body by that of a character, or by the skeleton's own.
+
+        All is drawn so that a body of another height fills as much of the picture.
+
+        Raises:
+            InputError: if the skeleton's motion cannot be put onto the character; nothing has changed then.
+        """
+        if self._own is None:
+            self._outfit = outfit
+            return
+        fitting, before = None if outfit is None else Fitting(self._own, outfit), self._travel
+        own = grow_body(self._own)
+        if outfit is None or fitting is None:
+            self._show(self._own, own, np.arange(self._own.num_joints), 1.0)
+        else:
+            zoom = height_of(own) / height_of(outfit.mesh)
+            self._show(outfit.skeleton, outfit.mesh, fitting.retargeter.carriers, zoom)
+        self._outfit, self._fitting = outfit, fitting
+        self._origin.jump(self._origin.value * (self._travel / before))
+
+    def _show(self, skeleton: Skeleton, mesh: SkinnedMesh, carriers: np.ndarray, zoom: float) -> None:
         for part in self._parts:
             part.remove()
-        self._skeleton, self._body = skeleton, BodyMeshes(skeleton)
-        colours = np.array([SCENE_SIDES[capsule.side] for capsule in self._body.capsules], np.uint8)
-        self._limbs = [
-            (chosen, self._batch(name, frustum(ratio), colours[chosen], self._body.limb_scales[chosen]))
-            for name, ratio, chosen in (
-                ("/body/tapered", TAPER, np.flatnonzero(self._body.tapered)),
-                ("/body/straight", 1.0, np.flatnonzero(~self._body.tapered)),
-            )
-            if len(chosen)
-        ]
-        radii = np.repeat(self._body.ball_radii[:, None], 3, axis=1)
-        self._balls = self._batch("/body/balls", sphere(), np.concatenate([colours, colours]), radii)
-        self._parts = [handle for _, handle in self._limbs] + [self._balls, *self._tracks(skeleton)]
+        self._zoom = zoom
+        self._grid.cell_size, self._grid.section_size = zoom * CELL_SIZE, zoom * SECTION_SIZE
+        self._body.show(mesh, carriers, zoom)
+        self._skeleton, self._parts = skeleton, self._tracks(skeleton)
 
     def jump_to(self, view: View) -> None:
         """Moves the following camera to the character at once: at the start, and after a reset."""
-        self.origin, self.yaw = np.array(view.root, float), view.heading if self.turn else self.yaw
+        self._origin.jump(view.root * self._travel)
+        if self.turn:
+            self._yaw.jump(np.array(view.heading))
 
     def draw(self, view: View, seconds: float) -> None:
         """Draws a moment.
@@ -112,14 +194,15 @@ class PageScene:
             view: of a character with the skeleton that was set.
             seconds: since the last call.
         """
+        view = at_moment(view)
+        if self._fitting is not None:
+            view = self._fitting.dress(view)
         self._move_camera(view, seconds)
-        limbs, orientations, balls = self._body.place(self._local(view.joints), self._turned(view.world_rotations))
-        for chosen, handle in self._limbs:
-            handle.batched_positions = limbs[chosen]
-            handle.batched_wxyzs = orientations[chosen]
-        self._balls.batched_positions = balls
-        self._lamp.position = self._local(np.array([view.root[0], 0.0, view.root[1]])) + np.array(LAMP)
-        self._ground()
+        self._world.wxyz = quat_from_yaw(-self.yaw)
+        self._world.position = -self._zoom * self._turned(self.origin)
+        self._body.place(view.joints, view.world_rotations)
+        self._lamp.position = self._zoom * self._turned(view.root - self.origin) + np.array(LAMP)
+        self._move_ground()
         self._draw_tracks(view)
 
     def _light(self) -> None:
@@ -157,67 +240,59 @@ class PageScene:
     def _tracks(self, skeleton: Skeleton) -> list[Any]:
         none = np.zeros((0, 2, 3))
         scene = self._scene
-        self._past = scene.add_line_segments("/trajectory/past", none, PAST, thickness=0.012)
-        self._future = scene.add_line_segments("/trajectory/future", none, FUTURE, thickness=0.018)
-        self._arrows = self._batch("/trajectory/arrows", _arrow(), FUTURE, np.ones((1, 3)))
+        self._past = scene.add_line_segments("/world/around/past", none, PAST, thickness=0.012)
+        self._future = scene.add_line_segments("/world/around/future", none, FUTURE, thickness=0.018)
+        self._arrows = self._batch("/world/around/arrows", _arrow(), FUTURE, np.ones((1, 3)))
         parts = [self._past, self._future, self._arrows]
         if skeleton.roles is None:
             return parts
         self._feet = np.array([*skeleton.roles.left_foot, *skeleton.roles.right_foot])
         sides = np.array([SCENE_SIDES["left"]] * 2 + [SCENE_SIDES["right"]] * 2, np.uint8)
-        self._marks = self._batch("/contacts", _disc(), sides, np.full((4, 3), MARK))
+        self._marks = self._batch("/world/around/contacts", _disc(), sides, np.full((4, 3), MARK))
         return [*parts, self._marks]
 
     def _draw_tracks(self, view: View) -> None:
-        past, future = self._flat(view.past_positions), self._flat(view.future_positions)
+        self._around.position = self._zoom * np.array([view.root[0], 0.0, view.root[1]])
+        past, future = self._flat(view.past_positions - view.root), self._flat(view.future_positions - view.root)
         self._past.points = np.stack([past[:-1], past[1:]], axis=1)
         self._future.points = np.stack([future[:-1], future[1:]], axis=1)
         self._draw_arrows(np.concatenate([past[:-1], future]), len(past) - 1, view)
         if self._skeleton is not None and self._skeleton.roles is not None:
-            feet = self._local(view.joints[self._feet])
-            feet[:, 1] = LIFT
-            self._marks.batched_positions = feet
+            self._marks.batched_positions = self._flat(view.joints[self._feet][:, [0, 2]] - view.root)
             size = MARK * np.clip(view.contacts, 0.0, 1.0)[:, None] + 1e-4
             self._marks.batched_scales = np.concatenate([size, np.ones_like(size), size], axis=1)
 
     def _draw_arrows(self, points: np.ndarray, behind: int, view: View) -> None:
         directions = np.concatenate([view.past_directions[:behind], view.future_directions])
-        yaws = np.arctan2(directions[:, 0], directions[:, 1]) - self.yaw
         if len(points) != len(self._arrows.batched_positions):
             self._arrows.remove()
             colours = np.array([PAST] * behind + [FUTURE] * (len(points) - behind), np.uint8)
             self._parts = [part for part in self._parts if part is not self._arrows]
-            self._arrows = self._batch("/trajectory/arrows", _arrow(), colours, np.ones((len(points), 3)))
+            self._arrows = self._batch("/world/around/arrows", _arrow(), colours, np.ones((len(points), 3)))
             self._parts.append(self._arrows)
         self._arrows.batched_positions = points + np.array([0.0, LIFT, 0.0])
-        self._arrows.batched_wxyzs = quat_from_yaw(yaws)
+        self._arrows.batched_wxyzs = quat_from_yaw(np.arctan2(directions[:, 0], directions[:, 1]))
 
     def _move_camera(self, view: View, seconds: float) -> None:
         if self.follow:
-            self.origin = self.origin + (view.root - self.origin) * (1.0 - math.exp(-seconds / EASE))
+            self._origin.follow(view.root, seconds)
         if self.follow and self.turn:
             behind = math.remainder(view.heading - self.yaw, 2.0 * math.pi)
-            self.yaw += behind * (1.0 - math.exp(-seconds / EASE_TURN))
+            self._yaw.follow(self._yaw.value + behind, seconds)
 
-    def _ground(self) -> None:
+    def _move_ground(self) -> None:
         """Shifts the ground by less than one period of its pattern, so that the plane stays near the origin."""
-        shift = -(self.origin % SECTION_SIZE)
-        self._grid.position = self._rotated(np.array([shift[0], 0.0, shift[1]]))
+        self._grid.position = self._zoom * self._turned(-(self.origin % SECTION_SIZE))
         self._grid.wxyz = quat_from_yaw(-self.yaw)
 
-    def _rotated(self, vectors: np.ndarray) -> np.ndarray:
+    def _turned(self, vector: np.ndarray) -> np.ndarray:
+        """Returns a vector [2] on the world's ground as [3] in the picture's frame."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
-        x, z = vectors[..., 0], vectors[..., 2]
-        return np.stack([c * x - s * z, vectors[..., 1], s * x + c * z], axis=-1)
-
-    def _local(self, points: np.ndarray) -> np.ndarray:
-        return self._rotated(points - np.array([self.origin[0], 0.0, self.origin[1]]))
+        return np.array([c * vector[0] - s * vector[1], 0.0, s * vector[0] + c * vector[1]])
 
     def _flat(self, points: np.ndarray) -> np.ndarray:
-        return self._local(np.stack([points[:, 0], np.full(len(points), LIFT), points[:, 1]], axis=1))
-
-    def _turned(self, rotations: np.ndarray) -> np.ndarray:
-        return quat_multiply(quat_from_yaw(-self.yaw), rotations)
+        """Returns points [N, 2] in metres as [N, 3] just above the ground, as they are drawn."""
+        return np.stack([self._zoom * points[:, 0], np.full(len(points), LIFT), self._zoom * points[:, 1]], axis=1)
 
 
 def look_from_behind(client: viser.ClientHandle) -> None:

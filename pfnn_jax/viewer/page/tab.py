@@ -85,13 +85,14 @@ class Tab:
             threading.Thread(target=work, name="upload", daemon=True).start()
 
         async def uploaded(event: Any) -> None:
-            learn(event.target.value.name, event.target.value.content)
+            panel.wardrobe.take_clip(event.target.value.name, event.target.value.content)
 
         async def tried(event: Any) -> None:
             path = sample_clips().get(event.target.value)
             if path is not None:  # a browser can send names that its page does not offer
                 learn(path.name, path.read_bytes())
 
+        panel.wardrobe.serve_learning(learn, panel.show_message)
         panel.upload.on_upload(uploaded)
         panel.samples.on_click(tried)
         self._wake = panel.wake

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import write_whole
+from pfnn_jax.motion.clip_files import CLIP_SUFFIXES
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.run import Run
 from pfnn_jax.run_config import list_styles
@@ -42,6 +43,9 @@ LONGEST = 60.0
 
 LONGEST_NAME = 40
 """Most characters of the file's name that become the style's name."""
+
+ACCEPTED = ",".join(CLIP_SUFFIXES)
+"""What the browser's dialog offers for an upload button."""
 
 NICENESS = 10
 """Niceness of learning, so that characters keep moving, on systems whose threads have their own."""
@@ -110,7 +114,7 @@ def cancel_learning(library: RunLibrary, wait: float = 0.5) -> None:
 def learn_upload(
     library: RunLibrary, run: str, filename: str, data: bytes, progress: Progress = lambda share, what: None
 ) -> LearnedUpload:
-    """Learns a style from an uploaded BVH file; characters can choose it when this returns.
+    """Learns a style from an uploaded clip; characters can choose it when this returns.
 
     The style equals that of `pfnn-jax few-shot` with the same settings (`page_config`). It is saved in RUN/styles/ and
     its clip in RUN/uploads/, both under the file's name, followed by a number if the name is taken. One style is
@@ -127,13 +131,13 @@ def learn_upload(
         The style's name, and what to say of it.
 
     Raises:
-        InputError: for an unknown run; for a file that is too large, not text, not BVH, with too many joints or frames,
-            too short or long, without steps if the run needs them, or of a skeleton that is not a humanoid; for a run's
-            folder that cannot be written. Nothing has changed then.
+        InputError: for an unknown run; for a file that is too large, not of its kind, without a clip, with too many
+            joints or frames, too short or long, without steps if the run needs them, or of a skeleton that is not a
+            humanoid; for a run's folder that cannot be written. Nothing has changed then.
         LearningCancelled: if the page ends meanwhile.
     """
-    name = style_name(filename)
-    check_upload(name, data)
+    name, suffix = style_name(filename), suffix_of(filename)
+    check_upload(name, data, suffix)
     loaded = library.get(run).run
     if not _learning.acquire(blocking=False):
         progress(0.0, "waiting")
@@ -145,7 +149,7 @@ def learn_upload(
         progress(share, what)
 
     try:
-        with _system_errors(loaded.path), _kept_upload(library.get(run), name, data) as clip:
+        with _system_errors(loaded.path), _kept_upload(library.get(run), name, suffix, data) as clip:
             style = clip.style
             with library.preparation(run):
                 info = background.do(partial(_learn, loaded, clip, report), niceness=NICENESS)
@@ -165,24 +169,54 @@ def style_name(filename: str) -> str:
     """Returns the style's name for a file: letters, digits, spaces, dashes and underscores of its name without suffix.
 
     Raises:
-        InputError: unless it ends in `.bvh`.
+        InputError: unless it ends as the name of a file with clips does.
     """
-    last = re.split(r"[/\\]", filename)[-1].strip()
-    if not last.lower().endswith(".bvh"):
-        raise InputError("upload", "file name", ascii(last)[:60], "must end in .bvh")
-    kept = re.sub(r"[^\w -]+", "_", last[:-4], flags=re.ASCII).strip(" _-")[:LONGEST_NAME].strip(" _-")
+    last, suffix = _last_part(filename), suffix_of(filename)
+    kept = re.sub(r"[^\w -]+", "_", last[: -len(suffix)], flags=re.ASCII).strip(" _-")[:LONGEST_NAME].strip(" _-")
     return kept or "clip"
 
 
-def check_upload(name: str, data: bytes) -> None:
-    """Refuses bytes that cannot be a short clip, before anything is written or parsed.
+def suffix_of(filename: str) -> str:
+    """Returns the suffix of a file with clips, in lower case.
+
+    Raises:
+        InputError: for any other file.
+    """
+    last = _last_part(filename)
+    _, dot, ending = last.lower().rpartition(".")
+    suffix = f"{dot}{ending}"
+    if suffix not in CLIP_SUFFIXES:
+        rule = f"must end in {', '.join(CLIP_SUFFIXES[:-1])} or {CLIP_SUFFIXES[-1]}"
+        raise InputError("upload", "file name", ascii(last)[:60], rule)
+    return suffix
+
+
+def _last_part(filename: str) -> str:
+    return re.split(r"[/\\]", filename)[-1].strip()
+
+
+def check_size(file: str, data: bytes, most: int = MOST_BYTES) -> None:
+    """Refuses a file that is too large.
 
     Raises:
         InputError: that names the limit.
     """
-    file = f"{name}.bvh"
-    if len(data) > MOST_BYTES:
-        raise InputError(file, "size", f"{len(data) / 1e6:.1f} MB", f"must be at most {MOST_BYTES / 1e6:g} MB")
+    if len(data) > most:
+        raise InputError(file, "size", f"{len(data) / 1e6:.1f} MB", f"must be at most {most / 1e6:g} MB")
+
+
+def check_upload(name: str, data: bytes, suffix: str = ".bvh") -> None:
+    """Refuses bytes that cannot be a short clip, before anything is written or parsed.
+
+    Those of glTF are refused by their reader (`motion.gltf`), which takes nothing from outside the file's folder.
+
+    Raises:
+        InputError: that names the limit.
+    """
+    file = f"{name}{suffix}"
+    check_size(file, data)
+    if suffix != ".bvh":
+        return
     if b"\0" in data or not data.strip():
         raise InputError(file, "file", "empty" if not data.strip() else "not text", "must be the text of a BVH file")
     joints = len(re.findall(rb"\bJOINT\b", data, re.IGNORECASE)) + 1
@@ -223,7 +257,7 @@ def _system_errors(run: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _kept_upload(loaded: LoadedRun, name: str, data: bytes) -> Iterator[ClipFile]:
+def _kept_upload(loaded: LoadedRun, name: str, suffix: str, data: bytes) -> Iterator[ClipFile]:
     """Writes the clip to RUN/uploads/ under a name that is free there and among the styles; removes it on failure."""
     run = loaded.run.path
     folder = run / "uploads"
@@ -234,7 +268,7 @@ def _kept_upload(loaded: LoadedRun, name: str, data: bytes) -> Iterator[ClipFile
     taken = {style.lower() for style in (*list_styles(run), *loaded.styles)}
     taken |= set() if new else {path.stem.lower() for path in folder.iterdir()}
     free = next(free for free in _numbered(name) if free.lower() not in taken)
-    path = folder / f"{free}.bvh"
+    path = folder / f"{free}{suffix}"
     _unfinished.add(path)
     try:
         folder.mkdir(exist_ok=True)

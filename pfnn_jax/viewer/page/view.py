@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,6 +65,8 @@ class View:
         steps_per_second: number of steps in the last second.
         recorded_seconds: length of the recording that is running or waits to be downloaded; None without one.
         recording: whether a recording is running.
+        before: joints [J, 3], world rotations [J, 4] and root [2] one step earlier; None after a jump.
+        share: of the step that has passed at the moment of drawing, 0 to 1.
     """
 
     run: str
@@ -87,6 +89,28 @@ class View:
     steps_per_second: float
     recorded_seconds: float | None
     recording: bool
+    before: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    share: float = 1.0
+
+
+def at_moment(view: View) -> View:
+    """Returns the view with joints, rotations and root between the last two steps, at the moment of drawing.
+
+    Pictures are not drawn at the moments of steps: without this a character would move by one step now and by two or
+    three then, which looks like a tremor.
+    """
+    if view.before is None or view.share >= 1.0:
+        return view
+    joints, rotations, root = view.before
+    shares = 1.0 - view.share, view.share
+    signs = np.where(np.sum(rotations * view.world_rotations, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    between = shares[0] * signs * rotations + shares[1] * view.world_rotations  # some degrees apart: a chord will do
+    return replace(
+        view,
+        joints=shares[0] * joints + shares[1] * view.joints,
+        world_rotations=between / np.linalg.norm(between, axis=-1, keepdims=True),
+        root=shares[0] * root + shares[1] * view.root,
+    )
 
 
 class RootHistory:
