@@ -46,6 +46,60 @@ def test_the_main_controls_are_visible_and_not_covered_by_notices(visitor, serve
         visitor.page.set_viewport_size({"width": 760, "height": 440})
 
 
+PHONE, SIDEWAYS = {"width": 390, "height": 844}, {"width": 844, "height": 390}
+SMALL = {"width": 760, "height": 440}
+LEAST_FREE = 0.6  # share of a phone's height above the collapsed sheet
+HIDE = """(hidden) => {  // what a browser does when another tab is chosen
+    Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
+    document.dispatchEvent(new Event("visibilitychange"));
+}"""
+
+
+def test_on_a_phone_the_controls_are_a_sheet_of_stick_and_style(visitor):
+    page, record = visitor.page, visitor.page.get_by_role("button", name="Record").first
+    try:
+        page.set_viewport_size(PHONE)
+        visitor.wait(lambda: page.locator(".pfnn-sheet").count() == 1, "the controls become a sheet")
+        visitor.wait(lambda: not record.is_visible(), "it shows neither recording")
+        box = page.locator(".pfnn-sheet").bounding_box()
+        assert (box["x"], box["width"]) == (0, PHONE["width"]) and box["y"] > LEAST_FREE * PHONE["height"]
+        assert page.locator("[data-stick]").evaluate(REACHED) and visitor.field("Style").evaluate(REACHED)
+        page.locator("[data-sheet]").click()
+        visitor.wait(record.is_visible, "its grip opens the rest")
+        page.locator("[data-sheet]").click()
+        visitor.wait(lambda: not record.is_visible(), "and closes it again")
+        page.set_viewport_size(SIDEWAYS)
+        visitor.wait(lambda: page.locator(".pfnn-compact:not(.pfnn-sheet)").count() == 1, "sideways, a small panel")
+        assert not page.locator("[data-readout=style]").first.is_visible()
+        assert page.locator("[data-stick]").evaluate(REACHED) and visitor.field("Style").evaluate(REACHED)
+    finally:
+        page.set_viewport_size(SMALL)
+    visitor.wait(record.is_visible, "a wide window has everything again")
+
+
+def test_the_page_has_its_own_name_and_none_of_the_tools_of_viser(visitor, served):
+    assert visitor.page.title() == f"pfnn_jax \u2014 {', '.join(served._library.runs)}"
+    for text in ("Dev Settings", "Scene tree", "Orbit Origin Tool"):
+        assert not any(found.is_visible() for found in visitor.page.get_by_text(text).all()), text
+    for icon in ("adjustments", "list-search", "cloud-check"):
+        assert not any(found.is_visible() for found in visitor.page.locator(f".tabler-icon-{icon}").all()), icon
+
+
+def test_a_hidden_tab_takes_no_steps(visitor, served):
+    tab = next(iter(served.tabs))
+    drawn = tab._drawn
+    try:
+        visitor.page.evaluate(HIDE, True)
+        visitor.page.wait_for_timeout(1500)
+        before = list(drawn)
+        visitor.page.wait_for_timeout(1500)
+        assert list(drawn) == before
+    finally:
+        visitor.page.evaluate(HIDE, False)
+    visitor.wait(lambda: list(drawn) != before, "it goes on when it is seen again")
+    visitor.walk(0.2)
+
+
 def test_a_style_chosen_while_standing_has_a_hint(visitor):
     hint = visitor.page.locator("[data-hint]")
     assert hint.count() == 0

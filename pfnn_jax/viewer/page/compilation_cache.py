@@ -30,7 +30,7 @@ LONGEST_UNUSED = 60
 TIMES = "start_times.json"
 """File with the seconds of earlier starts."""
 
-FIRST_SECONDS, KEPT_SHARE = 45.0, 0.35
+FIRST_SECONDS, KEPT_SHARE = 45.0, 0.3
 """Seconds of a start for which there is no earlier one, and the share of it that a start with kept code takes."""
 
 

@@ -30,7 +30,7 @@
   const held = new Set();
   let shift = false, latched = false, stick = null, count = 0, timer = 0, rate = 0;
 
-  const NARROW = matchMedia("(max-width: 575.9px)"), LOW = matchMedia("(max-height: 430.9px)"); // as in framing.py
+  const LOW = matchMedia("(max-height: 430.9px)"); // as in framing.py
 
   const field = (label) => {
     const found = [...document.querySelectorAll("label")].find((element) => element.textContent === label);
@@ -72,8 +72,9 @@
     let sheet = first;
     while (sheet && sheet.style.position !== "fixed" && !sheet.dataset.floatingWindow) sheet = sheet.parentElement;
     sheet?.classList.add("pfnn-controls");
-    sheet?.classList.toggle("pfnn-sheet", NARROW.matches);
-    sheet?.classList.toggle("pfnn-compact", NARROW.matches || LOW.matches);
+    const fixed = sheet?.style.position === "fixed"; // as viser makes it in a narrow window
+    sheet?.classList.toggle("pfnn-sheet", fixed);
+    sheet?.classList.toggle("pfnn-compact", fixed || LOW.matches);
     document.querySelector("[data-readout]")?.closest("[data-floating-window]")?.classList.add("pfnn-readouts");
     mark(pad?.closest("[data-with-border]")?.parentElement);
   };
@@ -273,7 +274,7 @@
     arrange();
     if (performance.now() - sent > 1500) send(); // also where the browser draws rarely
   }, 700);
-  for (const change of [NARROW, LOW]) change.addEventListener("change", () => arrange());
+  LOW.addEventListener("change", () => arrange());
 
   const settle = () => {
     hide();
