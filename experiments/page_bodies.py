@@ -1,7 +1,7 @@
 """What does a body cost the page: bytes sent and computing time for each picture, by the number of joints?
 
 Question  does a skinned body of many joints leave a laptop room for 30 pictures a second?
-Data      a synthetic walk, whose skeleton gets leaf joints up to 22, 67 and 141 that all turn; or characters that walk it.
+Data      a synthetic walk, with leaf joints that turn added up to 22, 67 and 141; or characters that are worn.
 Expect    docs/results_appendix.md, "Bodies of the page".
 Run       python -m experiments.page_bodies [--worn CHARACTER.glb ...]
 """

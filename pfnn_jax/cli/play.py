@@ -22,8 +22,8 @@ class Play(Command):
         host: address to listen at. With any other than the default, other machines can reach the page.
         port: port to listen at; 0 takes a free one.
         open: open the page in this machine's browser.
-        keep_compiled: whether compiled code is kept, so that later starts are faster: in your cache folder, where nobody
-            else can read or write it, or where JAX_COMPILATION_CACHE_DIR says.
+        keep_compiled: whether compiled code is kept, so that later starts are faster: in your cache folder, where
+            nobody else can read or write it, or where JAX_COMPILATION_CACHE_DIR says.
     """
 
     run_paths: Annotated[Positional[tuple[Path, ...]], tyro.conf.arg(name="run", metavar="[RUN...]")] = (BASE,)

@@ -254,12 +254,12 @@ class Panel:
         with self._gui.add_folder("Clips"):
             self._record = self._gui.add_button("Record", color=rgb(BUTTON), hint="Record the motion to download it.")
             self._record.on_click(self._queued(self._record_or_stop))
-            self._downloads = Downloads(self._client, self._scene, self.show_message)
             self.upload = self._gui.add_upload_button("Upload a clip", mime_type=ACCEPTED)
             hint = "Learn the style of a clip that comes with the package."
             self.samples = self._gui.add_button_group("Try a sample", tuple(sample_clips()), hint=hint)
             named = "Of the style that is learned next; empty: as the file is called."
             self._name = self._gui.add_text("Name", "", hint=named)
+            self._downloads = Downloads(self._client, self._scene, self.show_message)
             self._jobs = self._gui.add_html("")
             note = "Upload a walk of a few seconds to learn its style, or try a sample. Name it first if you like."
             self._message = self._gui.add_html(widgets.message("plain", note))

@@ -152,6 +152,7 @@ class SkinnedBody:
                 bone_positions=zoom * mesh.bind_positions[piece.bones],
                 skin_weights=piece.weights,
                 color=piece.colour,
+                side="double",  # hair, capes and hats are often open
                 receive_shadow=False,  # its own shadow would look speckled
             )
             for number, piece in enumerate(pieces)
