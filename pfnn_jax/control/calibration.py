@@ -146,9 +146,10 @@ def start_standing(
     time_scale = 1.0 if setup.tracking is None else 0.0
     stance = mix_stances(params.stances, style)
     # The root, where the hips are on the ground, is at the position.
-    standing = init_standing(stance, position - to_world(stance.hips, direction), direction)
+    tracked = setup.tracking is not None
+    standing = init_standing(stance, position - to_world(stance.hips, direction), direction, stopped=tracked)
     pose = pose_from_world(setup.rig, frame.joints[0], frame.rotations)
-    if setup.tracking is not None:
+    if tracked:
         nowhere = Footing(targets=standing.feet, toe_shares=jnp.ones(2))
         pose = standing_pose(setup, pose, nowhere, direction, stance, standing)
     joints, world = forward_kinematics(setup.rig, pose)
@@ -161,7 +162,7 @@ def start_standing(
         tracking=init_tracking(speed.natural * AHEAD, feet_distance(setup.rig, frame.joints), time_scale),
         root=frame.root,
         facing=frame.facing,
-        contacts=frame.contacts if setup.tracking is None else jnp.ones_like(frame.contacts),
+        contacts=jnp.ones_like(frame.contacts) if tracked else frame.contacts,
         feet=initial_locks(setup.rig),
         standing=standing,
         pose=pose,

@@ -116,8 +116,9 @@ def test_without_tracking_it_is_the_published_loop(run):
 
 def test_a_character_starts_standing_at_its_position_and_yaw(controller):
     state = controller.start((2.0, -3.0), np.pi / 2, "wild")
-    np.testing.assert_allclose(state.motion.positions[ROOT], [2.0, -3.0], atol=FLOAT32)
-    np.testing.assert_allclose(state.motion.directions[ROOT], [1.0, 0.0], atol=FLOAT32)
+    np.testing.assert_allclose(state.root, [2.0, -3.0], atol=FLOAT32)
+    np.testing.assert_allclose(state.joints[0, [0, 2]], [2.0, -3.0], atol=FLOAT32)
+    np.testing.assert_allclose(state.facing, [1.0, 0.0], atol=FLOAT32)
     np.testing.assert_allclose(state.style, [0.0, 1.0, 0.0])
     still = controller.step(state, command(controller, 0.0, 1.0, "wild"))
     np.testing.assert_allclose(still.motion.joint_positions, state.motion.joint_positions, atol=FLOAT32)
