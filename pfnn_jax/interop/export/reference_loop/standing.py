@@ -135,7 +135,8 @@ class Standing:
         self.seconds += dt
         most, wanted = k["max_turn_acceleration"] * dt, 0.0
         left = angle(self.facing, direction)
-        if self.seconds > k["turn_delay"] or abs(left) < k["straighten"]:
+        late = self.seconds > k["turn_delay"] + 1e-4  # a sum of frames, which rounding must not make a frame shorter
+        if late or abs(left) < k["straighten"]:
             wanted = np.clip(k["turn_gain"] * left, -k["max_turn_rate"], k["max_turn_rate"])
         self.turn_rate += np.clip(wanted - self.turn_rate, -most, most)
         self.facing = self.facing * np.exp(1j * self.turn_rate * dt)
