@@ -75,7 +75,8 @@ class Standing:
         """
         k = self.constants
         seconds = -k["start_seconds"] if moving else k["stop_seconds"]
-        self.weight = min(max(self.weight + 1.0 / (k["fps"] * seconds), 0.0), 1.0)
+        weight = self.weight + 1.0 / (k["fps"] * seconds)
+        self.weight = min(max(round(weight, 9), 0.0), 1.0)  # exactly 0 or 1 after so many frames, whatever the rounding
         if moving:
             if self.stopped:
                 self.hips_offset, self.feet_offset = self.hips - walk["hips"], self.feet - walk["feet"]
