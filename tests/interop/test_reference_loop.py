@@ -54,7 +54,7 @@ def test_the_character_walks_as_the_controller_does(runs, tmp_path, name, kind):
     export_run(run.path, "bins", tmp_path / "out", style="style1")
     controller, character = make_controller(run, ("style1",)), Character(tmp_path / "out")
     velocities, directions = (
-        jnp.asarray(np.stack([v.imag, v.real], -1), jnp.float32) for v in commands(character.speed, stop=True)
+        jnp.asarray(np.stack([np.imag(v), np.real(v)], -1), jnp.float32) for v in commands(character.speed, stop=True)
     )
     with jax.default_matmul_precision("highest"):
         start = controller.start()

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.control import tracking
@@ -148,5 +149,5 @@ def describe_start(layout: FrameLayout, normaliser: Normaliser, speed: float, wa
 
     It is the row from which the controller starts: the mean pose on a straight trajectory at a speed in m/s.
     """
-    x = np.asarray(straight_row(layout, normaliser.inputs.mean, speed), np.float64)
+    x = np.asarray(straight_row(layout, jnp.asarray(normaliser.inputs.mean), speed), np.float64)
     return {"x": x.tolist(), "phase": np.asarray(normaliser.initial_phase(), np.float64).tolist(), **asdict(walk)}

@@ -27,13 +27,13 @@ def turn_towards(facing, target, share):
     return facing * np.exp(1j * share * angle(facing, target))
 
 
-def to_world(vectors, facing, point=0j):
+def to_world(vectors, facing, point: complex | np.ndarray = 0j):
     """Rotates vectors [J, 3] from the frame of a root into the world, then moves them along the ground."""
     ground = (vectors[:, 2] + 1j * vectors[:, 0]) * facing + point
     return np.stack([ground.imag, vectors[:, 1], ground.real], -1)
 
 
-def to_local(vectors, facing, point=0j):
+def to_local(vectors, facing, point: complex | np.ndarray = 0j):
     """Moves vectors [J, 3] on the ground so that `point` becomes the origin, and rotates them into a root's frame."""
     return to_world(vectors, np.conj(facing), -point * np.conj(facing))
 

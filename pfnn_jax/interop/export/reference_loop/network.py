@@ -41,7 +41,7 @@ def _single_rows(run, folder, description, style):
         more["style"] = np.fromfile(folder / description["styles"][style]["file"], "<f4")[None]
 
     def evaluate(x, phase):
-        rows = {"x": np.float32(x)[None], "phase": np.float32(phase)[None]}
+        rows = {"x": np.array(x, np.float32)[None], "phase": np.array(phase, np.float32)[None]}
         return np.asarray(run(rows | more))[0].astype(float)
 
     return evaluate

@@ -75,7 +75,8 @@ class Standing:
         """
         k = self.constants
         seconds = -k["start_seconds"] if moving else k["stop_seconds"]
-        self.weight = min(max(self.weight + 1.0 / (k["fps"] * seconds), 0.0), 1.0)
+        weight = self.weight + 1.0 / (k["fps"] * seconds)
+        self.weight = min(max(round(weight, 9), 0.0), 1.0)  # exactly 0 or 1 after so many frames, whatever the rounding
         if moving:
             if self.stopped:
                 self.hips_offset, self.feet_offset = self.hips - walk["hips"], self.feet - walk["feet"]
@@ -135,7 +136,8 @@ class Standing:
         self.seconds += dt
         most, wanted = k["max_turn_acceleration"] * dt, 0.0
         left = angle(self.facing, direction)
-        if self.seconds > k["turn_delay"] or abs(left) < k["straighten"]:
+        late = self.seconds > k["turn_delay"] + 1e-4  # a sum of frames, which rounding must not make a frame shorter
+        if late or abs(left) < k["straighten"]:
             wanted = np.clip(k["turn_gain"] * left, -k["max_turn_rate"], k["max_turn_rate"])
         self.turn_rate += np.clip(wanted - self.turn_rate, -most, most)
         self.facing = self.facing * np.exp(1j * self.turn_rate * dt)
