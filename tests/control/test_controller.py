@@ -13,7 +13,6 @@ import pytest
 from pfnn_jax.control.controller import Controller, make_controller, rollout_commands, step, with_calibrated_speeds
 from pfnn_jax.control.controller_state import ControllerState, style_speed
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
-from pfnn_jax.control.loop.state import ROOT
 from pfnn_jax.control.loop.step import Command, published_step
 from pfnn_jax.control.vectors import orthonormal
 from pfnn_jax.errors import InputError

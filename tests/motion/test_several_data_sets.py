@@ -341,7 +341,10 @@ def test_the_command_takes_several_folders_and_a_skeleton(root, onto_walkers, tm
 @pytest.mark.parametrize(
     ("words", "rule"),
     [
-        (("--skeleton", "smpl"), "must be a BVH or glTF file, synthetic, or one of the folders: bandai-namco-1, xia, walkers"),
+        (
+            ("--skeleton", "smpl"),
+            "must be a BVH or glTF file, synthetic, or one of the folders: bandai-namco-1, xia, walkers",
+        ),
         ((), "or put all clips onto one skeleton (--skeleton)"),
         (("--styles", "old"), "must be one of bandai-namco-1_angry, bandai-namco-1_old"),
     ],
