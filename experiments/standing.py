@@ -96,7 +96,7 @@ def stops(controller: Controller, chunk: int, resting: np.ndarray | None) -> dic
             jnp.asarray(weights[[s for s, _, _ in part]]),
         )
         for i in range(min(chunk, len(cases) - first)):
-            measured = _measure(controller, *(np.asarray(v[i]) for v in (joints, facing)), WALK + APART * part[i][2])
+            measured = _measure(controller, np.asarray(joints[i]), np.asarray(facing[i]), WALK + APART * part[i][2])
             for name, value in measured.items():
                 found.setdefault(name, []).append(value)
     shape = (styles, len(KINDS), PHASES)

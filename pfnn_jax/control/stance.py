@@ -121,9 +121,14 @@ def _stance_of(rig: Rig, walk: PredictedFrame, foot_heights: np.ndarray) -> Stan
     standing_feet = _feet_of(rig, feet, flat / flat.sum(0), heights, positions)
     hips = -_trunk(rig, positions)
     height = min(joints[:, 0, 1].max(), _highest(rig, positions, hips, standing_feet))
-    return Stance(
-        rotations=rotations, height=np.array(height), hips=hips, feet=standing_feet, chest=turned[rig.chest or 0]
-    )
+    found = {
+        "rotations": rotations,
+        "height": height,
+        "hips": hips,
+        "feet": standing_feet,
+        "chest": turned[rig.chest or 0],
+    }
+    return Stance(**{name: jnp.asarray(value) for name, value in found.items()})
 
 
 def _mean_rotation(rotations: np.ndarray, weights: np.ndarray) -> np.ndarray:

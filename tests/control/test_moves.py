@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -63,7 +64,7 @@ def test_every_move_closes(moves: MoveClips):
 
 
 def test_a_walk_goes_ahead_at_the_speed_of_its_style(moves: MoveClips, controller: Controller):
-    speed = float(style_speed(controller.params, controller.style_weights("neutral")).natural)
+    speed = float(style_speed(controller.params, jnp.asarray(controller.style_weights("neutral"))).natural)
     x, z = travel(moves, "walk")
     assert abs(x) < LATERAL
     assert z == pytest.approx(speed, rel=RATE)

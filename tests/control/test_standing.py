@@ -224,4 +224,4 @@ def test_stopping_is_equivariant_under_mirroring():
 def test_configuration_is_validated():
     for name in ("stop_seconds", "rest_rate", "max_turn_rate"):
         with pytest.raises(ValueError, match=f"StandingConfig.{name}"):
-            StandingConfig(**{name: 0.0})
+            replace(StandingConfig(), **{name: 0.0})

@@ -251,7 +251,7 @@ def test_a_recording_is_downloaded_on_the_body_or_the_worn_character(clip, worn,
     for kind, outfit, scale in ((BVH, None, 1.0), (GLB, None, 1.0), (BVH, worn, GIANT), (GLB, worn, GIANT)):
         path = tmp_path / f"recording.{kind.lower()}"
         path.write_bytes(recording_bytes(replace(clip, style="mine"), kind, outfit))
-        found = read_clip(path, travel="keep", **({"clip_name": "mine"} if kind == GLB else {}))
+        found = read_clip(path, travel="keep", clip_name="mine" if kind == GLB else None)
         assert found.num_frames == clip.num_frames
         travel = (found.root_positions[-1] - found.root_positions[0])[[0, 2]]
         expected = scale * (clip.root_positions[-1] - clip.root_positions[0])[[0, 2]]

@@ -15,7 +15,7 @@ from .standing import Standing, at_height, ground, middle, smooth
 from .tracking import Tracking
 
 
-def load(folder, style=0, evaluate=None):
+def load(folder, style: int | str = 0, evaluate=None):
     """Returns the description of an export, its network as a function of one frame, and the speeds of a style.
 
     Args:
