@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from pfnn_jax.motion.gltf.container import read_document
+from tests.gltf.rigs import make_rig
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -66,6 +69,24 @@ def test_the_transfer_in_the_readme_runs(tmp_path: Path, monkeypatch: pytest.Mon
         main(words)
     assert (tmp_path / "restyled.bvh").exists()
     assert (tmp_path / "restyled.html").stat().st_size > 50_000
+
+
+def test_the_character_in_the_readme_gets_its_clips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from pfnn_jax.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    make_rig().write(tmp_path / "hero.glb")
+    main(["sample", "zombie", "--out", "zombie.bvh"])
+    [code] = [code for _, code in blocks("sh", [ROOT / "README.md"]) if "--onto hero.glb" in code]
+    for line in code.splitlines():
+        program, *words = line.partition("#")[0].split()
+        assert program == "pfnn-jax"
+        main(words)
+    clips = {name: len(read_document(tmp_path / f"hero_{name}.glb").items("animations")) for name in ("walk", "zombie")}
+    assert clips == {"walk": 1, "zombie": 1}
+    moves = {clip["name"] for clip in read_document(tmp_path / "hero_moves.glb").items("animations")}
+    assert moves >= {"idle", "walk", "walk_left", "walk_right"}
 
 
 def test_commands_are_shown():

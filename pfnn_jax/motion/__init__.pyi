@@ -2,6 +2,7 @@ from .bvh import read_bvh as read_bvh
 from .bvh import write_bvh as write_bvh
 from .clip import MotionClip as MotionClip
 from .clip_files import read_clip as read_clip
+from .cycles import cut_cycle as cut_cycle
 from .datasets.data_sets import list_data_sets as list_data_sets
 from .datasets.dataset import Dataset as Dataset
 from .datasets.dataset import load_dataset as load_dataset

@@ -1,5 +1,6 @@
 from .base import base_run as base_run
 from .characters import put_onto as put_onto
+from .clip_set import make_clip_set as make_clip_set
 from .generate import generate_clip as generate_clip
 from .learn import learn_style as learn_style
 from .learn import tune_style as tune_style
