@@ -449,7 +449,7 @@ def test_a_style_that_no_clip_has_is_one_line(refused, folder, tmp_path):
 
 def test_files_are_called_what_they_are(refused, folder, tmp_path):
     run_path, clip = folder / "run", folder / "zombie.bvh"
-    assert "suffix: .txt; must be .bvh" in refused("generate", run_path, "--out", tmp_path / "a.txt")
+    assert "suffix: .txt; must be one of .bvh, .glb" in refused("generate", run_path, "--out", tmp_path / "a.txt")
     assert "suffix: none; must be .phase" in refused("label-phase", clip, "--out", tmp_path / "a")
     assert "suffix: .npy; must be .npz" in refused("predict", run_path, "rows.npz", "--out", tmp_path / "a.npy")
     assert "suffix: .jpg; must be .png" in refused("plot-phase", clip, "--out", tmp_path / "a.jpg")
