@@ -28,10 +28,8 @@ from tests.trained import WALKING_STYLES, walking_run
 STYLES = WALKING_STYLES
 MOST = 0.8  # share of commands that a small network reaches: how many depends on its seed
 MIRRORED = 0.3  # m between a turn and the reflected one to the other side in two seconds: both begin on the same foot
+HALT = 1.25  # s after the command to stop in which the root moves: a last step and straightening; the mean of all walks
 DOWN = 0.01  # m above the least height that both feet come down to together, at a halt: the mean of all walks
-HALT = (
-    1.25  # s after the command to stop in which the root moves, the mean of all walks: a last step, and straightening
-)
 BODY = 2.2  # metres above which no joint of a body of 1.7 m rises
 ASTRAY, STRIDE = 0.25, 0.8  # m from a straight path, and from its end: hips sway, and a last step is taken to its end
 LEAP = 12.0  # m/s, faster than any hand or foot of these walks
