@@ -21,7 +21,7 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.ground import facing_of, to_local, to_world, turn, wrap_angle, yaw_of
 from pfnn_jax.motion.humanoid.find import need_humanoid
-from pfnn_jax.motion.kinematics import positions_of, quat_conjugate, quat_from_yaw, quat_multiply
+from pfnn_jax.motion.kinematics import positions_of, quat_conjugate, quat_from_yaw, quat_multiply, quat_normalise
 
 SMOOTHING_SECONDS = 0.5
 """Standard deviation of the Gaussian that smooths the root: of a sway at one stride a second it leaves one per cent."""
@@ -72,7 +72,7 @@ def in_place(clip: MotionClip) -> MotionClip:
 
 def is_cycle(clip: MotionClip) -> bool:
     """Returns whether the last pose of a clip is its first, moved along the ground and turned about the vertical."""
-    first, last = clip.rotations[0], clip.rotations[-1]
+    first, last = quat_normalise(clip.rotations[[0, -1]])  # clips in single precision have lengths off by 1e-6
     if clip.num_frames < 3 or abs(clip.root_positions[-1, 1] - clip.root_positions[0, 1]) > SAME:
         return False
     again = first.copy()

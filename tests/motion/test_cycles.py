@@ -10,7 +10,7 @@ import pytest
 from pfnn_jax.motion.clip import MotionClip, cut
 from pfnn_jax.motion.cycles import MAX_TURN, cut_cycle, repeat_cycle
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_from_yaw, quat_multiply
-from pfnn_jax.motion.root_motion import cycle_yaw
+from pfnn_jax.motion.root_motion import cycle_yaw, in_place, is_cycle
 from pfnn_jax.motion.synthetic.walks import synthesise
 from tests.motion.retargeting import angles
 from tests.raising import assert_refused
@@ -100,6 +100,16 @@ def test_a_repeated_cycle_begins_each_time_as_it_ends(turn_rate: float):
     twice = repeat_cycle(cut(cycle, 0, steps), cycle_yaw(cycle), step, 2)
     assert np.abs(twice.root_positions[steps] - cycle.root_positions[-1]).max() < EXACT
     assert angles(twice.rotations[steps], cycle.rotations[-1]).max() < 1e-5
+
+
+def test_a_cycle_in_single_precision_is_one():
+    """Its quaternions are of unit length to the error of a network's forward kinematics."""
+    clip = walk()
+    lengths = 1.0 + 3e-6 * np.sin(np.arange(clip.num_frames))[:, None, None]
+    cycle = cut_cycle(replace(clip, rotations=lengths * clip.rotations))
+    assert is_cycle(cycle)
+    still = in_place(cycle).root_positions
+    assert np.abs(still[-1] - still[0]).max() < EXACT
 
 
 def test_motion_that_does_not_repeat_itself_is_refused():

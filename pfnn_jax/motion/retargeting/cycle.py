@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from pfnn_jax.motion.clip import MotionClip, cut, move_clip
 from pfnn_jax.motion.cycles import repeat_cycle
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_yaw, quat_multiply, quat_rotate
