@@ -110,7 +110,7 @@ def read_rig(path: str | Path, options: ReadOptions, roles_file: str | Path | No
 
 
 def read_target(path: str | Path, options: ReadOptions, roles_file: str | Path | None = None) -> MotionClip:
-    """Reads a rig that motion is put onto: as `read_rig`, and what only motion shows, such as the feet's resting heights.
+    """Reads a rig that motion is put onto: as `read_rig`, with the resting heights of its feet if it moves.
 
     Args:
         path: file to read, with or without motion.

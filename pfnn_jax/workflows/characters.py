@@ -15,6 +15,8 @@ from pfnn_jax.motion.gltf.write import character_bytes
 from pfnn_jax.motion.length_unit import CENTIMETRE
 from pfnn_jax.motion.reading import ReadOptions, check_options
 from pfnn_jax.motion.retargeting.cycle import retarget_closed
+from pfnn_jax.motion.retargeting.retarget import Retargeted
+from pfnn_jax.motion.skeleton import Skeleton
 
 
 def put_onto(
@@ -73,7 +75,7 @@ def put_clips_onto(
         say(note)
     if character.document.path.suffix.lower() == ".gltf":
         say("its buffers and images are packed into one GLB file")
-    moved = {name: retarget_closed(clip, character.skeleton) for name, clip in clips.items()}
+    moved = {name: _retarget(clip, character.skeleton, target) for name, clip in clips.items()}
     say(next(iter(moved.values())).summary)
     return character_bytes(character, {name: each.clip for name, each in moved.items()}, root_motion=root_motion)
 
@@ -91,11 +93,21 @@ def put_onto_rig(
     The unit is that of a BVH file, and centimetres for other files; other arguments and errors as `put_onto`.
     """
     rig = read_target(target, _options(unit, target), roles_file)
-    moved = retarget_closed(clip, rig.skeleton)
+    moved = _retarget(clip, rig.skeleton, target)
     for note in (*rig.notes, moved.summary):
         if note_callback is not None:
             note_callback(note)
     return moved.clip, CENTIMETRE if is_gltf_file(target) or rig.reading is None else rig.reading.unit
+
+
+def _retarget(clip: MotionClip, skeleton: Skeleton, target: str | Path) -> Retargeted:
+    """Returns the clip on the skeleton of a file, which a refusal of the skeleton names."""
+    try:
+        return retarget_closed(clip, skeleton)
+    except InputError as error:
+        if error.file != "skeleton":
+            raise
+        raise InputError(target, error.place, error.value, error.rule) from None
 
 
 def _options(unit: float | str | None, target: str | Path) -> ReadOptions:

@@ -61,8 +61,9 @@ def export_run(
         The contents of `description.json`.
 
     Raises:
-        InputError: for an unknown style, format or opset, an option that has no effect, a layout that the format does not support, a failed check, a
-            missing library, a FiLM run without styles, or if `out` exists and is not an export or must not be replaced.
+        InputError: for an unknown style, format or opset, an option that has no effect, a layout that the format does
+            not support, a failed check, a missing library, a FiLM run without styles, or if `out` exists and is not an
+            export or must not be replaced.
     """
     run, out = load_run(run_path), Path(out)
     if format not in ("onnx", "stablehlo", "bins"):
