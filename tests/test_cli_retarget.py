@@ -83,7 +83,7 @@ def test_joints_of_a_character_or_rig_can_be_named(folder, target, suffix):
     options = ("--onto", folder / target, "--onto-roles", folder / "armless.json")
     run("retarget", folder / "walk.bvh", *options, "--out", out, "--name", "armless")
     clip = read_clip(out, clip_name="armless" if suffix == ".glb" else None, travel="keep")
-    body = clip.skeleton.humanoid
+    body = need_humanoid(clip.skeleton)
     swing = [np.ptp(clip.rotations[:, joint], axis=0).max() for joint in (body.left_upper_arm, body.right_upper_arm)]
     assert swing[0] < STILL < swing[1]
 
