@@ -13,7 +13,7 @@ from pfnn_jax.motion.gltf.container import read_document
 from tests.trained import walking_run
 
 CLOSED = 1e-5
-"""Quaternion components; keys are stored in single precision."""
+"""Quaternion components and metres; keys are stored in single precision."""
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +32,11 @@ def test_a_mannequin_has_the_moves_by_name(moves: Path):
     assert {"idle", "walk", "walk_left", "walk_right"} <= {*names(moves)}
 
 
-def test_a_move_closes_and_stays_in_place(moves: Path):
-    clip = read_clip(moves, clip_name="walk", travel="keep")
-    assert np.abs(np.abs(np.sum(clip.rotations[0] * clip.rotations[-1], axis=-1)) - 1.0).max() < CLOSED
-    assert np.linalg.norm(clip.root_positions[-1] - clip.root_positions[0]) < 1e-4
+def test_every_move_closes_and_stays_in_place(moves: Path):
+    for name in names(moves):
+        clip = read_clip(moves, clip_name=name, travel="keep")
+        assert np.abs(np.abs(np.sum(clip.rotations[0] * clip.rotations[-1], axis=-1)) - 1.0).max() < CLOSED
+        assert np.abs(clip.root_positions[-1] - clip.root_positions[0]).max() < CLOSED
 
 
 def test_moves_are_appended_to_a_character(moves: Path, tmp_path_factory: pytest.TempPathFactory, tmp_path: Path):
@@ -48,9 +49,30 @@ def test_moves_are_appended_to_a_character(moves: Path, tmp_path_factory: pytest
     assert all(read_document(out).json[part] == kept[part] for part in ("asset", "nodes", "skins", "meshes"))
 
 
-def test_options_of_clips_are_refused_for_networks(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    words = ["export", "base", "--format", "onnx", "--root-motion", "--out", str(tmp_path / "out")]
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        ("--format onnx --out new --root-motion", "root-motion"),
+        ("--format bins --out new --onto hero.glb", "onto"),
+        ("--format stablehlo --out new --onto-unit 0.01", "onto-unit"),
+        ("--format onnx --out new --onto-roles roles.json", "onto-roles"),
+        ("--format glb --out new.glb --tables 50", "tables"),
+        ("--format glb --out new.glb --opset 15", "opset"),
+        ("--format glb --out new.glb --film-input", "film-input"),
+        ("--format glb --out new.bvh", "suffix"),
+        ("--format glb --out new.vrma", "suffix"),
+        ("--format glb --out new.glb --onto rig.bvh", "suffix"),
+        ("--format glb --out new.glb --onto-unit 0.01", "onto-unit"),
+    ],
+)
+def test_options_that_have_no_effect_are_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: str, place: str
+):
+    """Before the run is looked for, which does not exist."""
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as stopped:
-        main(words)
+        main(["export", "absent", *words.split()])
     assert stopped.value.code == 2
-    assert "root-motion" in capsys.readouterr().err
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f": {place}: " in line
+    assert not list(tmp_path.iterdir())

@@ -11,6 +11,11 @@ import tyro
 from pfnn_jax.cli.command import Command, Run, check_output, open_run, parse_choice, print_notes
 from pfnn_jax.errors import InputError
 from pfnn_jax.interop.export.formats import Format
+from pfnn_jax.motion.length_unit import UnitName
+
+OF_NETWORKS = ("film_input", "opset", "tables")
+OF_CLIPS = ("onto", "onto_roles", "onto_unit", "root_motion")
+"""Options that have an effect on one kind of export only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,9 +31,12 @@ class Export(Command):
         style: one of the run's styles, or a mixture `A:0.5+B:0.5` whose weights sum to one. By default the motion is
             style-agnostic, or on a FiLM run in the mean of its styles; bins and --film-input export all styles.
         film_input: for FiLM runs: make the style an input of the network, so that an engine can change it.
-        tables: of bins: 4 tables over the phase, which determine the network, or the 50 that the authors' demos read.
+        tables: of bins of phase-functioned networks: 4 tables over the phase, which determine the network (the
+            default), or the 50 that the authors' demos read.
         opset: version of the ONNX operators, from 15 (Unity Sentis 2.1) to 22; by default 18.
         onto: for glb: your own character (.glb, .gltf, .vrm); by default a mannequin.
+        onto_roles: for glb: JSON file that names the joints of bones of the character; the others are found.
+        onto_unit: for glb: the unit of the character, if it is found wrongly.
         root_motion: for glb: let the clips travel, by the character's root joint or its hips.
         overwrite: replace an earlier export.
     """
@@ -39,25 +47,27 @@ class Export(Command):
     style: str | None = None
     film_input: bool = False
     opset: int | None = None
-    tables: Literal[4, 50] = 4
+    tables: Literal[4, 50] | None = None
     onto: Annotated[Path | None, tyro.conf.arg(metavar="CHARACTER")] = None
+    onto_roles: Path | None = None
+    onto_unit: float | UnitName | None = None
     root_motion: bool = False
     overwrite: bool = False
 
     def run(self) -> Any:
-        if self.format == "glb":
-            return self._write_clips()
-        if self.onto is not None or self.root_motion:
-            option = "onto" if self.onto is not None else "root-motion"
-            raise InputError("command line", option, self.format, "belongs to --format glb")
-        return self._write_network(self.format)
+        for option in OF_NETWORKS if self.format == "glb" else OF_CLIPS:
+            if getattr(self, option):
+                formats = "onnx, stablehlo or bins" if option in OF_NETWORKS else "glb"
+                rule = f"belongs to --format {formats}: leave it out"
+                raise InputError("command line", option.replace("_", "-"), self.format, rule)
+        return self._write_clips() if self.format == "glb" else self._write_network(self.format)
 
     def _write_clips(self) -> Any:
         """Writes the moves of a style onto a character, and prints which it cannot make."""
         from pfnn_jax.cli.motion_file import MotionFile
 
-        file = MotionFile(onto=self.onto, root_motion=self.root_motion)
-        file.check(self.out, self.overwrite)
+        file = MotionFile(**{option: getattr(self, option) for option in OF_CLIPS})
+        file.check_set(self.out, self.overwrite)
         path = open_run(self.run_path)
         style = parse_choice(self.style, path)
         from pfnn_jax.cli.progress import stages

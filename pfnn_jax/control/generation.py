@@ -31,6 +31,7 @@ from pfnn_jax.motion.features.decode import clip_from_outputs
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.ground import facing_of, to_local
+from pfnn_jax.motion.kinematics import quat_normalise
 from pfnn_jax.motion.paths import Path, make_path
 from pfnn_jax.motion.skeleton import Skeleton
 
@@ -158,7 +159,8 @@ def track_path(
     states = _track(controller.setup, controller.params, state, make_timed_path(path, speed), num_frames)
     hips, rotations = (np.asarray(values, np.float64) for values in (states.pose.hips, states.pose.rotations))
     if not (np.isfinite(hips).all() and np.isfinite(rotations).all()):
-        raise InputError(_source(body), "motion", "not finite", "the network cannot walk in this style")
+        raise InputError(_source(body), "motion", "not finite", "choose another style: its rollout diverges")
+    rotations = quat_normalise(rotations)  # of unit length in single precision only
     clip = MotionClip(body.skeleton, body.layout.fps, hips, rotations, content="generated", source=_source(body))
     phase, contacts, joints = (np.asarray(x) for x in (states.motion.phase, states.contacts, states.joints))
     return GeneratedWalk(clip, phase, contacts, joints)

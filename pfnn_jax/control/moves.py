@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pfnn_jax.control.abilities import facing_error, keeps_facing
 from pfnn_jax.control.controller import Controller, Embodiment, rollout_commands
 from pfnn_jax.control.controller_state import ControllerState, style_speed
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.standing import StandingConfig
+from pfnn_jax.control.tracking import TrackingConfig
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, cut, move_clip
-from pfnn_jax.motion.cycles import GAIT_SECONDS, cut_cycle
-from pfnn_jax.motion.ground import angle_between, facing_of, yaw_of
-from pfnn_jax.motion.kinematics import quat_from_yaw, quat_rotate
+from pfnn_jax.motion.cycles import GAIT_SECONDS, MAX_TURN, cut_cycle
+from pfnn_jax.motion.ground import facing_of, yaw_of
+from pfnn_jax.motion.kinematics import quat_from_yaw, quat_normalise, quat_rotate
 from pfnn_jax.motion.trajectory import root_motion
 from pfnn_jax.motion.world_motion import world_motion
 
@@ -30,20 +33,17 @@ SHOWN_SECONDS = 9.0
 IDLE_SECONDS = (0.99 * StandingConfig().sway_seconds[0], 1.01 * StandingConfig().sway_seconds[0])
 """Shortest and longest loop of standing: its sway repeats itself exactly after a weight shift."""
 
-SPOT_SECONDS = (0.5, 4.5)
-"""Shortest and longest loop of turning on the spot; a whole turn takes 4 s."""
-
 CURVE, SPOT = np.deg2rad(60.0), np.deg2rad(90.0)
 """Radians per second of turns while walking and on the spot."""
 
-ASIDE = 0.7
-"""Speed of strafing and of walking backward relative to walking ahead."""
+SPOT_SECONDS = (0.5, MAX_TURN / SPOT)
+"""Shortest and longest loop of turning on the spot."""
 
-MOST_ERROR = np.deg2rad(30.0)
-"""Mean error of heading or facing from which on a style cannot make a move."""
+STRAFE_SPEED = 0.7
+"""Speed of strafes and of walking backward, relative to walking ahead."""
 
-LEAST_SPEED = 0.5
-"""Share of the commanded speed below which it cannot either."""
+MIN_SPEED_SHARE = 0.5
+"""Share of the commanded speed or turn rate below which a move is left out."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,9 @@ MOVES: dict[str, Move] = {
     "walk_right": Move(turn_rate=-CURVE),
     "turn_left": Move(speed=0.0, turn_rate=SPOT, seconds=SPOT_SECONDS),
     "turn_right": Move(speed=0.0, turn_rate=-SPOT, seconds=SPOT_SECONDS),
-    "strafe_left": Move(speed=ASIDE, heading=np.pi / 2),
-    "strafe_right": Move(speed=ASIDE, heading=-np.pi / 2),
-    "backward": Move(speed=ASIDE, heading=np.pi),
+    "strafe_left": Move(speed=STRAFE_SPEED, heading=np.pi / 2),
+    "strafe_right": Move(speed=STRAFE_SPEED, heading=-np.pi / 2),
+    "backward": Move(speed=STRAFE_SPEED, heading=np.pi),
 }
 """By the name of the clip."""
 
@@ -94,15 +94,19 @@ def make_moves(controller: Controller, weights: np.ndarray, body: Embodiment) ->
     """Returns the moves of a style that it can make.
 
     Args:
-        controller: of the character.
+        controller: of the character, with command tracking.
         weights: [C] of the style.
         body: the controller was made for.
 
     Raises:
         InputError: for a style that makes none of them.
+        ValueError: for a controller without command tracking, which obeys no facing.
     """
+    tracking, fps = controller.setup.tracking, body.layout.fps
+    if tracking is None:
+        raise ValueError("`controller` must have command tracking.")
     speed = float(style_speed(controller.params, jnp.asarray(weights)).natural)
-    commands = [_commands(move, speed, body.layout.fps) for move in MOVES.values()]
+    commands = [_commands(move, speed, fps) for move in MOVES.values()]
     start = replace(controller.start(), style=jnp.asarray(weights))
     run = jax.vmap(partial(rollout_commands, controller.setup, controller.params, start))
     _, states = run(jax.tree.map(lambda *leaves: jnp.stack(leaves), *commands))
@@ -110,13 +114,14 @@ def make_moves(controller: Controller, weights: np.ndarray, body: Embodiment) ->
     for number, (name, move) in enumerate(MOVES.items()):
         own = jax.tree.map(lambda leaf: np.asarray(leaf[number]), states)  # noqa: B023 - used at once
         try:
-            _check(name, move, own, commands[number], speed * move.speed)
-            shown = cut(_clip(own, name, body), round(WARM_UP_SECONDS * body.layout.fps), len(own.root))
-            clips[name] = _at_origin(cut_cycle(shown, seconds=move.seconds), move)
+            clip = _clip(own, name, body)
+            _check(move, _late(own), _late(commands[number]), fps, tracking)
+            shown = cut(clip, round(WARM_UP_SECONDS * fps), clip.num_frames)
+            clips[name] = at_origin(cut_cycle(shown, seconds=move.seconds), move)
         except InputError as error:
             notes.append(f"{name} is left out: {error.value}")
     if not clips:
-        raise InputError(getattr(body, "path", "memory"), "moves", "none", "the network cannot walk in this style")
+        raise InputError(getattr(body, "path", "memory"), "moves", "none", "choose another style: it can make no move")
     return MoveClips(clips, tuple(notes))
 
 
@@ -127,40 +132,58 @@ def _commands(move: Move, speed: float, fps: float) -> Command:
     return Command(velocity=jnp.asarray(velocity, jnp.float32), direction=jnp.asarray(facing_of(yaw), jnp.float32))
 
 
-def _check(name: str, move: Move, states: ControllerState, command: Command, speed: float) -> None:
+def _late(tree: Any) -> Any:
+    """Returns the second half of the frames of leaves [T, ...]: the character has reached its speed and heading."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[len(leaf) // 2 :], tree)
+
+
+def _check(move: Move, states: ControllerState, command: Command, fps: float, tracking: TrackingConfig) -> None:
     """Refuses a move in which the character does not do what it is commanded.
 
     Args:
-        name: of the move.
         move: the move.
         states: leaves [T, ...].
         command: leaves [T, 2].
-        speed: commanded, m/s.
+        fps: frames per second.
+        tracking: constants of command tracking.
+
+    Raises:
+        InputError: whose value says what the character does instead.
     """
-    half = len(states.root) // 2
-    facing = np.abs(angle_between(np.asarray(command.direction), states.facing)[half:]).mean()
-    if move.turn_rate == 0.0 and facing > MOST_ERROR:
-        raise InputError("style", name, f"it faces {np.degrees(facing):.0f} degrees elsewhere", "must face as told")
-    if speed > 0.0:
-        steps = np.linalg.norm(np.diff(states.root[half:], axis=0), axis=-1)
-        reached = steps.mean() * 60.0
-        if reached < LEAST_SPEED * speed:
-            raise InputError("style", name, f"{reached:.2f} of {speed:.2f} m/s", "must move")
+    facing, failure = np.asarray(states.facing), float(states.tracking.strafe_failure[-1])
+    direction = np.asarray(command.direction)
+    if move.turn_rate == 0.0 and not keeps_facing(facing, direction, failure, tracking):
+        error = np.degrees(facing_error(facing, direction))
+        raise InputError(
+            "style", "facing", f"it turns away by {error:.0f} degrees", "must face the commanded direction"
+        )
+    yaw = np.unwrap(yaw_of(facing))
+    rate, wanted = np.degrees([(yaw[-1] - yaw[0]) * fps / (len(yaw) - 1), move.turn_rate])
+    if wanted != 0.0 and rate / wanted < MIN_SPEED_SHARE:
+        raise InputError(
+            "style", "turn rate", f"it turns at {rate:.0f} of {wanted:.0f} degrees per second", "must turn"
+        )
+    speed = float(np.linalg.norm(np.diff(states.root, axis=0), axis=-1).mean() * fps)
+    commanded = float(np.linalg.norm(command.velocity, axis=-1).mean())
+    if speed < MIN_SPEED_SHARE * commanded:
+        raise InputError("style", "speed", f"it moves at {speed:.2f} of {commanded:.2f} m/s", "must move")
 
 
 def _clip(states: ControllerState, name: str, body: Embodiment) -> MotionClip:
-    """Returns the clip of states, leaves [T, ...].
+    """Returns the clip of states, leaves [T, ...], whose quaternions are of unit length in single precision only.
 
     Raises:
         InputError: if a value is not finite.
     """
     hips, rotations = np.asarray(states.pose.hips, np.float64), np.asarray(states.pose.rotations, np.float64)
     if not (np.isfinite(hips).all() and np.isfinite(rotations).all()):
-        raise InputError(getattr(body, "path", "memory"), name, "not finite", "the network cannot walk in this style")
-    return MotionClip(body.skeleton, body.layout.fps, hips, rotations, content=name)
+        raise InputError(
+            getattr(body, "path", "memory"), name, "not finite", "choose another style: its rollout diverges"
+        )
+    return MotionClip(body.skeleton, body.layout.fps, hips, quat_normalise(rotations), content=name)
 
 
-def _at_origin(cycle: MotionClip, move: Move) -> MotionClip:
+def at_origin(cycle: MotionClip, move: Move) -> MotionClip:
     """Returns a cycle that begins at the origin: a straight one travels along its heading, a turn begins facing +Z."""
     motion = world_motion(cycle)
     facing = root_motion(motion.positions, motion.roles, cycle.fps).facing

@@ -15,7 +15,10 @@ from pfnn_jax.motion.gltf.container import read_document
 from pfnn_jax.motion.reading import ReadOptions, Travel, Up, check_options
 from pfnn_jax.motion.skeleton import Skeleton
 
-GLTF_SUFFIXES = (".glb", ".gltf", ".vrm", ".vrma")
+CHARACTER_SUFFIXES = (".glb", ".gltf", ".vrm")
+"""Ends of the names of files that hold a character, in small letters."""
+
+GLTF_SUFFIXES = (*CHARACTER_SUFFIXES, ".vrma")
 CLIP_SUFFIXES = (".bvh", *GLTF_SUFFIXES)
 """Ends of the names of files that hold motion, in small letters."""
 
@@ -23,6 +26,11 @@ CLIP_SUFFIXES = (".bvh", *GLTF_SUFFIXES)
 def is_clip_file(path: str | Path) -> bool:
     """Returns whether a file's name ends as those of clips do."""
     return Path(path).suffix.lower() in CLIP_SUFFIXES
+
+
+def is_character_file(path: str | Path) -> bool:
+    """Returns whether a file's name ends as those of characters do."""
+    return Path(path).suffix.lower() in CHARACTER_SUFFIXES
 
 
 def is_gltf_file(path: str | Path) -> bool:
@@ -101,6 +109,22 @@ def read_rig(path: str | Path, options: ReadOptions, roles_file: str | Path | No
     return read_whole_clip(path, options, roles_file)
 
 
+def read_target(path: str | Path, options: ReadOptions, roles_file: str | Path | None = None) -> MotionClip:
+    """Reads a rig that motion is put onto: as `read_rig`, with the resting heights of its feet if it moves.
+
+    Args:
+        path: file to read, with or without motion.
+        options: what is known about the file; its travel is kept.
+        roles_file: as in `read_clip`.
+
+    Raises:
+        InputError: as `read_clip`.
+    """
+    options = replace(options, travel="keep")
+    clip = read_rig(path, options, roles_file)
+    return repair(clip, options) if clip.num_frames > 1 else clip
+
+
 def list_clip_names(path: str | Path) -> list[str]:
     """Returns the names of the clips of a glTF file, which may be none; empty for a BVH file.
 
@@ -123,9 +147,7 @@ def read_any_skeleton(
     Raises:
         InputError: as `read_clip`.
     """
-    options = replace(options or ReadOptions(), travel="keep")
-    clip = read_rig(path, options, roles_file)
-    return repair(clip, options).skeleton if clip.num_frames > 1 else clip.skeleton
+    return read_target(path, options or ReadOptions(), roles_file).skeleton
 
 
 def read_joints(path: str | Path) -> Skeleton:

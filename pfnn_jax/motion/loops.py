@@ -5,12 +5,12 @@ A second of walking has too few steps to label a phase, and no frames a second b
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_yaw, quat_multiply, quat_rotate
+from pfnn_jax.motion.clip import MotionClip, cut
+from pfnn_jax.motion.cycles import repeat_cycle
+from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply
+from pfnn_jax.motion.root_motion import cycle_yaw
 
 LOOP_SECONDS = 6.0
 """Longest clip that is taken for one cycle."""
@@ -21,7 +21,7 @@ REPEATED_SECONDS = 10.0
 MIN_FRAMES = 6
 """Fewest frames of a cycle."""
 
-STEP, CLOSED = 1.8, 0.35
+MAX_SEAM, CLOSED = 1.8, 0.35
 """How far the first pose may be from the last one, in usual steps from frame to frame: it follows on it, or is it."""
 
 SWAY = 0.05
@@ -38,31 +38,20 @@ def repeat_loop(clip: MotionClip) -> tuple[MotionClip, str]:
     if clip.num_frames < MIN_FRAMES or length > LOOP_SECONDS:
         return clip, ""
     apart, usual = _steps(clip)
-    if usual < 1e-6 or apart > STEP * usual:
+    if usual < 1e-6 or apart > MAX_SEAM * usual:
         return clip, ""
     frames = clip.num_frames - 1 if apart < CLOSED * usual else clip.num_frames
     times = int(np.ceil(REPEATED_SECONDS * clip.fps / frames))
     yaw, step = _travel(clip, frames)
-    positions, rotations = [], []
-    turn, place = 0.0, np.zeros(3)
-    for _ in range(times):
-        about = quat_from_yaw(turn)
-        positions.append(quat_rotate(about, clip.root_positions[:frames] - clip.root_positions[0]) + place)
-        turned = clip.rotations[:frames].copy()
-        turned[:, 0] = quat_multiply(about, turned[:, 0])
-        rotations.append(turned)
-        place = place + quat_rotate(about, step)
-        turn += yaw
-    whole = np.concatenate(positions) + clip.root_positions[0]
     note = f"a loop of {frames / clip.fps:.2f} s: repeated {times} times"
-    return replace(clip, root_positions=whole, rotations=np.concatenate(rotations)), note
+    return repeat_cycle(cut(clip, 0, frames), yaw, step, times), note
 
 
 def _steps(clip: MotionClip) -> tuple[float, float]:
     """Returns how far the first pose is from the last one, and the usual step from frame to frame, in radians."""
     local = clip.rotations.copy()
-    yaws = quat_from_yaw(-_yaw(local[:, 0]))
-    local[:, 0] = quat_multiply(yaws, local[:, 0])
+    yaws = 2.0 * np.arctan2(local[:, 0, 2], local[:, 0, 0])
+    local[:, 0] = quat_multiply(quat_from_yaw(-yaws), local[:, 0])
     after = np.roll(local, -1, axis=0)
     angles = np.arccos(np.clip(np.abs(np.sum(local * after, axis=-1)), 0.0, 1.0)).sum(axis=1)
     return float(angles[-1]), float(np.median(angles[:-1]))
@@ -75,16 +64,9 @@ def _travel(clip: MotionClip, frames: int) -> tuple[float, np.ndarray]:
         clip: one cycle, with or without its first pose at the end.
         frames: of the cycle.
     """
-    last = clip.num_frames - 1
-    share = frames / last
-    yaw = float(_yaw(quat_multiply(clip.rotations[last, 0], quat_conjugate(clip.rotations[0, 0]))))
-    step = (clip.root_positions[last] - clip.root_positions[0]) * share
+    share, yaw = frames / (clip.num_frames - 1), cycle_yaw(clip)
+    step = (clip.root_positions[-1] - clip.root_positions[0]) * share
     step[1] = 0.0
     if np.linalg.norm(step) < SWAY * share:
         return 0.0 if abs(yaw) < 0.2 else yaw * share, np.zeros(3)
     return (0.0 if abs(yaw) < 0.05 else yaw * share), step
-
-
-def _yaw(rotations: np.ndarray) -> np.ndarray:
-    """Returns the yaw [...] in radians of rotations [..., 4]."""
-    return 2.0 * np.arctan2(rotations[..., 2], rotations[..., 0])

@@ -21,13 +21,13 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.ground import facing_of, to_local, to_world, turn, wrap_angle, yaw_of
 from pfnn_jax.motion.humanoid.find import need_humanoid
-from pfnn_jax.motion.kinematics import positions_of, quat_from_yaw, quat_multiply
+from pfnn_jax.motion.kinematics import positions_of, quat_conjugate, quat_from_yaw, quat_multiply, quat_normalise
 
 SMOOTHING_SECONDS = 0.5
 """Standard deviation of the Gaussian that smooths the root: of a sway at one stride a second it leaves one per cent."""
 
-SAME_ROTATION = 1e-6
-"""Largest difference of quaternion components of two equal poses."""
+SAME = 1e-6
+"""Largest difference of two equal poses: of quaternion components, and of the hips' height in metres."""
 
 STRAIGHT = 1e-6  # radians of turn in a cycle below which its path is a line
 
@@ -53,7 +53,7 @@ class RootMotion:
 def split_root(clip: MotionClip) -> tuple[RootMotion, MotionClip]:
     """Returns the travel of a clip and the clip in place, at the origin facing +Z.
 
-    Moving each frame of the second by the first (`join_root`) gives the clip again.
+    Moving and turning each frame of the second by the first gives the clip again.
 
     Raises:
         InputError: for a skeleton without humanoid map, which shows where the body faces.
@@ -70,22 +70,14 @@ def in_place(clip: MotionClip) -> MotionClip:
     return split_root(clip)[1]
 
 
-def join_root(root: RootMotion, clip: MotionClip) -> MotionClip:
-    """Returns a clip in place with its travel: the inverse of `split_root`."""
-    rotations = clip.rotations.copy()
-    rotations[:, 0] = quat_multiply(root.rotations, rotations[:, 0])
-    moved = root.positions + to_world(clip.root_positions, facing_of(root.yaw))
-    return replace(clip, root_positions=moved, rotations=rotations)
-
-
 def is_cycle(clip: MotionClip) -> bool:
     """Returns whether the last pose of a clip is its first, moved along the ground and turned about the vertical."""
-    first, last = clip.rotations[0], clip.rotations[-1]
-    if clip.num_frames < 3 or abs(clip.root_positions[-1, 1] - clip.root_positions[0, 1]) > SAME_ROTATION:
+    first, last = quat_normalise(clip.rotations[[0, -1]])  # clips in single precision have lengths off by 1e-6
+    if clip.num_frames < 3 or abs(clip.root_positions[-1, 1] - clip.root_positions[0, 1]) > SAME:
         return False
     again = first.copy()
     again[0] = quat_multiply(quat_from_yaw(_turn_between(first[0], last[0])), first[0])
-    return bool(np.all(1.0 - np.abs(np.sum(again * last, axis=-1)) <= SAME_ROTATION))
+    return bool(np.all(1.0 - np.abs(np.sum(again * last, axis=-1)) <= SAME))
 
 
 def cycle_yaw(clip: MotionClip) -> float:
@@ -95,7 +87,7 @@ def cycle_yaw(clip: MotionClip) -> float:
 
 def _turn_between(first: np.ndarray, last: np.ndarray) -> float:
     """Returns the yaw in radians, in [-π, π), of the rotation from one orientation [4] to another."""
-    w, _, y, _ = quat_multiply(last, first * np.array([1.0, -1.0, -1.0, -1.0]))
+    w, _, y, _ = quat_multiply(last, quat_conjugate(first))
     return float(wrap_angle(2.0 * np.arctan2(y, w)))
 
 

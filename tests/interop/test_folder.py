@@ -151,11 +151,19 @@ def test_styles_are_taken_by_name_or_number(runs, tmp_path):
         ({"format": "onnx", "opset": 23}, "opset", "23"),
         ({"format": "stablehlo", "opset": 15}, "opset", "stablehlo"),
         ({"format": "bins", "tables": 5}, "tables", "5"),
+        ({"format": "onnx", "tables": 50}, "tables", "onnx"),
+        ({"format": "stablehlo", "tables": 4}, "tables", "stablehlo"),
     ],
 )
 def test_settings_of_other_formats_or_sizes_are_refused(runs, tmp_path, settings, place, value):
     path = runs("mason2018", "cp").path
     assert_refused(lambda: export_run(path, out=tmp_path / "out", **settings), place=place, value=value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_tables_of_a_network_without_global_phase_are_refused(runs, tmp_path):
+    path = runs("mason2022", "film").path
+    assert_refused(lambda: export_run(path, "bins", tmp_path / "out", tables=50), place="tables", value="mason2022")
     assert not list(tmp_path.iterdir())
 
 

@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pfnn_jax.motion.clip import MotionClip
-from pfnn_jax.motion.cycles import cut_cycle
+from pfnn_jax.motion.clip import MotionClip, cut
+from pfnn_jax.motion.cycles import MAX_TURN, cut_cycle, repeat_cycle
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_from_yaw, quat_multiply
+from pfnn_jax.motion.root_motion import cycle_yaw, in_place, is_cycle
 from pfnn_jax.motion.synthetic.walks import synthesise
 from tests.motion.retargeting import angles
 from tests.raising import assert_refused
 
 FPS = 60.0
 EXACT = 1e-9  # metres and degrees, rounding
+SINGLE = 2e-6  # of the length of a quaternion
 PERIOD = 0.06
 """Relative: walks vary from step to step by their own noise."""
 
@@ -80,6 +82,34 @@ def test_standing_before_a_walk_is_no_cycle():
     cycle = cut_cycle(standing)
     speed = np.linalg.norm(cycle.root_positions[-1] - cycle.root_positions[0]) / ((cycle.num_frames - 1) / FPS)
     assert speed == pytest.approx(1.3, rel=PERIOD)
+
+
+@pytest.mark.parametrize("turn_rate", [2.0, -2.0])
+def test_a_cycle_turns_by_less_than_half_a_circle(turn_rate: float):
+    """A cycle of three gait cycles turns further; its ends alone would show a turn to the other side."""
+    assert 3.0 * abs(turn_rate) > np.pi
+    clip = walk(turn_rate, speed=0.8)
+    cycle = cut_cycle(clip, seconds=(0.5, 3.0))
+    assert 0.0 < np.sign(turn_rate) * cycle_yaw(cycle) <= MAX_TURN
+    assert_refused(lambda: cut_cycle(clip, seconds=(2.0, 3.0)), place="cycle", rule_mentions="half a circle")
+
+
+@pytest.mark.parametrize("turn_rate", [0.0, 0.5])
+def test_a_repeated_cycle_begins_each_time_as_it_ends(turn_rate: float):
+    cycle = cut_cycle(walk(turn_rate))
+    steps, step = cycle.num_frames - 1, cycle.root_positions[-1] - cycle.root_positions[0]
+    twice = repeat_cycle(cut(cycle, 0, steps), cycle_yaw(cycle), step, 2)
+    assert np.abs(twice.root_positions[steps] - cycle.root_positions[-1]).max() < EXACT
+    assert angles(twice.rotations[steps], cycle.rotations[-1]).max() < 1e-5
+
+
+def test_a_cycle_in_single_precision_is_one():
+    """Its quaternions are of unit length to the error of a network's forward kinematics."""
+    clip = walk()
+    cycle = cut_cycle(replace(clip, rotations=(1.0 - SINGLE) * clip.rotations))
+    assert is_cycle(cycle)
+    still = in_place(cycle).root_positions
+    assert np.abs(still[-1] - still[0]).max() < EXACT
 
 
 def test_motion_that_does_not_repeat_itself_is_refused():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,16 @@ def test_a_repeated_cycle_is_the_motion_that_goes_on(closed, speed, yaw_rate):
     assert clip.num_frames >= REPEATED_SECONDS * clip.fps and "1.00 s" in note
     assert np.allclose(clip.root_positions, longer.root_positions, atol=EXACT)
     assert np.allclose(np.abs(np.sum(clip.rotations * longer.rotations, axis=-1)), 1.0, atol=EXACT)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_the_signs_of_quaternions_do_not_count(closed):
+    clip = cycle(FRAMES + closed, 1.3, 0.7)
+    signs = np.ones((clip.num_frames, 1, 1))
+    signs[-1] = -1.0
+    expected, found = repeat_loop(clip)[0], repeat_loop(replace(clip, rotations=signs * clip.rotations))[0]
+    assert np.allclose(found.root_positions, expected.root_positions, atol=EXACT)
+    assert np.allclose(np.abs(np.sum(found.rotations * expected.rotations, axis=-1)), 1.0, atol=EXACT)
 
 
 def test_a_cycle_along_an_arc_goes_on_along_it():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.cycles import cut_cycle
 from pfnn_jax.motion.gltf.vrma import REQUIRED, vrm_skeleton, vrma_bytes
 from pfnn_jax.motion.kinematics import forward_kinematics
 from pfnn_jax.motion.retargeting.retarget import retarget
@@ -74,6 +75,15 @@ def test_played_keys_are_the_retargeted_motion(walk: MotionClip):
     played = forward_kinematics(skeleton, keys(data, binary, 0, "translation"), turned.astype(float))[0]
     wanted = forward_kinematics(skeleton, moved.root_positions, moved.rotations)[0]
     assert np.abs(played - wanted).max() < SINGLE
+
+
+def test_a_cycle_stays_closed():
+    cycle = cut_cycle(synthesise("neutral", np.full(180, 0.3), np.full(180, 1.2))[0])
+    data, binary = parse(vrma_bytes(cycle, "walk"))
+    assert np.abs(np.diff(keys(data, binary, 0, "translation")[[0, -1]], axis=0)).max() < SINGLE
+    for bone in data["extensions"]["VRMC_vrm_animation"]["humanoid"]["humanBones"].values():
+        first, last = keys(data, binary, bone["node"], "rotation")[[0, -1]]
+        assert abs(abs(float(first @ last)) - 1.0) < SINGLE
 
 
 def test_without_root_motion_the_hips_stay(walk: MotionClip):

@@ -39,7 +39,7 @@ def export_run(
     style: StyleChoice = None,
     film_input: bool = False,
     opset: int | None = None,
-    tables: int = len(FEW_TABLES),
+    tables: int | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Exports the network of a run to a format that engines read.
@@ -52,7 +52,8 @@ def export_run(
             styles); for `bins` and with `film_input` it exports all styles.
         film_input: for a FiLM run, keep the style an input of the network (onnx, stablehlo), so that an engine can
             switch and mix styles; their parameters are written to `styles/`.
-        tables: for `bins`: number of tables over the phase, 4 or 50, see `write_bins`.
+        tables: for `bins` of a phase-functioned network: number of tables over the phase, 4 (the default) or 50, see
+            `write_bins`.
         opset: version of the ONNX operators, by default `onnx.OPSET`.
         overwrite: whether to replace an earlier export.
 
@@ -60,8 +61,9 @@ def export_run(
         The contents of `description.json`.
 
     Raises:
-        InputError: for an unknown style, format or opset, a layout that the format does not support, a failed check, a
-            missing library, a FiLM run without styles, or if `out` exists and is not an export or must not be replaced.
+        InputError: for an unknown style, format or opset, an option that has no effect, a layout that the format does
+            not support, a failed check, a missing library, a FiLM run without styles, or if `out` exists and is not an
+            export or must not be replaced.
     """
     run, out = load_run(run_path), Path(out)
     if format not in ("onnx", "stablehlo", "bins"):
@@ -70,6 +72,9 @@ def export_run(
         if format != "onnx":
             raise InputError(run.path, "opset", format, "must be left out, except for the format onnx")
         check_opset(run.path, opset)
+    if tables is not None and (format != "bins" or run.layout.phase_kind != "global"):
+        found = run.layout.name if format == "bins" else format
+        raise InputError(run.path, "tables", found, "must be left out, except for bins of a phase-functioned network")
     _check_place(out, overwrite)
     with replacing(out) as new:
         new.mkdir()
@@ -81,7 +86,7 @@ def export_run(
                     format,
                     "must be off for bins, which always stores styles in files of their own",
                 )
-            made = write_bins(new, run, style, tables)
+            made = write_bins(new, run, style, tables or len(FEW_TABLES))
             description = describe(run, format, made.layout, made.normaliser, made.network, made.styles, style)
         else:
             network, styles = _write_function(new, run, format, style, film_input, opset or OPSET)

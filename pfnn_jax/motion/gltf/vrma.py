@@ -21,8 +21,8 @@ from pfnn_jax.motion.humanoid.map import SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.overrides import VRM_BONES, VRM_SPINE
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_conjugate, quat_multiply
 from pfnn_jax.motion.retargeting.body import humanoid_of
+from pfnn_jax.motion.retargeting.cycle import retarget_closed
 from pfnn_jax.motion.retargeting.reference import reference_pose
-from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.motion.roles import assign_roles
 from pfnn_jax.motion.root_motion import in_place
 from pfnn_jax.motion.skeleton import Skeleton
@@ -41,7 +41,7 @@ def vrma_bytes(clip: MotionClip, name: str, *, root_motion: bool = False) -> byt
     """Returns a VRM animation of a clip.
 
     Args:
-        clip: T frames on any humanoid skeleton.
+        clip: T frames on any humanoid skeleton; a cycle (`cut_cycle`) stays one.
         name: of the animation.
         root_motion: let the hips travel; otherwise the motion is in place.
 
@@ -49,7 +49,7 @@ def vrma_bytes(clip: MotionClip, name: str, *, root_motion: bool = False) -> byt
         InputError: if the skeleton has no humanoid map, or lacks a bone that every VRM humanoid has.
     """
     skeleton, height = vrm_skeleton(clip.skeleton, clip.source or "clip")
-    moved = retarget(clip, skeleton).clip
+    moved = retarget_closed(clip, skeleton).clip
     moved = moved if root_motion else in_place(moved)
     channels = [Channel(0, "translation", moved.root_positions)]
     channels += [Channel(bone, "rotation", moved.rotations[:, bone]) for bone in range(skeleton.num_joints)]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from pfnn_jax.motion.clip import MotionClip, cut, move_clip
-from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply, quat_rotate
+from pfnn_jax.motion.cycles import repeat_cycle
+from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.retargeting.retarget import Retargeted, retarget
 from pfnn_jax.motion.root_motion import cycle_yaw, is_cycle
 from pfnn_jax.motion.skeleton import Skeleton
@@ -32,15 +31,10 @@ def retarget_closed(clip: MotionClip, target: Skeleton) -> Retargeted:
 
 
 def _three_times(clip: MotionClip) -> MotionClip:
-    """Returns a cycle of N + 1 frames three times, 3 N + 1 frames: the one before, itself, and the one after."""
-    turn = quat_from_yaw(cycle_yaw(clip))
-    step = clip.root_positions[-1] - quat_rotate(turn, clip.root_positions[0])
-    after = move_clip(clip, turn, step)
-    back = turn * np.array([1.0, -1.0, -1.0, -1.0])
-    before = move_clip(clip, back, -quat_rotate(back, step))
-    clips = [cut(before, 0, clip.num_frames - 1), cut(clip, 0, clip.num_frames - 1), after]
-    positions, rotations = (np.concatenate([getattr(each, name) for each in clips]) for name in _MOTION)
-    return replace(clip, root_positions=positions, rotations=rotations)
-
-
-_MOTION = ("root_positions", "rotations")
+    """Returns a cycle of N + 1 frames three times, 3 N frames: the one before, itself, and the one after."""
+    yaw = cycle_yaw(clip)
+    turn, step = quat_from_yaw(yaw), clip.root_positions[-1] - clip.root_positions[0]
+    back = quat_conjugate(turn)
+    first = clip.root_positions[0]
+    before = move_clip(clip, back, first - quat_rotate(back, first + step))
+    return repeat_cycle(cut(before, 0, clip.num_frames - 1), yaw, quat_rotate(back, step), 3)

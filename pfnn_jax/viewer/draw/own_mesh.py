@@ -9,9 +9,8 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.clip_files import is_character_file
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
-
-SUFFIXES = (".glb", ".gltf", ".vrm")
 
 
 def own_mesh(path: str | Path, clip: MotionClip) -> SkinnedMesh | None:
@@ -21,7 +20,7 @@ def own_mesh(path: str | Path, clip: MotionClip) -> SkinnedMesh | None:
         path: the file.
         clip: a clip of this file, whose skeleton begins at the hips.
     """
-    if Path(path).suffix.lower() not in SUFFIXES:
+    if not is_character_file(path):
         return None
     from pfnn_jax.motion.gltf.character import read_character  # with Pillow, which clips of BVH files do not need
     from pfnn_jax.motion.gltf.clips import below_hips

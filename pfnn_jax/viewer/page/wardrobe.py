@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.motion.clip_files import CHARACTER_SUFFIXES
 from pfnn_jax.viewer.draw.palette import BUTTON, rgb
 from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.outfit import Offer, Outfit, clip_as_bvh, read_offer, read_outfit
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 WEAR = "Wear a character"
 """Label of the upload button."""
 
-CHARACTERS = ".glb,.gltf,.vrm"
+CHARACTERS = ",".join(CHARACTER_SUFFIXES)
 """What the browser's dialog offers for it."""
 
 FIRST_NOTE = "Drop in a rigged GLB or VRM character and drive it."
