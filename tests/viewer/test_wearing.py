@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed")
 
+from pfnn_jax.errors import InputError  # noqa: E402
 from pfnn_jax.motion.bvh import bvh_text  # noqa: E402
 from pfnn_jax.motion.clip import MotionClip  # noqa: E402
 from pfnn_jax.motion.gltf.write import glb_bytes  # noqa: E402
@@ -20,6 +21,7 @@ from pfnn_jax.motion.skinned_mesh import SkinnedMesh  # noqa: E402
 from pfnn_jax.motion.synthetic.walks import synthesise  # noqa: E402
 from pfnn_jax.viewer.body import grow_body  # noqa: E402
 from pfnn_jax.viewer.page import outfit as outfits  # noqa: E402
+from pfnn_jax.viewer.page import scene as scenes  # noqa: E402
 from pfnn_jax.viewer.page.downloads import BVH, GLB, recording_bytes  # noqa: E402
 from pfnn_jax.viewer.page.outfit import (  # noqa: E402
     Fitting,
@@ -31,7 +33,7 @@ from pfnn_jax.viewer.page.outfit import (  # noqa: E402
     read_outfit,
 )
 from pfnn_jax.viewer.page.restyle import check_clip  # noqa: E402
-from pfnn_jax.viewer.page.scene import Spring  # noqa: E402
+from pfnn_jax.viewer.page.scene import PageScene, Spring  # noqa: E402
 from pfnn_jax.viewer.page.skinned_body import MOST_BONES, Piece, SkinnedBody, split_mesh  # noqa: E402
 from pfnn_jax.viewer.page.view import View, at_moment  # noqa: E402
 from tests.raising import assert_refused  # noqa: E402
@@ -105,6 +107,26 @@ def posed(piece: Piece, mesh: SkinnedMesh, positions: np.ndarray, rotations: np.
         joints, weights = np.pad(joints, more), np.pad(weights, more)
     alone = replace(mesh, vertices=piece.vertices, joints=joints, weights=weights)
     return alone.pose(positions, rotations)[piece.faces]
+
+
+def test_a_character_that_cannot_follow_another_skeleton_is_taken_off(clip, worn, monkeypatch):
+    import viser
+
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        scene = PageScene(server.scene)
+        scene.set_skeleton(clip.skeleton)
+        scene.wear(worn)
+
+        def refuse(*_: Any) -> None:
+            raise InputError("my rig.glb", "roles", "no left leg", "must have legs")
+
+        monkeypatch.setattr(scenes, "Fitting", refuse)
+        assert_refused(lambda: scene.set_skeleton(clip.skeleton), place="roles")
+        assert scene.outfit is None
+        scene.draw(views(clip)[0], 0.1)
+    finally:
+        server.stop()
 
 
 def test_pieces_move_as_the_whole_mesh(clip):

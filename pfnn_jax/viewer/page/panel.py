@@ -83,7 +83,7 @@ class Panel:
         self.rate = 0.0
         self.wake = threading.Event()
         self._held, self._heard, self._said = "", -math.inf, -math.inf
-        self._visible, self._touched, self._inputs = True, True, FieldChanges()
+        self._visible, self._touched = True, True
         self._look: float | None = None
         self._outcome, self._mine = 0, ""
         self._trying: threading.Thread | None = None
@@ -126,7 +126,7 @@ class Panel:
 
     def take_touched(self) -> bool:
         """Returns whether the person has done anything since the last call: pressed, chosen, or turned the camera."""
-        moved = self._inputs.changed("inputs", (self._character.run, self._character.shares, self._camera_moment()))
+        moved = self._values.changed("inputs", (self._character.run, self._character.shares, self._camera_moment()))
         touched, self._touched = self._touched or moved, False
         return touched
 
@@ -303,7 +303,7 @@ class Panel:
     def _read_fields(self, now: float) -> None:
         own, speed = self._own.value, float(self._speed.value)
         camera = (self._follow.value, self._turn.value)
-        self._touched |= self._inputs.changed("fields", (own, speed, self._strafe.value, camera))
+        self._touched |= self._values.changed("fields", (own, speed, self._strafe.value, camera))
         if self._values.changed("speed", (own, speed)):
             self._speed.disabled = own
             self._character.set_speed(None if own else speed)
