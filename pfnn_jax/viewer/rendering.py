@@ -48,7 +48,7 @@ def render(
     """Draws clips next to each other and in step; the file's suffix decides how.
 
     Args:
-        clips: what to show: clips, records with a clip, or paths of BVH files. Contacts and phases are found from the
+        clips: what to show: clips, records with a clip, or paths of files. Contacts and phases are found from the
             motion of those that are not annotated.
         out: `.html` for a page that plays without a server, `.gif` or `.mp4` for a video, `.png` for poses along time.
         fps: frames per second of a page (30) or video (20 in a GIF, 30 in an MP4); a GIF takes the nearest rate that

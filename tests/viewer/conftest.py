@@ -19,7 +19,7 @@ from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.workflows.pretrain import pretrain_run
 
 STYLES = ("depressed", "neutral", "proud")
-PATIENCE = 60.0  # seconds, for a browser that draws in software on a loaded machine
+TIMEOUT_SECONDS = 60.0  # seconds, for a browser that draws in software on a loaded machine
 WINDOW = {"width": 760, "height": 440}  # small, because it is drawn in software
 FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage")
 
@@ -93,7 +93,7 @@ class Visitor:
         self._devtools: Any = None
         self._touched: dict[str, tuple[float, float]] = {}
         self.page = browser.new_page(viewport=WINDOW, accept_downloads=True)
-        self.page.set_default_timeout(1e3 * PATIENCE)
+        self.page.set_default_timeout(1e3 * TIMEOUT_SECONDS)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(url)
         self.page.wait_for_selector("[data-readout=style]")
@@ -113,7 +113,7 @@ class Visitor:
 
     def wait(self, what: Callable[[], Any], message: str) -> None:
         """Waits until a condition holds."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT_SECONDS
         while not what():
             assert time.monotonic() < end, f"{message}: {self.page.locator('[data-readout]').all_inner_texts()}"
             self.page.wait_for_timeout(100)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -44,6 +45,46 @@ def test_a_folder_that_others_can_replace_is_refused(tmp_path: Path):
 
 
 @POSIX
+@pytest.mark.parametrize(
+    ("mode", "own", "refused"), [(0o775, False, True), (0o775, True, False), (0o755, False, False)]
+)
+def test_a_folder_that_a_group_can_replace_is_refused(tmp_path: Path, monkeypatch, mode: int, own: bool, refused: bool):
+    monkeypatch.setattr(compilation_cache, "_is_own_group", lambda number: own)
+    above = tmp_path / "shared"
+    above.mkdir()
+    above.chmod(mode)
+    if refused:
+        assert_refused(lambda: private_folder(above / "compiled"), file=above, value=f"mode {mode:o}")
+    else:
+        private_folder(above / "compiled")
+
+
+@POSIX
+@pytest.mark.parametrize(
+    ("name", "members", "own"),
+    [("me", [], True), ("me", ["me"], True), ("me", ["me", "you"], False), ("staff", [], False)],
+)
+def test_a_group_is_the_users_alone_by_its_name_and_members(monkeypatch, name: str, members: list[str], own: bool):
+    import grp
+    import pwd
+
+    monkeypatch.setattr(grp, "getgrgid", lambda number: SimpleNamespace(gr_name=name, gr_mem=members))
+    monkeypatch.setattr(pwd, "getpwuid", lambda number: SimpleNamespace(pw_name="me", pw_gid=1000))
+    assert compilation_cache._is_own_group(1000) == own
+
+
+@POSIX
+def test_folders_that_are_made_are_private_whatever_the_umask_is(tmp_path: Path):
+    before = os.umask(0o002)
+    try:
+        private_folder(tmp_path / "cache" / "pfnn_jax" / "compiled")
+    finally:
+        os.umask(before)
+    for folder in ("cache", "cache/pfnn_jax"):
+        assert (tmp_path / folder).stat().st_mode & 0o777 == 0o700
+
+
+@POSIX
 def test_links_files_and_folders_of_others_are_refused(tmp_path: Path, monkeypatch):
     (tmp_path / "real").mkdir(mode=0o700)
     (tmp_path / "link").symlink_to(tmp_path / "real")
@@ -61,7 +102,7 @@ def config(folder: str | None, enabled: bool = True) -> Any:
     return values
 
 
-def test_jax_keeps_compiled_code_unless_told_otherwise(tmp_path: Path, monkeypatch):
+def test_jax_keeps_compiled_code_unless_configured_otherwise(tmp_path: Path, monkeypatch):
     own = tmp_path / "cache" / "compiled"
     monkeypatch.setattr(compilation_cache, "cache_folder", lambda: own)
     for given, expected in (
@@ -72,6 +113,33 @@ def test_jax_keeps_compiled_code_unless_told_otherwise(tmp_path: Path, monkeypat
         monkeypatch.setattr("jax.config", given)
         assert compilation_cache.use_private_cache() == expected
         assert given.jax_compilation_cache_dir == (None if expected is None else str(expected))
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_the_seconds_of_a_start_are_kept_only_with_its_compiled_code(monkeypatch, keep: bool):
+    pytest.importorskip("viser", reason="viser is not installed")
+    from pfnn_jax.viewer.page import background, play
+
+    class Library:
+        runs = ()
+
+        def warm_up(self) -> None: ...
+
+        def empty_trash(self) -> None: ...
+
+        @property
+        def styles(self) -> None:
+            raise KeyboardInterrupt  # as soon as the page is announced
+
+    noted: list[float] = []
+    page = SimpleNamespace(url="", begin=lambda library: None)
+    times = SimpleNamespace(expected=1.0, note=noted.append)
+    stubs = {"first_sight": None, "RunLibrary": Library(), "Page": contextlib.nullcontext(page), "StartTimes": times}
+    for name, value in (stubs | {"check_finished": None, "cancel_learning": None, "_cache": None}).items():
+        monkeypatch.setattr(play, name, lambda *_, value=value, **__: value)
+    monkeypatch.setattr(background, "leave_work", lambda code: None)
+    play.play(["run"], port=0, keep_compiled=keep)
+    assert len(noted) == keep
 
 
 def test_old_compiled_code_is_removed(tmp_path: Path, monkeypatch):

@@ -21,7 +21,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.viewer.page import background, play
 
 AT_ONCE = 15.0  # seconds, on a loaded machine; compiling takes longer
-PATIENCE = 120.0  # seconds until it compiles
+TIMEOUT_SECONDS = 120.0  # seconds until it compiles
 PROGRAM = "from pfnn_jax.cli import main; main()"
 FAILING = """
 import threading, time
@@ -44,7 +44,7 @@ def test_a_signal_ends_the_page_while_it_compiles(played_run, tmp_path: Path):
         open(tmp_path / "errors", "w+") as errors,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as program,
     ):
-        too_late = threading.Timer(PATIENCE, program.kill)
+        too_late = threading.Timer(TIMEOUT_SECONDS, program.kill)
         too_late.start()
         assert program.stdout is not None
         assert any("compiling" in line for line in iter(program.stdout.readline, "")), "it announces compiling"
@@ -63,7 +63,7 @@ def test_a_signal_ends_the_page_while_it_compiles(played_run, tmp_path: Path):
 def test_a_failure_keeps_its_code_while_something_compiles(left, ended):
     """The code of the page, or of a later failure such as a result that cannot be written."""
     program = [sys.executable, "-c", FAILING.format(left=left, ended=ended)]
-    process = subprocess.run(program, capture_output=True, text=True, timeout=PATIENCE)
+    process = subprocess.run(program, capture_output=True, text=True, timeout=TIMEOUT_SECONDS)
     assert (process.returncode, process.stderr) == (ended, "")
 
 

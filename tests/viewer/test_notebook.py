@@ -20,7 +20,7 @@ from tests.viewer.pages import captions, check_page, make_annotated, payload
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
 browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-PATIENCE = 60_000  # milliseconds, for a browser that draws in software on a loaded machine
+TIMEOUT_MS = 60_000  # milliseconds, for a browser that draws in software on a loaded machine
 STRONGEST = """canvas => {  // colour of a scene: 0 for greys and nothing, 255 for a pure one
     const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
     let most = 0;
@@ -105,7 +105,9 @@ def test_players_in_one_page_are_independent_and_their_clips_in_step(tmp_path: P
         frames = [frame for frame in page.frames if frame != page.main_frame]
         assert len(frames) == 2
         for frame in frames:
-            frame.wait_for_function("!document.querySelector('output').textContent.startsWith('0.0')", timeout=PATIENCE)
+            frame.wait_for_function(
+                "!document.querySelector('output').textContent.startsWith('0.0')", timeout=TIMEOUT_MS
+            )
         first, second = frames
         assert first.locator("canvas.scene").count() == 2 and second.locator("canvas.scene").count() == 1
         first.locator("button.play").click()  # pauses the first alone

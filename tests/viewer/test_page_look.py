@@ -6,7 +6,6 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed")
 
-from pfnn_jax.viewer.page import widgets  # noqa: E402
 from pfnn_jax.viewer.page.play import Page  # noqa: E402
 
 # A tab can close while its picture is being sent; `play` ignores the warning, but each test has its own filters.
@@ -98,16 +97,6 @@ def test_a_hidden_tab_takes_no_steps(visitor, served):
         visitor.page.evaluate(HIDE, False)
     visitor.wait(lambda: list(drawn) != before, "it goes on when it is seen again")
     visitor.walk(0.2)
-
-
-def test_a_style_chosen_while_standing_has_a_hint(visitor):
-    hint = visitor.page.locator("[data-hint]")
-    assert hint.count() == 0
-    visitor.choose("Style", "proud")
-    hint.wait_for()
-    assert widgets.UNSEEN in hint.inner_text()
-    visitor.walk(0.2)
-    visitor.wait(lambda: hint.count() == 0, "the hint disappears once the character walks")
 
 
 def test_a_page_shows_that_its_program_has_ended_and_reconnects(browser, served):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import html
+import json
+import re
 import socket
 from functools import partial
 from types import SimpleNamespace
@@ -15,6 +18,7 @@ from pfnn_jax.viewer.page.framing import frame_character
 from pfnn_jax.viewer.page.guard import names_of, objection
 from pfnn_jax.viewer.page.play import check_address
 from pfnn_jax.viewer.page.scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET, camera_yaw
+from pfnn_jax.viewer.page.skinned_body import BODY, MOST_COLOURS
 from pfnn_jax.viewer.page.view import Dial
 from tests.raising import assert_refused
 
@@ -64,6 +68,14 @@ def test_names_are_escaped():
             widgets.message("bad", name) + widgets.phase_dial([Dial(name, 0.0)] * 2) + widgets.legend({name: "#000000"})
         )
         assert "<img" not in shown and "&lt;" in shown
+
+
+def test_the_script_knows_every_node_of_the_body():
+    """Viser's page ends when one that it does not know goes with the connection."""
+    code = html.unescape(widgets.script())
+    found = re.search(r"for \(const name of (\[.*?\])\)", code)
+    assert found is not None and "BODY_NODES" not in code
+    assert json.loads(found[1]) == [f"{BODY}/{number}" for number in range(MOST_COLOURS)]
 
 
 def test_every_kind_of_phase_has_dials():
@@ -155,9 +167,9 @@ def test_the_pace_of_a_tab():
 
     assert at(0.0, moving=True) == pace.Pace(True, pace.FRAME, 0.0)
     assert at(1.0) == pace.Pace(True, pace.FRAME, pace.STANDING_INTERVAL)
-    assert not at(0.1 + pace.AWAKE).steps and at(0.2 + pace.AWAKE).wait == pace.ASLEEP
-    assert at(1.0 + pace.AWAKE, touched=True).steps and at(2.0 + pace.AWAKE).steps
-    assert not at(2.1 + pace.AWAKE, moving=True, visible=False).steps
+    assert not at(0.1 + pace.ACTIVE_SECONDS).steps and at(0.2 + pace.ACTIVE_SECONDS).wait == pace.IDLE_INTERVAL
+    assert at(1.0 + pace.ACTIVE_SECONDS, touched=True).steps and at(2.0 + pace.ACTIVE_SECONDS).steps
+    assert not at(2.1 + pace.ACTIVE_SECONDS, moving=True, visible=False).steps
 
 
 def test_framing_keeps_the_character_beside_the_panels():

@@ -17,14 +17,16 @@ from pfnn_jax.motion.synthetic.walks import synthesise
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
-from pfnn_jax.viewer.page import downloads, widgets  # noqa: E402
+from pfnn_jax.viewer.page import downloads, wardrobe  # noqa: E402
 from pfnn_jax.viewer.page import tab as tab_module  # noqa: E402
 from pfnn_jax.viewer.page.learning import LearningBoard  # noqa: E402
-from pfnn_jax.viewer.page.pace import UNSEEN  # noqa: E402
+from pfnn_jax.viewer.page.outfit import Offer  # noqa: E402
+from pfnn_jax.viewer.page.pace import SILENCE  # noqa: E402
 from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
 from pfnn_jax.viewer.page.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
 from pfnn_jax.viewer.page.tab import Tab  # noqa: E402
 from pfnn_jax.viewer.page.uploads import MOST_BUFFERED, LearnedUpload, drop_large  # noqa: E402
+from pfnn_jax.viewer.page.wardrobe import NOTHING  # noqa: E402
 
 SOON = 20.0  # seconds for a thread to start or end on a loaded machine
 
@@ -174,20 +176,6 @@ def seen(**values: Any) -> Any:
     return SimpleNamespace(**(view | {"recorded_seconds": None, "recording": False} | values))
 
 
-def test_a_style_chosen_while_standing_has_a_hint(panel):
-    def hinted(**values: Any) -> bool:
-        panel.show(seen(**values), 0.0, 60.0)
-        return widgets.UNSEEN in panel._readout.content
-
-    assert not hinted()
-    panel._picker.select("run", "proud")
-    assert hinted() and hinted() and not hinted(wanted_speed=1.0) and not hinted()
-    panel._picker.select("run", "proud")
-    assert not hinted()
-    learned(panel, "neutral")
-    assert hinted() and widgets.UNSEEN in panel._message.content and not hinted(speed=0.5)
-
-
 def learned(panel: Any, style: str, *lines: tuple[str, ...], run: str = "run") -> None:
     """Does what a tab does when a style has been learned for it."""
     upload, board = LearnedUpload(style, *lines), panel._library.learning
@@ -264,18 +252,25 @@ def test_only_learned_styles_can_be_renamed_and_deleted(panel):
 
 def test_a_style_is_named_before_it_is_learned(panel, client, monkeypatch):
     names = []
-    monkeypatch.setattr(tab_module, "learn_upload", lambda _, __, name, *___: names.append(name) or LearnedUpload("ok"))
-    panel._name.value = " my walk "
-    for _ in range(2):
+
+    def learn(*_: Any, name: str) -> LearnedUpload:
+        names.append(name)
+        if len(names) == 1:
+            raise InputError("upload", "style name", name, "must be a file name")
+        return LearnedUpload("ok")
+
+    monkeypatch.setattr(tab_module, "learn_upload", learn)
+    panel._name.value = " Größe "
+    for _ in range(3):
         tab_of(client, panel._library)._learn(panel._character, panel, "take 1.bvh", b"")
-    assert names == ["my walk.bvh", "take 1.bvh"], "a name is used once"
+    assert names == ["Größe", "Größe", ""], "a refused name is there to be corrected, and a name is used once"
 
 
 def test_a_tab_counts_as_hidden_when_it_says_so_or_is_silent(panel):
     assert panel.visible(0.0), "until the script has spoken"
     panel._channel.value = "1 0 0 0 0 60 1"
     panel.serve(1.0)
-    assert panel.visible(1.0) and not panel.visible(1.0 + UNSEEN)
+    assert panel.visible(1.0) and not panel.visible(1.0 + SILENCE)
     panel._channel.value = "2 0 0 0 0 60 0"
     panel.serve(2.0)
     assert not panel.visible(2.0)
@@ -321,7 +316,7 @@ def tab_of(client: Any, library: Any = None) -> Tab:
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_an_unexpected_error_of_an_upload_is_shown(panel, client, monkeypatch):
-    def fail(*_: Any) -> str:
+    def fail(*_: Any, **__: Any) -> str:
         raise RuntimeError("out of paper")
 
     monkeypatch.setattr(tab_module, "learn_upload", fail)
@@ -335,7 +330,7 @@ def test_an_unexpected_error_of_an_upload_is_shown(panel, client, monkeypatch):
 def test_a_second_upload_is_refused_with_a_notice(panel, client, monkeypatch):
     tab, begun, free = tab_of(client, panel._library), threading.Event(), threading.Event()
 
-    def learn(*_: Any) -> LearnedUpload:
+    def learn(*_: Any, **__: Any) -> LearnedUpload:
         begun.set()
         free.wait(SOON)
         return LearnedUpload("walk")
@@ -362,6 +357,43 @@ def test_an_error_of_the_simulation_is_shown(client, monkeypatch):
     tab.start()
     soon(lambda: not tab.alive)
     assert client.received == [("Simulation stopped; reload the page", "RuntimeError: no legs")]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_file_that_comes_while_another_is_read_is_refused(panel, monkeypatch):
+    begun, free, messages = threading.Event(), threading.Event(), []
+
+    def read(*_: Any) -> Any:
+        begun.set()
+        assert free.wait(SOON)
+        raise RuntimeError("out of paper")
+
+    monkeypatch.setattr(wardrobe, "read_offer", read)
+    panel.wardrobe.serve_learning(lambda *_: None, lambda *message: messages.append(message))
+    panel.wardrobe.take_clip("first.glb", b"")
+    assert begun.wait(SOON)
+    panel.wardrobe.take_clip("second.glb", b"")
+    assert soon(lambda: messages)[0][0] == "bad" and "Another file is being read" in messages[0][1]
+    free.set()
+    assert soon(lambda: messages[1:]) == [("bad", "RuntimeError: out of paper")]
+
+
+def test_a_file_is_forgotten_when_nothing_more_can_be_done_with_it(panel, monkeypatch):
+    learned, walk = [], Offer("walk", ("",), body=False)
+    monkeypatch.setattr(wardrobe, "read_offer", lambda *_: walk)
+    panel.wardrobe.serve_learning(lambda *sent: learned.append(sent), panel.show_message)
+    panel.wardrobe.take_clip("walk.bvh", b"HIERARCHY")
+    soon(lambda: learned == [("walk.bvh", b"HIERARCHY")] and panel.wardrobe._given == NOTHING)
+
+
+def test_a_character_that_another_run_cannot_move_is_taken_off(panel):
+    def refuse(_: Any) -> None:
+        raise InputError("hero.glb", "roles", "no left leg", "must have legs")
+
+    panel.wardrobe._off.visible = True
+    panel._scene.set_skeleton = refuse
+    panel.wardrobe.set_skeleton(any_of(None))
+    assert "no left leg" in panel.wardrobe._message.content and not panel.wardrobe._off.visible
 
 
 def transfer(name: str, size: int) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from tests.viewer.pages import captions
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")]
-PATIENCE = 60_000  # milliseconds, for a browser that draws in software on a loaded machine
+TIMEOUT_MS = 60_000  # milliseconds, for a browser that draws in software on a loaded machine
 PIXEL = 2.0  # the outline is drawn on whole pixels, and weights and positions are rounded
 SILHOUETTE = """canvas => {  // left, top, right and bottom of the opaque pixels: the body; the ground is translucent
     const { width, height } = canvas, data = canvas.getContext("2d").getImageData(0, 0, width, height).data;
@@ -94,7 +94,7 @@ def opened(tmp_path_factory) -> Iterator[Opened]:
         page.on("request", lambda request: requests.append(request.url))
         page.add_init_script(KEEP)
         page.goto(path.as_uri())
-        page.wait_for_selector(".motion-player[data-started=yes]", timeout=PATIENCE)
+        page.wait_for_selector(".motion-player[data-started=yes]", timeout=TIMEOUT_MS)
         yield Opened(page, clips, complaints, requests, path)
         chromium.close()
 
@@ -150,7 +150,7 @@ def test_a_browser_without_webgl_is_told_so(opened):
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.add_init_script(WITHOUT)
     page.goto(opened.path.as_uri())
-    page.locator("p.failure").last.wait_for(timeout=PATIENCE)
+    page.locator("p.failure").last.wait_for(timeout=TIMEOUT_MS)
     assert page.locator("p.failure").all_inner_texts() == [
         "This browser cannot draw the motion: Error creating WebGL context."
     ] * len(opened.clips)

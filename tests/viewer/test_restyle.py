@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -198,6 +199,19 @@ def test_refusals_are_shown_and_the_button_works_again(panel, walk, monkeypatch)
     panel.begin()
     assert "walk.bvh: length: 24 frames; must be longer" in panel._message.content
     assert not panel._begin.disabled and not panel._results[0].visible
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_an_unexpected_error_of_an_upload_is_shown(panel):
+    def take(filename: str, data: bytes) -> None:
+        raise RuntimeError("out of paper")
+
+    sent = SimpleNamespace(target=SimpleNamespace(value=SimpleNamespace(name="walk.bvh", content=b"")))
+    asyncio.run(panel._receiver(take)(sent))
+    end = time.monotonic() + 60.0
+    while "out of paper" not in panel._message.content:
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def test_the_last_style_clips_are_kept(panel, walk):

@@ -14,6 +14,7 @@ import pytest
 from pfnn_jax.control.abilities import can_strafe
 from pfnn_jax.run import load_run, load_style, save_style
 from pfnn_jax.run_config import list_styles, style_note
+from pfnn_jax.viewer.page import style_files
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.style_files import empty_trash
@@ -75,6 +76,71 @@ def test_a_deleted_style_can_be_restored_and_is_gone_when_the_program_ends(libra
     assert_refused(lambda: library.restore_style("run"), place="style")
 
 
+def test_a_style_and_its_clip_stay_together(library):
+    """A renamed style leaves no clip behind that a later style of the old name would take for its own."""
+    run = path_of(library)
+    save_style(run, "other", load_style(load_run(run), "neutral"), {"speed": 1.0})
+    library.add_style("run", "other")
+    library.rename_style("run", "mine", "first")
+    library.rename_style("run", "other", "mine")
+    assert [path.name for path in (run / "uploads").iterdir()] == ["first.bvh"]
+    library.delete_style("run", "mine")
+    assert (run / "uploads" / "first.bvh").is_file(), "the clip of another style"
+    library.delete_style("run", "first")
+    assert not list((run / "uploads").iterdir())
+    (run / "uploads").rmdir()
+    assert library.restore_style("run") == "first"
+    assert (run / "uploads" / "first.bvh").read_text() == "a clip"
+
+
+def test_a_name_can_change_to_other_letters_of_its_own_but_not_to_that_of_a_clip(library):
+    library.rename_style("run", "mine", "Mine")
+    assert (path_of(library) / "uploads" / "Mine.bvh").is_file() and "Mine" in list_styles(path_of(library))
+    (path_of(library) / "uploads" / "walk.glb").write_bytes(b"")
+    assert_refused(lambda: library.rename_style("run", "Mine", "Walk"), value="Walk", rule_mentions="taken")
+
+
+@pytest.mark.parametrize("fails", ["note", "clip"])
+def test_a_style_that_cannot_be_renamed_keeps_its_name(library, monkeypatch, fails):
+    run, rename = path_of(library), Path.rename
+    before = (run / "styles" / "mine" / "style.json").read_bytes()
+
+    def refuse(path: Path, target: Path) -> Path:
+        if path.suffix == ".bvh":
+            raise PermissionError(13, "Permission denied")
+        return rename(path, target)
+
+    def broken(path: Path, _: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    if fails == "note":
+        monkeypatch.setattr(style_files, "write_json", broken)
+    else:
+        monkeypatch.setattr(Path, "rename", refuse)
+    assert_refused(lambda: library.rename_style("run", "mine", "other"), file="styles/mine", place="style")
+    assert list_styles(run) == ("depressed", "mine", "neutral", "proud") and (run / "uploads" / "mine.bvh").is_file()
+    assert (run / "styles" / "mine" / "style.json").read_bytes() == before
+    if fails == "clip":
+        assert_refused(lambda: library.delete_style("run", "mine"), file="styles/mine", place="style")
+        assert "mine" in list_styles(run) and library.deleted_style("run") is None
+
+
+def test_nothing_outside_the_run_is_moved(library, tmp_path):
+    run, outside = path_of(library), tmp_path / "mocap"
+    (run / "uploads").rename(outside)
+    (run / "uploads").symlink_to(outside, target_is_directory=True)
+    library.rename_style("run", "mine", "other")
+    library.rename_style("run", "other", "mine")
+    library.delete_style("run", "mine")
+    library.empty_trash()
+    assert (outside / "mine.bvh").read_text() == "a clip"
+    (run / "styles").rename(tmp_path / "styles")
+    (run / "styles").symlink_to(tmp_path / "styles", target_is_directory=True)
+    for change in (lambda: style_files.delete_style(run, "proud"), lambda: style_files.rename_style(run, "proud", "a")):
+        assert_refused(change, place="folder", value="is a link")
+    assert (tmp_path / "styles" / "proud").is_dir()
+
+
 def test_the_row_of_a_deleted_style_is_used_again(library):
     run = path_of(library)
     capacity, count = library.get("run").controller.capacity, len(library.get("run").controller.styles)
@@ -106,7 +172,7 @@ def test_what_ended_programs_have_deleted_is_removed(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == [f".deleted.{running}", ".deleted.notes"]
 
 
-def test_a_style_that_was_shown_walks_only_cannot_strafe(library):
+def test_a_style_trained_on_walks_ahead_cannot_strafe(library):
     """The data of the run walks ahead and turns."""
     assert not can_strafe(library.get("run").controller, "neutral")
     assert not library.try_strafe("run", "neutral")

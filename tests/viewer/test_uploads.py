@@ -101,7 +101,8 @@ def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_
 
 def test_an_upload_of_another_skeleton_is_put_onto_the_runs(library, run_path, zombie_bvh):
     text = zombie_bvh.read_text().replace("UpLeg", "Thigh").replace("JOINT Spine1", "JOINT Belly")
-    name, notes, _ = learn_upload(library, "run", "renamed.bvh", text.encode())
+    name, notes, _ = learn_upload(library, "run", "renamed.bvh", text.encode(), name="Größe")
+    assert name == "Größe" and (run_path / "uploads" / "Größe.bvh").is_file()
     assert notes == ("retargeted from 21 to 21 joints, legs scaled by 1.00",)
     about = json.loads((run_path / "styles" / name / "style.json").read_text())
     assert about["info"]["notes"] == ["retargeted from 21 to 21 joints, legs scaled by 1.00"]
@@ -190,6 +191,9 @@ def test_valid_clips_that_cannot_be_learned_change_nothing(library, run_path, zo
             learn_upload(library, "run", "walk.bvh", data.encode())
         assert str(run_path) not in str(refused.value)
         assert contents(run_path) == before
+    for name in ("../walk", ".walk", "a:b"):
+        assert_refused(lambda name=name: learn_upload(library, "run", "walk.bvh", text.encode(), name=name))
+    assert contents(run_path) == before
     assert_refused(lambda: learn_upload(library, "../run", "walk.bvh", text.encode()), place="run")
 
 
@@ -263,7 +267,7 @@ def test_errors_of_the_file_system_name_the_file(played_run, zombie_bvh, tmp_pat
     (path / "uploads").write_text("no folder")
     before, closed = contents(path), RunLibrary([path])
     upload = partial(learn_upload, closed, "run", "walk.bvh", zombie_bvh.read_bytes())
-    assert_refused(upload, file="run/uploads", place="file", value="not a directory")
+    assert_refused(upload, file="run/uploads", place="file", value="file exists")
     assert contents(path) == before
 
     def denied(*_, **__):

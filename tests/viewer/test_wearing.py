@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed")
 
+from pfnn_jax.errors import InputError  # noqa: E402
 from pfnn_jax.motion.bvh import bvh_text  # noqa: E402
 from pfnn_jax.motion.clip import MotionClip  # noqa: E402
 from pfnn_jax.motion.gltf.write import glb_bytes  # noqa: E402
@@ -20,9 +21,19 @@ from pfnn_jax.motion.skinned_mesh import SkinnedMesh  # noqa: E402
 from pfnn_jax.motion.synthetic.walks import synthesise  # noqa: E402
 from pfnn_jax.viewer.body import grow_body  # noqa: E402
 from pfnn_jax.viewer.page import outfit as outfits  # noqa: E402
+from pfnn_jax.viewer.page import scene as scenes  # noqa: E402
 from pfnn_jax.viewer.page.downloads import BVH, GLB, recording_bytes  # noqa: E402
-from pfnn_jax.viewer.page.outfit import Fitting, Outfit, clip_as_bvh, read_offer, read_outfit  # noqa: E402
-from pfnn_jax.viewer.page.scene import Spring  # noqa: E402
+from pfnn_jax.viewer.page.outfit import (  # noqa: E402
+    Fitting,
+    Offer,
+    Outfit,
+    clip_as_bvh,
+    clip_bytes,
+    read_offer,
+    read_outfit,
+)
+from pfnn_jax.viewer.page.restyle import check_clip  # noqa: E402
+from pfnn_jax.viewer.page.scene import PageScene, Spring  # noqa: E402
 from pfnn_jax.viewer.page.skinned_body import MOST_BONES, Piece, SkinnedBody, split_mesh  # noqa: E402
 from pfnn_jax.viewer.page.view import View, at_moment  # noqa: E402
 from tests.raising import assert_refused  # noqa: E402
@@ -31,6 +42,7 @@ EXACT = 1e-9  # float64 over a few products
 ROUNDED = 1e-5  # metres: vertices are welded at this distance, and files hold float32
 LEVEL = 0.01  # metres by which the floor of the last second differs from that of the seconds around
 GIANT = 1.6
+MOVED = ("root_positions", "rotations")
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +107,26 @@ def posed(piece: Piece, mesh: SkinnedMesh, positions: np.ndarray, rotations: np.
         joints, weights = np.pad(joints, more), np.pad(weights, more)
     alone = replace(mesh, vertices=piece.vertices, joints=joints, weights=weights)
     return alone.pose(positions, rotations)[piece.faces]
+
+
+def test_a_character_that_cannot_follow_another_skeleton_is_taken_off(clip, worn, monkeypatch):
+    import viser
+
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        scene = PageScene(server.scene)
+        scene.set_skeleton(clip.skeleton)
+        scene.wear(worn)
+
+        def refuse(*_: Any) -> None:
+            raise InputError("my rig.glb", "roles", "no left leg", "must have legs")
+
+        monkeypatch.setattr(scenes, "Fitting", refuse)
+        assert_refused(lambda: scene.set_skeleton(clip.skeleton), place="roles")
+        assert scene.outfit is None
+        scene.draw(views(clip)[0], 0.1)
+    finally:
+        server.stop()
 
 
 def test_pieces_move_as_the_whole_mesh(clip):
@@ -214,12 +246,31 @@ def test_the_camera_does_not_depend_on_the_number_of_pictures_and_never_overshoo
 
 
 def test_files_offer_what_they_hold(clip, character):
-    assert read_offer("C:\\a walk.BVH", bvh_text(clip).encode()) == ("a walk", ("",), False)
-    assert read_offer("my rig.glb", character) == ("my rig", ("walk", "stroll"), True), "blink is too short"
+    assert read_offer("C:\\a walk.BVH", bvh_text(clip).encode()) == Offer("a walk", ("",), body=False)
+    rig = Offer("my rig", ("walk", "stroll"), body=True, whole=False)
+    assert read_offer("my rig.glb", character) == rig, "blink is too short"
     bare = glb_bytes(clip.skeleton, grow_body(clip.skeleton), {})
-    assert read_offer("bare.vrm", bare) == ("bare", (), True)
+    assert read_offer("bare.vrm", bare) == Offer("bare", (), body=True)
     name, data = clip_as_bvh("my rig.glb", character, "stroll")
     assert name == "my rig stroll.bvh" and data.startswith(b"HIERARCHY")
+
+
+def test_the_motion_that_is_offered_is_the_one_that_is_learned(clip, monkeypatch):
+    """A walk that is too long to be offered is not what is learned in place of the motion that is."""
+    turned = replace(clip, rotations=clip.rotations[::-1], root_positions=clip.root_positions[::-1])
+    long = replace(
+        clip, **{name: np.tile(getattr(clip, name), (25, 1, 1)[: getattr(clip, name).ndim]) for name in MOVED}
+    )
+    data = glb_bytes(clip.skeleton, grow_body(clip.skeleton), {"Walk": long, "Run": turned}, root_motion=True)
+    offer = read_offer("both.glb", data)
+    assert offer == Offer("both", ("Run",), body=True, whole=False)
+    assert clip_bytes("both.glb", data, offer, "Run") == clip_as_bvh("both.glb", data, "Run")
+    assert check_clip("both.glb", data).name == "both Run"
+    alone = glb_bytes(clip.skeleton, grow_body(clip.skeleton), {"Run": turned}, root_motion=True)
+    offer = read_offer("one.glb", alone)
+    assert clip_bytes("one.glb", alone, offer, "Run") == ("one.glb", alone)
+    monkeypatch.setattr(outfits, "MOST_BYTES", len(alone) - 1)
+    assert clip_bytes("one.glb", alone, offer, "Run")[0] == "one Run.bvh", "large for its body, not for its motion"
 
 
 @pytest.mark.parametrize(
@@ -241,7 +292,7 @@ def test_what_cannot_be_worn_is_refused(clip, character, monkeypatch):
     assert_refused(lambda: read_outfit("walk.exe", b""), place="file name")
     monkeypatch.setattr(outfits, "MOST_FACES", 10)
     assert_refused(lambda: read_outfit("my rig.glb", character), file="my rig.glb", place="mesh")
-    monkeypatch.setattr(outfits, "MOST_BYTES", 10)
+    monkeypatch.setattr(outfits, "MOST_CHARACTER_BYTES", 10)
     assert_refused(lambda: read_outfit("my rig.glb", character), file="my rig.glb", place="size")
 
 

@@ -29,10 +29,10 @@ class Walk:
     Attributes:
         speed: speed at which the style walks.
         asked_speed: speed to command for it in the published loop; networks do not walk exactly at that.
+        tracked_speed: speed that command tracking, which also limits the look-ahead, commands for it.
         stance: how it stands, relative to its centre and facing (`control.standing.Stance`): rotations [J, 4] of the
             joints in their parents, height of the hips, hips [2] on the ground, feet [2, 2, 3] (heel, toe), and the
             rotation of the chest [4]. None for a skeleton without roles.
-        tracked_speed: speed that command tracking, which also limits the look-ahead, commands for it.
     """
 
     speed: float

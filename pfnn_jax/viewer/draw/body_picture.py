@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
-from pfnn_jax.viewer.draw.camera import SideView, View
+from pfnn_jax.viewer.draw.camera import Projection, SideView
 from pfnn_jax.viewer.draw.palette import SHADE, SHADOW, rgb
 from pfnn_jax.viewer.draw.rasteriser import SUN, Surface, cover, draw_surface
 from pfnn_jax.viewer.draw.scene import Scene, skin_mesh
@@ -84,7 +84,7 @@ def draw_body(
     mesh: SkinnedMesh,
     positions: np.ndarray,
     rotations: np.ndarray,
-    view: View,
+    view: Projection,
     origin: tuple[float, float],
     frame: tuple[int, int, int, int],
     *,
@@ -119,7 +119,7 @@ def draw_body(
 def _shadow(
     mesh: SkinnedMesh,
     vertices: np.ndarray,
-    view: View,
+    view: Projection,
     origin: tuple[float, float],
     frame: tuple[int, int, int, int],
     size: float,

@@ -10,8 +10,8 @@ import numpy as np
 NEAREST = 0.2  # metres in front of the eye; nearer points are not drawn
 
 
-class View(Protocol):
-    """A camera: the perspective `Camera` of videos, or the `SideView` of pictures."""
+class Projection(Protocol):
+    """Where points lie in a picture: the perspective `Camera` of videos, or the `SideView` of pictures."""
 
     @property
     def axes(self) -> np.ndarray:

@@ -60,7 +60,7 @@ def filmstrip(*clips: Showable, moments: int = 8, title: str = "", span: tuple[i
     no clip travels. Annotated clips with contacts or phases have them below, each body above its own moment.
 
     Args:
-        clips: clips, records with a clip, or paths of BVH files. All rows have the same moments (`even_moments`);
+        clips: clips, records with a clip, or paths of files. All rows have the same moments (`even_moments`);
             shorter clips end earlier.
         moments: number of bodies in the longest clip.
         title: title of the picture.

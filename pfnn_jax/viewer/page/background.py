@@ -10,6 +10,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
+from pfnn_jax.errors import InputError, TrainingError
+
+LONGEST_ERROR = 300
+"""Characters shown of an unexpected error."""
+
 Result = TypeVar("Result")
 
 _working: set[threading.Thread] = set()
@@ -52,6 +57,28 @@ def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
     if errors:
         raise errors[0]
     return results[0]
+
+
+@contextmanager
+def shown_errors(show: Callable[[str], None], about: str = "") -> Iterator[None]:
+    """Shows the errors of the block on the page: what is refused ends there, what is unexpected is raised again.
+
+    Args:
+        show: shows a text.
+        about: what an unexpected error concerns, such as a file.
+    """
+    try:
+        yield
+    except (InputError, TrainingError) as error:
+        show(str(error))
+    except Exception as error:
+        show(unexpected(error, about))
+        raise
+
+
+def unexpected(error: Exception, about: str = "") -> str:
+    """Returns a line for the page on an error that nobody foresaw."""
+    return ": ".join(part for part in (about, type(error).__name__, str(error)) if part)[:LONGEST_ERROR]
 
 
 def leave_work(code: int = 0) -> None:

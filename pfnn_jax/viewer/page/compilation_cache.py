@@ -68,19 +68,25 @@ def private_folder(folder: Path) -> Path:
     """Returns a folder that only the user can read and write, and makes it where it does not exist.
 
     Raises:
-        InputError: if it is a link or not a folder, belongs to somebody else, or it or a folder above it can be written
-            by others; if it cannot be made.
+        InputError: if it is a link or not a folder, belongs to somebody else, can be written by others, or lies in a
+            folder in which others could replace it; if it cannot be made.
     """
     rule = f"must be a folder of your own that nobody else can write to; name another with {VARIABLE}"
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700, exist_ok=True)
+        _make_private(folder)
         if os.name == "posix":
             _check_private(folder, rule)
             folder.chmod(0o700)
     except OSError as error:
         raise InputError(folder, "compilation cache", failure(error), rule) from error
     return folder
+
+
+def _make_private(folder: Path) -> None:
+    """Makes a folder, and those above it that do not exist, for the user alone whatever the umask is."""
+    for place in (*reversed(folder.parents), folder):
+        if not place.exists():
+            place.mkdir(mode=0o700, exist_ok=True)
 
 
 def _check_private(folder: Path, rule: str) -> None:
@@ -96,8 +102,27 @@ def _check_private(folder: Path, rule: str) -> None:
         above = parent.stat()
         if above.st_uid not in (0, os.geteuid()):
             raise InputError(parent, "compilation cache", f"belongs to user {above.st_uid}", rule)
-        if above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX:
+        if _others_can_write(above) and not above.st_mode & stat.S_ISVTX:
             raise InputError(parent, "compilation cache", f"mode {stat.S_IMODE(above.st_mode):o}", rule)
+
+
+def _others_can_write(found: os.stat_result) -> bool:
+    """Returns whether others than the owner can write into a folder, as everybody or as members of its group."""
+    if found.st_mode & stat.S_IWOTH:
+        return True
+    return bool(found.st_mode & stat.S_IWGRP) and not _is_own_group(found.st_gid)
+
+
+def _is_own_group(number: int) -> bool:
+    """Returns whether a group is the user's alone: many systems give each user one, of the user's name."""
+    import grp
+    import pwd
+
+    try:
+        group, user = grp.getgrgid(number), pwd.getpwuid(os.geteuid())
+    except KeyError:
+        return False
+    return group.gr_name == user.pw_name and user.pw_gid == number and set(group.gr_mem) <= {user.pw_name}
 
 
 def _remove_unused(folder: Path) -> None:
@@ -139,7 +164,7 @@ class StartTimes:
         entry = {**self._times, "kept" if self._warm else "new": round(seconds, 1)}
         entry["folder"] = None if self._kept is None else str(self._kept)
         with suppress(InputError, OSError):
-            self._file.parent.mkdir(parents=True, exist_ok=True)
+            _make_private(self._file.parent)
             write_whole(self._file, json.dumps({**self._read(), self._key: entry}, indent=1))
 
     def _seconds(self, which: str) -> float | None:

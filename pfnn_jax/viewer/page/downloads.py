@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.gltf.write import glb_bytes
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.viewer.body import grow_body
+from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.outfit import Outfit
 from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.scene import PageScene
@@ -65,10 +67,8 @@ class Downloads:
 
     def _send(self, name: str, clip: MotionClip, kind: str, worn: Outfit | None) -> None:
         name = f"{name[:LONGEST_NAME]}_{clip.num_frames}.{kind.lower()}"
-        try:
+        with background.shown_errors(partial(self._refuse, "bad"), name):
             self._client.send_file_download(name, recording_bytes(clip, kind, worn), save_immediately=True)
-        except Exception as error:  # refused or unexpected: the page must show that nothing is coming
-            self._refuse("bad", f"{name}: {error}")
 
 
 def recording_bytes(clip: MotionClip, kind: str, worn: Outfit | None = None) -> bytes:

@@ -26,11 +26,16 @@ from pfnn_jax.motion.retargeting.retarget import Retargeter, make_retargeter, st
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
 from pfnn_jax.viewer.page.recording import bvh_bytes
-from pfnn_jax.viewer.page.uploads import LONGEST, MOST_FRAMES, check_size, style_name, suffix_of
+from pfnn_jax.viewer.page.uploads import (
+    LONGEST,
+    MOST_BYTES,
+    MOST_CHARACTER_BYTES,
+    MOST_FRAMES,
+    check_size,
+    style_name,
+    suffix_of,
+)
 from pfnn_jax.viewer.page.view import View
-
-MOST_BYTES = 32_000_000
-"""Size of the largest character taken; most hold textures of some megabytes."""
 
 MOST_FACES = 250_000
 """Triangles of a body that a browser still draws with ease."""
@@ -49,11 +54,13 @@ class Offer(NamedTuple):
         name: the file's name without suffix, reduced to harmless characters.
         clips: names of its motions that can be learned from, the likely walk first; a BVH file has one, "".
         body: whether it holds a rigged body.
+        whole: whether it holds no other motion than these one or none, not even one of another length.
     """
 
     name: str
     clips: tuple[str, ...]
     body: bool
+    whole: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +104,24 @@ def read_offer(filename: str, data: bytes) -> Offer:
         if not clips and not document.items("skins"):
             rule = f"must hold a rigged character, or a motion of {SHORTEST:g} to {LONGEST:g} s"
             raise InputError(path, "file", "neither body nor motion", rule)
-        return Offer(name, clips, bool(document.items("skins")))
+        return Offer(name, clips, bool(document.items("skins")), len(clip_names(document)) <= 1)
+
+
+def clip_bytes(filename: str, data: bytes, offer: Offer, clip: str) -> tuple[str, bytes]:
+    """Returns the name and the bytes of a file that holds one motion: those given, or the motion as a BVH file.
+
+    Args:
+        filename: as sent by the browser.
+        data: the file's bytes.
+        offer: what the file holds.
+        clip: name of the motion.
+
+    Raises:
+        InputError: as `read_clip`.
+    """
+    if suffix_of(filename) == ".bvh" or (offer.whole and len(data) <= MOST_BYTES):
+        return filename, data
+    return clip_as_bvh(filename, data, clip)
 
 
 def clip_as_bvh(filename: str, data: bytes, clip: str) -> tuple[str, bytes]:
@@ -141,7 +165,7 @@ def read_outfit(filename: str, data: bytes) -> Outfit:
 @contextmanager
 def _kept(name: str, suffix: str, data: bytes) -> Iterator[Path]:
     """Writes a file into a folder of its own for the block; errors name it as it was sent."""
-    check_size(f"{name}{suffix}", data, MOST_BYTES)
+    check_size(f"{name}{suffix}", data, MOST_CHARACTER_BYTES)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{name}{suffix}"
         path.write_bytes(data)

@@ -15,14 +15,14 @@ cost twice the messages."""
 STANDING_INTERVAL = 1.0 / 15.0
 """Seconds between pictures of a character that stands and sways."""
 
-AWAKE = 20.0
+ACTIVE_SECONDS = 20.0
 """Seconds after the last input for which a standing character is stepped; then it rests until the next input."""
 
-UNSEEN = 10.0
+SILENCE = 10.0
 """Seconds without any message of the page's script, which sends one every second or two, after which a tab counts as
-hidden: its browser may have stopped it without a word."""
+hidden: its browser may have stopped it without a message."""
 
-ASLEEP = 0.5
+IDLE_INTERVAL = 0.5
 """Seconds between two turns of the loop of a tab that rests or is hidden. Input wakes it at once."""
 
 SLOWEST = 1.0 / 5.0
@@ -65,8 +65,8 @@ class Pacer:
         """
         if not math.isfinite(self._active) or moving or touched:
             self._active = now
-        if not visible or now - self._active > AWAKE:
-            return Pace(False, ASLEEP, max(drawn, STANDING_INTERVAL))
+        if not visible or now - self._active > ACTIVE_SECONDS:
+            return Pace(False, IDLE_INTERVAL, max(drawn, STANDING_INTERVAL))
         return Pace(True, FRAME, drawn if moving or touched else max(drawn, STANDING_INTERVAL))
 
 

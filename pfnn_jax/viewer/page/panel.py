@@ -17,7 +17,7 @@ from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.downloads import Downloads
 from pfnn_jax.viewer.page.drive_input import parse_message
 from pfnn_jax.viewer.page.framing import Framing
-from pfnn_jax.viewer.page.pace import UNSEEN
+from pfnn_jax.viewer.page.pace import SILENCE
 from pfnn_jax.viewer.page.restyle_panel import RestylePanel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene, camera_yaw
@@ -38,7 +38,7 @@ TIMEOUT = 1.0
 """Seconds without a message after which everything counts as released: the script sends five messages a second while
 something is held."""
 
-CANNOT_STRAFE = "cannot sidestep. It was not shown side steps; told to, it turns and walks ahead."
+CANNOT_STRAFE = "cannot sidestep. It was not trained on side steps: commanded to, it turns and walks ahead."
 
 SPEEDS = (0.3, 3.0)  # metres per second
 KEYS = {
@@ -77,20 +77,14 @@ class Panel:
     """
 
     def __init__(self, client: viser.ClientHandle, library: RunLibrary, character: Character, scene: PageScene) -> None:
-        self._client, self._gui, self._library, self._character, self._scene = (
-            client,
-            client.gui,
-            library,
-            character,
-            scene,
-        )
+        self._client, self._gui = client, client.gui
+        self._library, self._character, self._scene = library, character, scene
         self.clicks: queue.Queue[Any] = queue.Queue(QUEUED)
         self.rate = 0.0
         self.wake = threading.Event()
         self._held, self._heard, self._said = "", -math.inf, -math.inf
-        self._visible, self._touched, self._inputs = True, True, FieldChanges()
+        self._visible, self._touched = True, True
         self._look: float | None = None
-        self._walked = (character.run, character.shares)
         self._outcome, self._mine = 0, ""
         self._trying: threading.Thread | None = None
         self._values = FieldChanges()
@@ -128,11 +122,11 @@ class Panel:
 
     def visible(self, now: float) -> bool:
         """Returns whether the browser shows the tab; it counts as shown until the page's script has spoken once."""
-        return self._said == -math.inf or (self._visible and now - self._said < UNSEEN)
+        return self._said == -math.inf or (self._visible and now - self._said < SILENCE)
 
     def take_touched(self) -> bool:
         """Returns whether the person has done anything since the last call: pressed, chosen, or turned the camera."""
-        moved = self._inputs.changed("inputs", (self._character.run, self._character.shares, self._camera_moment()))
+        moved = self._values.changed("inputs", (self._character.run, self._character.shares, self._camera_moment()))
         touched, self._touched = self._touched or moved, False
         return touched
 
@@ -144,7 +138,7 @@ class Panel:
             now: seconds of the character's clock.
             drawn: pictures per second.
         """
-        self._readout.content = widgets.readout(view, widgets.UNSEEN if self._unseen(view) else "")
+        self._readout.content = widgets.readout(view)
         self._details.content = widgets.details(view, drawn, self.rate)
         self._dial.content = widgets.phase_dial(view.dials)
         self._timeline.show(now)
@@ -171,12 +165,13 @@ class Panel:
         self.samples.visible = not active  # viser cannot disable these buttons
 
     def take_name(self) -> str:
-        """Returns the name that was entered for the next style, and empties its field; "" for that of the file.
-
-        A character that a file name cannot have ends up as in the name of a file.
-        """
+        """Returns the name that was entered for the next style, and empties its field; "" for that of the file."""
         name, self._name.value = str(self._name.value).strip(), ""
         return name
+
+    def return_name(self, name: str) -> None:
+        """Puts the name of a style that could not be learned back, unless another has been entered meanwhile."""
+        self._name.value = self._name.value or name
 
     def learned(self, run: str, learned: LearnedUpload) -> None:
         """Changes the character to a style that was learned for it, unless another run has been chosen meanwhile.
@@ -206,7 +201,7 @@ class Panel:
         if self._character.run != outcome.run:
             then = ". Choose that run to see it."
         elif learned.style in (self._mine, *self._character.shares):
-            then = f"; it is selected: {widgets.UNSEEN}."
+            then = "; it is selected."
         else:
             then = "; choose it in the list of styles."
         kind, said = ("warning", "") if learned.warnings else ("good", "is learned and ")
@@ -214,13 +209,6 @@ class Panel:
         lines += [f"Warning: {line}." for line in learned.warnings]
         lines += [f"Note: {line}." for line in learned.notes]
         self.show_message(kind, "\n".join(lines))
-
-    def _unseen(self, view: View) -> bool:
-        """Returns whether the style was changed while the character stands, so that it still looks as before."""
-        present = (self._character.run, self._character.shares)
-        if view.speed > STANDING or view.wanted_speed > 0.0:
-            self._walked = present
-        return present != self._walked
 
     # Building
 
@@ -315,7 +303,7 @@ class Panel:
     def _read_fields(self, now: float) -> None:
         own, speed = self._own.value, float(self._speed.value)
         camera = (self._follow.value, self._turn.value)
-        self._touched |= self._inputs.changed("fields", (own, speed, self._strafe.value, camera))
+        self._touched |= self._values.changed("fields", (own, speed, self._strafe.value, camera))
         if self._values.changed("speed", (own, speed)):
             self._speed.disabled = own
             self._character.set_speed(None if own else speed)

@@ -187,8 +187,8 @@ def play(
         host: address to listen at; with anything but the default, other machines can reach the page.
         port: TCP port; 0 takes a free one.
         open_browser: whether to open the page in this machine's browser.
-        keep_compiled: whether to keep compiled code in the user's cache folder, so that later starts are faster; see
-            `compilation_cache`.
+        keep_compiled: whether to keep compiled code and the seconds of this start in the user's cache folder, so that
+            later starts are faster; see `compilation_cache`.
 
     Raises:
         InputError: for a folder that is not a run directory, if the address cannot be used, or if viser is missing.
@@ -232,7 +232,8 @@ def _play(
             threading.Thread(target=_precompile, args=(library,), name="precompile", daemon=True).start()
             background.do(library.warm_up)
             page.begin(library)
-            times.note(progress.seconds)
+            if keep_compiled:
+                times.note(progress.seconds)
             print(f"{', '.join(library.runs)}: {len(library.styles)} styles at {page.url}  (Ctrl-C ends)", flush=True)
             threading.Event().wait()
         finally:

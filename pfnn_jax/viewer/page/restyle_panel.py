@@ -5,15 +5,16 @@ from __future__ import annotations
 import html
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from pfnn_jax.errors import InputError, TrainingError
+from pfnn_jax.errors import InputError
 from pfnn_jax.motion.blending import PARTS
 from pfnn_jax.transfer.finish import MAX_STRENGTH
 from pfnn_jax.viewer.draw.palette import BUTTON, rgb
-from pfnn_jax.viewer.page import widgets
+from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.restyle import ClipUpload, Restyled, check_clip, restyle
-from pfnn_jax.viewer.page.uploads import ACCEPTED
+from pfnn_jax.viewer.page.uploads import ACCEPTED, NICENESS
 from pfnn_jax.workflows.samples import sample_clips
 
 if TYPE_CHECKING:
@@ -23,9 +24,6 @@ CONTENT, STYLE = "Upload the clip to restyle", "Upload a clip of the style"
 """Labels of the upload buttons."""
 
 FIRST_NOTE = "Upload a clip, choose a style, and restyle it. The character walks on meanwhile."
-
-LONGEST_ERROR = 300
-"""Characters shown of an unexpected error."""
 
 MOST_STYLES = 8
 """Uploaded style clips that a tab keeps, the last ones; of two of one name, the later one counts."""
@@ -45,7 +43,7 @@ class RestylePanel:
         self._content: ClipUpload | None = None
         self._styles: dict[str, ClipUpload] = {}
         self._done: Restyled | None = None
-        self._working = threading.Lock()
+        self._working, self._receiving = threading.Lock(), threading.Lock()
         samples = tuple(sample_clips())
         with gui.add_folder("Restyle a clip", expand_by_default=False):
             self.upload_content = gui.add_upload_button(CONTENT, mime_type=ACCEPTED)
@@ -79,13 +77,8 @@ class RestylePanel:
             return
         try:
             self._active(True)
-            done = restyle(self._content, self._chosen_style(), *self._settings(), self._progress)
-            self._finish(done)
-        except (InputError, TrainingError) as error:
-            self.show_message("bad", str(error))
-        except Exception as error:  # unexpected, but the page must show that nothing is coming
-            self.show_message("bad", f"{type(error).__name__}: {error}"[:LONGEST_ERROR])
-            raise
+            with background.shown_errors(partial(self.show_message, "bad")):
+                self._finish(restyle(self._content, self._chosen_style(), *self._settings(), self._progress))
         finally:
             self._active(False)
             self._working.release()
@@ -103,10 +96,8 @@ class RestylePanel:
         """Returns a callback that takes an uploaded file, or shows why it is refused."""
 
         def work(filename: str, data: bytes) -> None:
-            try:
-                take(filename, data)
-            except InputError as error:
-                self.show_message("bad", str(error))
+            with self._receiving, background.shown_errors(partial(self.show_message, "bad")):
+                background.do(partial(take, filename, data), niceness=NICENESS)
 
         async def received(event: Any) -> None:
             sent = event.target.value.name, event.target.value.content

@@ -213,7 +213,7 @@ class RunLibrary:
         """
         with self._lock:
             loaded = self._need_learned(run, old)
-            if new in loaded.styles:
+            if new.lower() in (style.lower() for style in loaded.styles if style != old):
                 raise InputError(run, "style name", new, "is taken by another style; choose another name")
             rename_style(loaded.run.path, old, new)
             self._replace(run, loaded.with_renamed(old, new))

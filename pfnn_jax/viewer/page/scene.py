@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pfnn_jax.errors import InputError
 from pfnn_jax.motion.kinematics import quat_from_yaw
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
@@ -27,7 +28,7 @@ from pfnn_jax.viewer.draw.palette import (
     SKY,
 )
 from pfnn_jax.viewer.page.outfit import Fitting, Outfit, height_of
-from pfnn_jax.viewer.page.skinned_body import SkinnedBody
+from pfnn_jax.viewer.page.skinned_body import BODY, SkinnedBody
 from pfnn_jax.viewer.page.view import View, at_moment
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ class PageScene:
         self._origin, self._yaw = Spring(np.zeros(2), EASE), Spring(np.zeros(()), EASE_TURN)
         self._light()
         self._world = scene.add_frame("/world", show_axes=False)
-        self._body = SkinnedBody(scene, "/world/body")
+        self._body = SkinnedBody(scene, BODY)
         # Browsers apply poses of nodes at once, but other changes some pictures later: what is drawn around the
         # character is given relative to it, so that it does not lag behind.
         self._around = scene.add_frame("/world/around", show_axes=False)
@@ -148,9 +149,17 @@ class PageScene:
         return float(self._yaw.value)
 
     def set_skeleton(self, skeleton: Skeleton) -> None:
-        """Sets the skeleton of the views that follow, and draws its body unless another is worn."""
+        """Sets the skeleton of the views that follow, and draws its body unless another is worn.
+
+        Raises:
+            InputError: if its motion cannot be put onto what is worn; its own body is drawn then.
+        """
         self._own = skeleton
-        self.wear(self._outfit)
+        try:
+            self.wear(self._outfit)
+        except InputError:
+            self.wear(None)
+            raise
 
     def wear(self, outfit: Outfit | None) -> None:
         """Replaces the body by that of a character, or by the skeleton's own.
@@ -293,13 +302,6 @@ class PageScene:
     def _flat(self, points: np.ndarray) -> np.ndarray:
         """Returns points [N, 2] in metres as [N, 3] just above the ground, as they are drawn."""
         return np.stack([self._zoom * points[:, 0], np.full(len(points), LIFT), self._zoom * points[:, 1]], axis=1)
-
-
-def look_from_behind(client: viser.ClientHandle) -> None:
-    """Moves a tab's camera behind its character."""
-    client.camera.fov = CAMERA_FIELD
-    client.camera.position = CAMERA_POSITION
-    client.camera.look_at = CAMERA_TARGET
 
 
 def camera_yaw(position: Any, target: Any) -> float | None:

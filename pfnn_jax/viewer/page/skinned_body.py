@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 MOST_COLOURS = 8
 """Colours in which a body is drawn, at most."""
 
+BODY = "/world/body"
+"""Node of the page's body. Those of its colours hang below, see `node_names`."""
+
 MOST_BONES = 63
 """Bones of all its colours together: viser sends up to 128 messages at once, and a pose in parts would tear. A body
 with textures, where many joints move every colour, is drawn in fewer colours."""
@@ -48,6 +51,11 @@ class Piece:
     faces: np.ndarray
     bones: np.ndarray
     weights: np.ndarray
+
+
+def node_names(body: str = BODY) -> tuple[str, ...]:
+    """Returns the names of all nodes that a body can have, one for each colour."""
+    return tuple(f"{body}/{number}" for number in range(MOST_COLOURS))
 
 
 def split_mesh(mesh: SkinnedMesh, carriers: np.ndarray | None = None) -> list[Piece]:
@@ -145,7 +153,7 @@ class SkinnedBody:
         pieces = split_mesh(mesh, carriers)
         shown = [
             self._scene.add_mesh_skinned(
-                f"{self._name}/{number}",
+                node,
                 zoom * piece.vertices,
                 piece.faces,
                 bone_wxyzs=mesh.bind_rotations[piece.bones],
@@ -155,7 +163,7 @@ class SkinnedBody:
                 side="double",  # hair, capes and hats are often open
                 receive_shadow=False,  # its own shadow would look speckled
             )
-            for number, piece in enumerate(pieces)
+            for node, piece in zip(node_names(self._name), pieces, strict=False)
         ]
         for node in self._nodes[len(shown) :]:
             node.visible = False

@@ -10,15 +10,18 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import failure, is_running, read_note, write_json
+from pfnn_jax.motion.clip_files import CLIP_SUFFIXES
+from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run_config import check_new_style, list_styles
 
-TRASH = re.compile(r"\.deleted\.(\d+)")
+DELETED_FOLDER = re.compile(r"\.deleted\.(\d+)")
 """Name of the hidden folder: with the number of the process that has made it."""
 
 
@@ -38,85 +41,122 @@ class DeletedStyle:
 
 
 def rename_style(run: Path, old: str, new: str) -> None:
-    """Gives a style of a run another name.
+    """Gives a style of a run, and its uploaded clip, another name; if that fails, both keep the old one.
 
     Raises:
-        InputError: for an unknown style, a name that cannot be a folder's or is taken, or a run that cannot be written.
+        InputError: for an unknown style, a note that cannot be read, a name that cannot be a folder's or is taken, a
+            link, or a run that cannot be written.
     """
-    _check_saved(run, old)
-    _check_free(run, new)
-    folder = run / "styles" / new
-    try:
-        (run / "styles" / old).rename(folder)
-        note = read_note(folder, "style.json", "must be a style's note")
-        write_json(folder / "style.json", {**note, "name": new})
-    except OSError as error:
-        raise InputError(run / "styles" / old, "style", failure(error), "the run's folder must be writable") from error
+    with _system_errors(run, old), ExitStack() as undo:
+        before, clip = _saved_folder(run, old), uploaded_clip(run, old)
+        if new.lower() == old.lower():
+            check_style_name(new, run)
+        else:
+            _check_free(run, new)
+        after, note = own_folder(run, "styles", new), read_note(before, "style.json", "must be a style's note")
+        before.rename(after)
+        undo.callback(after.rename, before)
+        write_json(after / "style.json", {**note, "name": new})
+        undo.callback(write_json, after / "style.json", note)
+        if clip is not None:
+            clip.rename(clip.with_name(f"{new}{clip.suffix}"))
+        undo.pop_all()
 
 
 def delete_style(run: Path, name: str) -> DeletedStyle:
-    """Moves a style of a run, and its uploaded clip, into the hidden folder.
+    """Moves a style of a run, and its uploaded clip, into the hidden folder; if that fails, both stay.
 
     Raises:
-        InputError: for an unknown style, or a run that cannot be written.
+        InputError: for an unknown style, a link, or a run that cannot be written.
     """
-    _check_saved(run, name)
-    try:
-        trash = run / f".deleted.{os.getpid()}"
-        trash.mkdir(exist_ok=True)
-        place = next(place for number in range(10**6) if not (place := trash / str(number)).exists())
+    with _system_errors(run, name), ExitStack() as undo:
+        folder, clip = _saved_folder(run, name), uploaded_clip(run, name)
+        hidden = own_folder(run, f".deleted.{os.getpid()}")
+        hidden.mkdir(exist_ok=True)
+        place = next(place for number in range(10**6) if not (place := hidden / str(number)).exists())
         place.mkdir()
-        (run / "styles" / name).rename(place / "style")
-    except OSError as error:
-        raise InputError(run / "styles" / name, "style", failure(error), "the run's folder must be writable") from error
-    clip = next(iter(sorted((run / "uploads").glob(f"{_escaped(name)}.*"))), None)
-    kept = None if clip is None else place / clip.name
-    if clip is not None and kept is not None:
-        try:
-            clip.rename(kept)
-        except OSError:  # the style is gone, which is what was asked for
-            kept = None
+        folder.rename(place / "style")
+        undo.callback((place / "style").rename, folder)
+        kept = None if clip is None else clip.rename(place / clip.name)
+        undo.pop_all()
     return DeletedStyle(name, place / "style", kept)
 
 
 def restore_style(run: Path, deleted: DeletedStyle) -> None:
-    """Moves a deleted style and its clip back.
+    """Moves a deleted style and its clip back; if that fails, both stay deleted.
 
     Raises:
-        InputError: if a style of this name has been made meanwhile, or the run cannot be written.
+        InputError: if its name has been taken meanwhile, for a link, or a run that cannot be written.
     """
-    _check_free(run, deleted.name)
-    try:
-        deleted.folder.rename(run / "styles" / deleted.name)
-        if deleted.clip is not None and not (run / "uploads" / deleted.clip.name).exists():
-            deleted.clip.rename(run / "uploads" / deleted.clip.name)
-    except OSError as error:
-        rule = "could not be restored; the run's folder must be writable"
-        raise InputError(run / "styles" / deleted.name, "style", failure(error), rule) from error
+    with _system_errors(run, deleted.name), ExitStack() as undo:
+        _check_free(run, deleted.name)
+        folder, uploads = own_folder(run, "styles", deleted.name), own_folder(run, "uploads")
+        deleted.folder.rename(folder)
+        undo.callback(folder.rename, deleted.folder)
+        if deleted.clip is not None:
+            uploads.mkdir(exist_ok=True)
+            deleted.clip.rename(uploads / deleted.clip.name)
+        undo.pop_all()
 
 
 def empty_trash(run: Path) -> None:
     """Removes what this process has deleted, and what processes have deleted that have ended."""
     with suppress(OSError):
         for folder in run.iterdir():
-            found = TRASH.fullmatch(folder.name)
+            found = DELETED_FOLDER.fullmatch(folder.name)
             number = int(found[1]) if found is not None else None
             if number is not None and (number == os.getpid() or not is_running(number)) and not folder.is_symlink():
                 shutil.rmtree(folder, ignore_errors=True)
 
 
-def _check_saved(run: Path, name: str) -> None:
+def own_folder(run: Path, *parts: str) -> Path:
+    """Returns a folder of a run, which need not exist.
+
+    Raises:
+        InputError: if it or one above it within the run is a link: what is moved or deleted there could be outside.
+    """
+    folder = run.joinpath(*parts)
+    if folder.resolve() != run.resolve().joinpath(*parts):
+        raise InputError(folder, "folder", "is a link", "must be a folder of the run itself")
+    return folder
+
+
+def uploaded_clip(run: Path, style: str) -> Path | None:
+    """Returns the uploaded clip of a style, or None; never one outside the run."""
+    return next((path for path in _uploads(run) if path.stem == style and path.suffix in CLIP_SUFFIXES), None)
+
+
+def taken_names(run: Path) -> set[str]:
+    """Returns the names of styles and uploaded clips of a run, in small letters."""
+    return {name.lower() for name in (*list_styles(run), *(path.stem for path in _uploads(run)))}
+
+
+@contextmanager
+def _system_errors(run: Path, style: str) -> Iterator[None]:
+    """Turns errors of the file system into `InputError`, which the page shows."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            run / "styles" / style, "style", failure(error), "the run's folder must be writable"
+        ) from error
+
+
+def _uploads(run: Path) -> list[Path]:
+    """Returns what lies in the run's folder of uploads, sorted; nothing if that is a link."""
+    folder = run / "uploads"
+    inside = folder.is_dir() and folder.resolve() == run.resolve() / "uploads"
+    return sorted(folder.iterdir()) if inside else []
+
+
+def _saved_folder(run: Path, name: str) -> Path:
     if name not in list_styles(run):
         raise InputError(run, "style", ascii(name)[:60], "must be a style that was learned in this run")
+    return own_folder(run, "styles", name)
 
 
 def _check_free(run: Path, name: str) -> None:
-    """Refuses a name that is no folder's, or that another style has, in letters of any case."""
-    if name.lower() in (style.lower() for style in list_styles(run)):
+    """Refuses a name that is no folder's, or that another style or upload has, in letters of any case."""
+    if name.lower() in taken_names(run):
         raise InputError(run, "style name", name, "is taken by another style; choose another name")
     check_new_style(run, name)
-
-
-def _escaped(name: str) -> str:
-    """Returns a name for `glob`; names of styles can hold square brackets."""
-    return re.sub(r"([\[\]])", r"[\1]", name)

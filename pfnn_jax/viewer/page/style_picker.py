@@ -41,7 +41,7 @@ class StylePicker:
         self._version = library.version
         self._mixing, self._shares = False, (1 / 3, 1 / 3, 1 / 3)
         self._redraw_at = math.inf
-        self._values, self._managed = FieldChanges(), FieldChanges()
+        self._values = FieldChanges()
         runs, names = library.runs, self._names(character.run)
         self._run = gui.add_dropdown("Run", runs, initial_value=character.run, visible=len(runs) > 1)
         self._style = gui.add_dropdown("Style", (*names, MIXTURE), initial_value=next(iter(character.shares)))
@@ -110,7 +110,7 @@ class StylePicker:
         moved = self._values.changed("corners", corners) | self._values.changed("shares", self._share_field.value)
         if moved or (chosen and self._style.value == MIXTURE):
             self._mix(corners, now)
-        if self._managed.changed("style", (self._run.value, self._style.value)):
+        if self._values.changed("managed", (self._run.value, self._style.value)):
             self._show_manage()
         if now >= self._redraw_at:
             self._draw()

@@ -9,13 +9,13 @@ from functools import partial
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
-from pfnn_jax.errors import InputError, TrainingError
+from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.pace import SLOWEST, Pacer, picture_interval
 from pfnn_jax.viewer.page.panel import STANDING, Panel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene
-from pfnn_jax.viewer.page.uploads import LONGEST_NAME, LearningCancelled, drop_large, learn_upload
+from pfnn_jax.viewer.page.uploads import LONGEST_NAME, WAITING, LearningCancelled, drop_large, learn_upload
 from pfnn_jax.workflows.samples import sample_clips
 
 if TYPE_CHECKING:
@@ -23,13 +23,6 @@ if TYPE_CHECKING:
 
 READOUT = 1.0 / 8.0
 """Seconds between updates of numbers, dials and charts."""
-
-LONGEST_ERROR = 300
-"""Characters shown of an unexpected error."""
-
-
-WAITING = "waiting"
-"""What `learn_upload` reports while another style is learned first."""
 
 
 class Tab:
@@ -71,8 +64,8 @@ class Tab:
         except Exception as error:
             if self._closed.is_set():  # the tab is closed already
                 return
-            text = f"{type(error).__name__}: {error}"[:LONGEST_ERROR]
-            self._client.add_notification("Simulation stopped; reload the page", text, color="red")
+            title = "Simulation stopped; reload the page"
+            self._client.add_notification(title, background.unexpected(error), color="red")
             raise
 
     def _play(self) -> None:
@@ -116,7 +109,7 @@ class Tab:
                 if now - drawn_at >= max(pace.interval, picture_interval(stepped + cost, panel.rate)):
                     if view.run != run:
                         run = view.run
-                        scene.set_skeleton(self._library.get(view.run).run.skeleton)
+                        panel.wardrobe.set_skeleton(self._library.get(view.run).run.skeleton)
                         scene.jump_to(view)
                     before = time.monotonic()
                     with self._client.atomic():
@@ -144,24 +137,26 @@ class Tab:
                 f"{filename[:80]} is not learned", "Another clip is being learned; try this one again afterwards."
             )
             return
-        run, board = character.run, self._library.learning
-        named = panel.take_name()
-        filename = f"{named}{PurePath(filename).suffix}" if named else filename
-        job = board.begin(run, PurePath(filename).stem[:LONGEST_NAME])
+        run, board, name = character.run, self._library.learning, panel.take_name()
+        job = board.begin(run, (name or PurePath(filename).stem)[:LONGEST_NAME])
+
+        def report(share: float, what: str) -> None:
+            board.report(job, share, what == WAITING)
+
+        def fail(error: str) -> None:
+            panel.return_name(name)
+            board.end(job, error=error)
+
         try:
             panel.learning(True)
-            learned = learn_upload(
-                self._library, run, filename, content, lambda share, what: board.report(job, share, what == WAITING)
-            )
-            panel.clicks.put(lambda: panel.learned(run, learned), timeout=10.0)
-            board.end(job, learned)
-        except (InputError, TrainingError) as error:
-            board.end(job, error=str(error))
-        except LearningCancelled:
-            board.end(job)  # the tab is closed already
-        except Exception as error:  # unexpected, but the page must show that no style is coming
-            board.end(job, error=f"{filename[:80]}: {type(error).__name__}: {error}"[:LONGEST_ERROR])
-            raise
+            with background.shown_errors(fail, filename[:80]):
+                try:
+                    learned = learn_upload(self._library, run, filename, content, report, name=name)
+                except LearningCancelled:
+                    board.end(job)  # the tab is closed already
+                    return
+                panel.clicks.put(lambda: panel.learned(run, learned), timeout=10.0)
+                board.end(job, learned)
         finally:
             panel.learning(False)
             panel.wake.set()

@@ -1,6 +1,6 @@
-"""Learning a style from a BVH file that is uploaded on the page.
+"""Learning a style from a clip that is uploaded on the page.
 
-A browser sends bytes and a name. The bytes are parsed as the text of a BVH file and as nothing else; the name is
+A browser sends bytes and a name. The bytes are read as BVH or glTF, as the name says, and as nothing else; the name is
 reduced to harmless characters and names the style and a file in RUN/uploads/. If anything fails, the run's folder is
 left as it was.
 """
@@ -21,16 +21,19 @@ from typing import Any, NamedTuple
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.motion.clip_files import CLIP_SUFFIXES
-from pfnn_jax.motion.datasets.sources import ClipFile
+from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
 from pfnn_jax.run import Run
-from pfnn_jax.run_config import list_styles
 from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, compile_calibration
+from pfnn_jax.viewer.page.style_files import own_folder, taken_names
 from pfnn_jax.workflows.learn import learn_style, precompile
 
 MOST_BYTES = 10_000_000
-"""Size of the largest file taken."""
+"""Size of the largest file taken as a clip."""
+
+MOST_CHARACTER_BYTES = 32_000_000
+"""Size of the largest character taken; most hold textures of some megabytes."""
 
 MOST_BUFFERED = 4 * MOST_BYTES
 """Most bytes held in memory of all files that a tab sends at once. A larger file than `MOST_BYTES` within this limit is
@@ -49,6 +52,9 @@ ACCEPTED = ",".join(CLIP_SUFFIXES)
 
 NICENESS = 10
 """Niceness of learning, so that characters keep moving, on systems whose threads have their own."""
+
+WAITING = "waiting"
+"""What is reported as the present activity while another style is learned, or another clip restyled, first."""
 
 QUICK_FILM = replace(FILM_FEW_SHOT, learning_rates=(3e-3, 1e-2), eval_epochs=(25, 50))
 """FiLM styles on the page: higher learning rates and half the epochs of `FILM_FEW_SHOT`, with the same errors on
@@ -112,13 +118,19 @@ def cancel_learning(library: RunLibrary, wait: float = 0.5) -> None:
 
 
 def learn_upload(
-    library: RunLibrary, run: str, filename: str, data: bytes, progress: Progress = lambda share, what: None
+    library: RunLibrary,
+    run: str,
+    filename: str,
+    data: bytes,
+    progress: Progress = lambda share, what: None,
+    *,
+    name: str = "",
 ) -> LearnedUpload:
     """Learns a style from an uploaded clip; characters can choose it when this returns.
 
     The style equals that of `pfnn-jax few-shot` with the same settings (`page_config`). It is saved in RUN/styles/ and
-    its clip in RUN/uploads/, both under the file's name, followed by a number if the name is taken. One style is
-    learned at a time; others wait.
+    its clip in RUN/uploads/, both under its name, followed by a number if the name is taken. One style is learned at a
+    time; others wait.
 
     Args:
         library: the runs.
@@ -126,21 +138,23 @@ def learn_upload(
         filename: as sent by the browser.
         data: the file's bytes.
         progress: called from another thread with the fraction done, 0 to 1, and the present activity.
+        name: of the style; "" for that of the file, reduced to harmless characters.
 
     Returns:
         The style's name, and what to say of it.
 
     Raises:
-        InputError: for an unknown run; for a file that is too large, not of its kind, without a clip, with too many
-            joints or frames, too short or long, without steps if the run needs them, or of a skeleton that is not a
-            humanoid; for a run's folder that cannot be written. Nothing has changed then.
+        InputError: for an unknown run, or a name that cannot be a file's; for a file that is too large, not of its
+            kind, without a clip, with too many joints or frames, too short or long, without steps if the run needs
+            them, or of a skeleton that is not a humanoid; for a run's folder that cannot be written. Nothing has
+            changed then.
         LearningCancelled: if the page ends meanwhile.
     """
-    name, suffix = style_name(filename), suffix_of(filename)
-    check_upload(name, data, suffix)
+    style, suffix = check_style_name(name, "upload") if name else style_name(filename), suffix_of(filename)
+    check_upload(style, data, suffix)
     loaded = library.get(run).run
     if not _learning.acquire(blocking=False):
-        progress(0.0, "waiting")
+        progress(0.0, WAITING)
         _learning.acquire()
 
     def report(share: float, what: str) -> None:
@@ -149,7 +163,7 @@ def learn_upload(
         progress(share, what)
 
     try:
-        with _system_errors(loaded.path), _kept_upload(library.get(run), name, suffix, data) as clip:
+        with _system_errors(loaded.path), _kept_upload(library.get(run), style, suffix, data) as clip:
             style = clip.style
             with library.preparation(run):
                 info = background.do(partial(_learn, loaded, clip, report), niceness=NICENESS)
@@ -260,13 +274,9 @@ def _system_errors(run: Path) -> Iterator[None]:
 def _kept_upload(loaded: LoadedRun, name: str, suffix: str, data: bytes) -> Iterator[ClipFile]:
     """Writes the clip to RUN/uploads/ under a name that is free there and among the styles; removes it on failure."""
     run = loaded.run.path
-    folder = run / "uploads"
-    new = not folder.exists()
-    if folder.resolve() != run.resolve() / "uploads":
-        raise InputError(folder, "folder", "is a link", "must be a folder of the run itself")
+    folder = own_folder(run, "uploads")
     # Not every style that is played is on disk: the unmodified network of a run without styles is not.
-    taken = {style.lower() for style in (*list_styles(run), *loaded.styles)}
-    taken |= set() if new else {path.stem.lower() for path in folder.iterdir()}
+    taken = taken_names(run) | {style.lower() for style in loaded.styles}
     free = next(free for free in _numbered(name) if free.lower() not in taken)
     path = folder / f"{free}{suffix}"
     _unfinished.add(path)
@@ -344,6 +354,7 @@ def drop_large(transfers: MutableMapping[str, Any]) -> list[str]:
             continue
         with state["lock"]:
             state["parts"] = _DroppedParts(dict.fromkeys(state["parts"], b""))
-        rule = f"is far larger than {MOST_BYTES / 1e6:g} MB" if size > MOST_BUFFERED else "comes with too many others"
+        limits = f"{MOST_BYTES / 1e6:g} MB for clips, {MOST_CHARACTER_BYTES / 1e6:g} MB for characters"
+        rule = f"is far larger than what is taken: {limits}" if size > MOST_BUFFERED else "comes with too many others"
         messages.append(f"{state['filename'][:80]}: the file {rule}")
     return messages

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip_files import CHARACTER_SUFFIXES
+from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.viewer.draw.palette import BUTTON, rgb
 from pfnn_jax.viewer.page import background, widgets
-from pfnn_jax.viewer.page.outfit import Offer, Outfit, clip_as_bvh, read_offer, read_outfit
+from pfnn_jax.viewer.page.outfit import Offer, Outfit, clip_bytes, read_offer, read_outfit
 from pfnn_jax.viewer.page.scene import PageScene
 from pfnn_jax.viewer.page.uploads import NICENESS
 
@@ -27,8 +28,8 @@ CHARACTERS = ",".join(CHARACTER_SUFFIXES)
 
 FIRST_NOTE = "Drop in a rigged GLB or VRM character and drive it."
 
-LONGEST_ERROR = 300
-"""Characters shown of an unexpected error."""
+NOTHING = ("", b"", Offer("", (), False))
+"""Name, bytes and content of no file."""
 
 Learn = Callable[[str, bytes], None]
 """Learns the style of a clip, given the name and the bytes of its file."""
@@ -54,7 +55,7 @@ class Wardrobe:
         self._working = threading.Lock()
         self._learn: Learn = lambda filename, data: None
         self._refuse: Callable[[str, str], None] = self.show_message
-        self._given: tuple[str, bytes] = ("", b"")
+        self._given: tuple[str, bytes, Offer] = NOTHING
         gui = client.gui
         with gui.add_folder("Character"):
             self.upload = gui.add_upload_button(WEAR, mime_type=CHARACTERS)
@@ -64,7 +65,7 @@ class Wardrobe:
             self._learn_it = gui.add_button("Learn its style", visible=False, color=rgb(BUTTON))
             self._wear_it = gui.add_button("Wear it", visible=False, color=rgb(BUTTON))
         self._off.on_click(self._in_thread(self._take_off))
-        self._learn_it.on_click(self._in_thread(self._learn_given))
+        self._learn_it.on_click(self._in_thread(self._learn_chosen))
         self._wear_it.on_click(self._in_thread(self._wear_given))
 
     def serve_learning(self, learn: Learn, refuse: Callable[[str, str], None]) -> None:
@@ -97,16 +98,24 @@ class Wardrobe:
             InputError: for a file that cannot be taken.
         """
         offer = background.do(partial(read_offer, filename, data), niceness=NICENESS)
-        self._given = filename, data
+        self._given = filename, data, offer
         if wear and offer.body:
             self._ask(offer._replace(body=False), "")
             self._wear_given()
         elif not wear and len(offer.clips) == 1 and not offer.body:
             self._ask(offer._replace(clips=(), body=False), "")
-            self._learn(filename, data)
+            self._learn_given(offer.clips[0])
         else:
             self._ask(offer, _question(offer))
             self._client.add_notification(f"{offer.name}: wear it or learn from it?", "Choose under Character.")
+
+    def set_skeleton(self, skeleton: Skeleton) -> None:
+        """Sets the skeleton that is driven; takes a character off that its motion cannot be put onto, and says so."""
+        try:
+            self._scene.set_skeleton(skeleton)
+        except InputError as error:
+            self._off.visible = False
+            self.show_message("bad", str(error))
 
     def show_message(self, kind: str, text: str) -> None:
         """Shows a message below the controls; `kind` is `good`, `bad` or `plain`."""
@@ -124,14 +133,16 @@ class Wardrobe:
 
     def _wear_given(self) -> None:
         self.show_message("plain", f"Reading {self._given[0][:80]} …")
-        outfit = background.do(partial(read_outfit, *self._given), niceness=NICENESS)
+        filename, data, _ = self._given
+        outfit = background.do(partial(read_outfit, filename, data), niceness=NICENESS)
         self._wear_it.visible = False
         self._put(partial(self._wear, outfit))
 
-    def _learn_given(self) -> None:
-        filename, data = self._given
-        if self._clip.visible:
-            filename, data = background.do(partial(clip_as_bvh, filename, data, self._clip.value), niceness=NICENESS)
+    def _learn_chosen(self) -> None:
+        self._learn_given(self._clip.value)
+
+    def _learn_given(self, clip: str) -> None:
+        filename, data = background.do(partial(clip_bytes, *self._given, clip), niceness=NICENESS)
         self._learn(filename, data)
 
     def _take_off(self) -> None:
@@ -163,20 +174,18 @@ class Wardrobe:
 
     def _act(self, action: Callable[[], None], say: Callable[[str, str], None] | None = None) -> None:
         """Acts in a thread of its own, because the end of the program waits for viser's; one at a time."""
-
         say = say or self.show_message
 
         def work() -> None:
             if not self._working.acquire(blocking=False):
+                say("bad", "Another file is being read; try this one again afterwards.")
                 return
             try:
-                action()
-            except InputError as error:
-                say("bad", str(error))
-            except Exception as error:  # unexpected, but the page must show that nothing is coming
-                say("bad", f"{type(error).__name__}: {error}"[:LONGEST_ERROR])
-                raise
+                with background.shown_errors(partial(say, "bad")):
+                    action()
             finally:
+                if not (self._learn_it.visible or self._wear_it.visible):
+                    self._given = NOTHING  # it can hold many megabytes
                 self._working.release()
 
         threading.Thread(target=work, name="wardrobe", daemon=True).start()

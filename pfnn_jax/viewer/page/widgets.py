@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import math
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -26,6 +27,7 @@ from pfnn_jax.viewer.draw.palette import (
     RIGHT,
     rgba_css,
 )
+from pfnn_jax.viewer.page.skinned_body import node_names
 from pfnn_jax.viewer.page.view import Dial, View
 
 if TYPE_CHECKING:
@@ -36,9 +38,6 @@ TRIANGLE = ((120.0, 16.0), (26.0, 150.0), (214.0, 150.0))
 
 TRIANGLE_WIDTH = "76%"
 """Of the panel, so that what is below it is visible in a window 720 pixels high."""
-
-UNSEEN = "walk to see it"
-"""Hint after a style was chosen while the character stands: it keeps its pose until it walks."""
 
 READOUT_WIDTH = 282.0
 """Width of the panel of numbers, CSS pixels."""
@@ -65,6 +64,7 @@ def script(run: str = "") -> str:
         run: name of the run, for the tab's title.
     """
     code = resources.files("pfnn_jax.viewer.page").joinpath("page.js").read_text(encoding="utf-8")
+    code = code.replace("BODY_NODES", json.dumps(node_names()))
     image = f'<img alt="" src="data:," style="display:none" onerror="{html.escape(code, quote=True)}">'
     title = f'<i hidden data-run="{html.escape(run, quote=True)}"></i>'
     return f"<style>{_PAGE_STYLE}</style>{title}{image}"
@@ -175,22 +175,15 @@ def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str
     return _svg(240, 172, shape + texts, attributes, TRIANGLE_WIDTH)
 
 
-def readout(view: View, hint: str = "") -> str:
-    """Returns the style and the speed of a moment.
-
-    Args:
-        view: the moment.
-        hint: text after the style.
-    """
+def readout(view: View) -> str:
+    """Returns the style and the speed of a moment."""
     styles = ", ".join(
         html.escape(name.lstrip("\0")) + (f" {weight:.0%}" if weight < 0.995 else "")
         for name, weight in sorted(view.style_weights.items(), key=lambda item: -item[1])[:3]
     )
     wanted = f"<span style='color:{MUTED}'>of {plain_number(view.wanted_speed, 2)} wanted</span>"
-    after = f' <span data-hint style="color:{ACCENT};white-space:nowrap">· {hint}</span>' if hint else ""
-    return _rows(
-        {"Style": ("style", styles, after), "Speed": ("speed", f"{plain_number(view.speed, 2)} m/s {wanted}", "")}
-    )
+    speed = f"{plain_number(view.speed, 2)} m/s {wanted}"
+    return _rows({"Style": ("style", styles, ""), "Speed": ("speed", speed, "")})
 
 
 def details(view: View, drawn: float, browser: float) -> str:

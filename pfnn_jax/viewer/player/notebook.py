@@ -68,7 +68,7 @@ def show(
     has none, a note says why.
 
     Args:
-        clips: clips, records with a clip, or paths of BVH files; rates and lengths may differ.
+        clips: clips, records with a clip, or paths of files; rates and lengths may differ.
         names: captions, one for each clip; by default style and content, or the file's name.
         phase: for each clip [T] radians (NaN in frames without a phase), or local phases [T, B, 2], or None for those
             found from the motion.
