@@ -199,6 +199,7 @@ def _mesh_space(
     candidates = [np.eye(4)] + ([] if mesh_node is None else [world[mesh_node]])
     candidates += [world[node] for node in tree.above(int(joints[top]))[1:]]
     candidates += [rest[top] @ np.linalg.inv(places[top])]
+    candidates = [space for space in candidates if is_regular(space[:3, :3])]  # others put all joints at one place
     rows = {int(joint): row for row, joint in enumerate(joints)}
     above = np.array([rows[_nearest_above(tree, int(joint), rows)] for joint in joints])
     return max(candidates, key=lambda space: _agreement(space @ places, rest, above))

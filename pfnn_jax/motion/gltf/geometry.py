@@ -28,7 +28,7 @@ MAX_VERTICES = 2_000_000
 """Most vertices of a character, counted once for every four joints that move them, and most faces; detailed
 characters have a hundred thousand."""
 
-MAX_PARTS = 5_000
+MAX_PARTS = 2_000
 """Most primitives of a character, counted again for each node that shows them; detailed ones have a hundred."""
 
 MAX_SETS = 8
@@ -78,8 +78,23 @@ def read_parts(
     for node in map(int, tree.order):
         parent = int(tree.parents[node])
         carriers[node] = rows.get(node, carriers[parent] if parent >= 0 else -1)
-    parts: list[Part] = []
-    visited = total = 0
+    parts = [
+        _part(document, primitive, place, skin, bind, node, carriers)
+        for node, skin, primitive, place in _shown_parts(document, skins, carriers)
+    ]
+    return [part for part in parts if part is not None]
+
+
+def _shown_parts(
+    document: Document, skins: Sequence[Skin], carriers: Sequence[int]
+) -> list[tuple[int, Skin | None, dict[str, Any], str]]:
+    """Returns node, skin, JSON and place of the primitives that hang on joints, none of which is read yet.
+
+    Raises:
+        InputError: if they are too many or too large together.
+    """
+    found: list[tuple[int, Skin | None, dict[str, Any], str]] = []
+    total = 0
     for number, node in enumerate(document.items("nodes")):
         if node.get("mesh") is None:
             continue
@@ -89,15 +104,14 @@ def read_parts(
             continue
         for at, primitive in enumerate(_primitives(document, mesh, node["mesh"])):
             place = f"meshes[{node['mesh']}].primitives[{at}]"
-            visited, total = visited + 1, total + _size(document, primitive)
-            if visited > MAX_PARTS:
-                raise InputError(document.path, place, f"{visited} primitives", f"must be at most {MAX_PARTS} in all")
+            found.append((number, skin, primitive, place))
+            total += _size(document, primitive)
+            if len(found) > MAX_PARTS:
+                rule = f"must be at most {MAX_PARTS} in all"
+                raise InputError(document.path, place, f"{len(found)} primitives", rule)
             if total > MAX_VERTICES:
                 raise InputError(document.path, place, f"{total} vertices", f"must be at most {MAX_VERTICES} in all")
-            part = _part(document, primitive, place, skin, bind, number, carriers)
-            if part is not None:
-                parts.append(part)
-    return parts
+    return found
 
 
 def _size(document: Document, primitive: dict[str, Any]) -> int:
