@@ -202,7 +202,9 @@ def _mesh_space(
     candidates = [space for space in candidates if is_regular(space[:3, :3])]  # others put all joints at one place
     rows = {int(joint): row for row, joint in enumerate(joints)}
     above = np.array([rows[_nearest_above(tree, int(joint), rows)] for joint in joints])
-    return max(candidates, key=lambda space: _agreement(space @ places, rest, above))
+    spaces = np.stack(candidates)
+    moved = np.swapaxes(spaces[:, :3] @ places[:, :, 3].T, 1, 2)
+    return spaces[int(np.argmax(_agreement(moved, rest[:, :3, 3], above)))]
 
 
 def _nearest_above(tree: NodeTree, joint: int, joints: Collection[int]) -> int:
@@ -210,15 +212,17 @@ def _nearest_above(tree: NodeTree, joint: int, joints: Collection[int]) -> int:
     return next((node for node in tree.above(joint)[1:] if node in joints), joint)
 
 
-def _agreement(bind: np.ndarray, rest: np.ndarray, above: np.ndarray) -> tuple[bool, int]:
-    """Returns whether bones have their lengths, and how many joints their places, if enough have.
+def _agreement(bind: np.ndarray, rest: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """Returns scores [C]: higher where bones have their lengths, then where more joints have their places, if enough.
 
     Args:
-        bind, rest: [N, 4, 4] matrices in the bind pose and in the pose of the file.
+        bind: [C, N, 3] places in the bind pose, for each candidate.
+        rest: [N, 3] places in the pose of the file.
         above: [N] rows of the joints above them; of a joint at the top, its own.
     """
-    lengths = [np.linalg.norm(pose[:, :3, 3] - pose[above, :3, 3], axis=1) for pose in (bind, rest)]
-    off = np.linalg.norm(bind[:, :3, 3] - rest[:, :3, 3], axis=1)
-    same = abs(lengths[0].sum() - lengths[1].sum()) <= SAME_SCALE * max(lengths[1].sum(), 1e-9)
-    placed = int((off < SAME_PLACE * max(float(np.ptp(rest[:, :3, 3], axis=0).max()), 1e-9)).sum())
-    return bool(same), placed if placed > MIN_PLACED_SHARE * len(rest) else 0
+    lengths = np.linalg.norm(bind - bind[:, above], axis=-1).sum(axis=-1)
+    length = np.linalg.norm(rest - rest[above], axis=-1).sum()
+    same = np.abs(lengths - length) <= SAME_SCALE * max(length, 1e-9)
+    near = SAME_PLACE * max(float(np.ptp(rest, axis=0).max()), 1e-9)
+    placed = (np.linalg.norm(bind - rest, axis=-1) < near).sum(axis=-1)
+    return same * (len(rest) + 1) + np.where(placed > MIN_PLACED_SHARE * len(rest), placed, 0)
