@@ -283,6 +283,8 @@ def test_joints_of_vertices_beyond_the_skin_are_refused(tmp_path):
         ("C:\\secret.bin", "folder"),
         ("link.bin", "lead out"),
         ("missing.bin", "no such file"),
+        ("a" * 300 + ".bin", "name of a file"),
+        ("\ud800.bin", "name of a file"),
         ("data:application/octet-stream;base64,@@@@", "base64"),
         ("data:text/plain,abc", "base64"),
         (7, "name a file"),
@@ -349,7 +351,7 @@ BONE = "extensions.VRM.humanoid.humanBones.0.bone"
         *((BONE, value) for value in ([], {})),
         ("materials.0.pbrMetallicRoughness.baseColorFactor", [HUGE, 1, 1, 1]),
         *((f"{TEXTURE}.{name}", value) for name, value in (("rotation", HUGE), ("scale", [HUGE, 1]), ("offset", "a"))),
-        ("images.0", 3), ("images.0.uri", 3), ("images", {"a": 1}), ("images.1.uri", "../dot.png"),
+        ("images.0", 3), ("images.0.uri", 3), ("images", {"a": 1}), ("images.1.uri", "../dot.png"), ("images.1.uri", HALF_A_PAIR),
         ("animations", [3]), ("accessors", {"a": {}}), ("bufferViews", {"a": {}}),
         ("bufferViews.0.buffer", 7), ("bufferViews.0.byteOffset", "a"),
         *(("asset.extras", value) for value in (HUGE, HALF_A_PAIR)), (f"nodes.{HIPS}.name", HALF_A_PAIR),
@@ -429,7 +431,7 @@ def test_accessors_animations_and_skins_are_bounded(tmp_path):
     rig.json["skins"][0] = {"joints": [HIPS] * 100_000}
     refused(tmp_path, rig, place="skins[0].joints")
     rig = animated()
-    rig.json["skins"] += [{"joints": list(range(len(NAMES)))}] * 501
+    rig.json["skins"] += [{"joints": list(range(len(NAMES)))}] * 201
     refused(tmp_path, rig, place="skins")
 
 

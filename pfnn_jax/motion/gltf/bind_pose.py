@@ -19,7 +19,7 @@ from pfnn_jax.motion.gltf.nodes import LARGEST_PLACE, NodeTree, is_regular
 MAX_JOINTS = 2_000
 """Most joints of a character and of each of its skins; elaborate rigs have 300."""
 
-MAX_SKINS = 500
+MAX_SKINS = 200
 """Most skins; files with a skin for each piece of clothing have a few dozen."""
 
 MAX_SKIN_JOINTS = 40_000

@@ -276,9 +276,13 @@ def _alongside(path: Path, uri: str, place: str) -> Path:
         rule = "must be a file in the folder of the glTF file, or in it"
         raise InputError(path, f"{place}.uri", shown(uri), rule)
     folder = path.parent.resolve()
-    target = folder.joinpath(*parts).resolve()
+    try:
+        target = folder.joinpath(*parts).resolve()
+        there = target.is_file()
+    except (OSError, UnicodeError, RuntimeError):  # too long, half a surrogate pair, links in a circle
+        raise InputError(path, f"{place}.uri", shown(uri), "must be the name of a file") from None
     if not target.is_relative_to(folder):  # a link that leads elsewhere
         raise InputError(path, f"{place}.uri", shown(uri), "must not lead out of the folder of the glTF file")
-    if not target.is_file():
+    if not there:
         raise InputError(path, f"{place}.uri", shown(uri), "no such file next to the glTF file")
     return target
