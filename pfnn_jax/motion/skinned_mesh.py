@@ -108,5 +108,10 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     normals = np.zeros_like(vertices, dtype=float)
     for corner in range(3):
         np.add.at(normals, faces[:, corner], across)
+    return unit_normals(normals)
+
+
+def unit_normals(normals: np.ndarray) -> np.ndarray:
+    """Returns normals [V, 3] of unit length; those of length zero, as of faces without area, point upwards."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(lengths > 0, normals / np.where(lengths > 0, lengths, 1.0), [0.0, 1.0, 0.0])

@@ -37,6 +37,9 @@ JOINTS = {
 
 NAMES = tuple(JOINTS)
 
+DOT = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNkYPhfDwAChwGA60e6kgAAAABJRU5ErkJggg=="
+"""A PNG of one pixel, in base64."""
+
 
 @dataclass
 class Rig:

@@ -27,6 +27,7 @@ from pfnn_jax.motion.root_motion import in_place, is_cycle, split_root
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.viewer.body import grow_body
 from pfnn_jax.workflows.characters import put_onto
+from tests.gltf.rigs import DOT
 from tests.raising import assert_refused
 
 EXACT = 1e-9  # metres and quaternion components
@@ -134,9 +135,6 @@ def test_buffers_and_images_of_other_files_are_packed(body_file, walk, tmp_path,
     assert not validate([tmp_path / "out.glb"])[tmp_path / "out.glb"]
 
 
-DOT = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNkYPhfDwAChwGA60e6kgAAAABJRU5ErkJggg=="  # one pixel
-
-
 def test_animated_nodes_with_a_matrix_keep_their_pose(body_file, walk, three, tmp_path):
     data, raw = json_of(body_file.read_bytes()), body_file.read_bytes()
     for number, node in enumerate(data["nodes"][:-1]):
@@ -208,3 +206,27 @@ def test_sway_and_bob_stay_in_place(walk):
     hips = places(in_place(walk))[:, joint]
     np.testing.assert_allclose(hips[:, 1], places(walk)[:, joint, 1], atol=EXACT)
     assert np.ptp(hips[30:-30, 0]) > 0.01 and np.abs(hips[:, [0, 2]]).max() < 0.2
+
+
+def test_chunks_of_other_types_are_kept(walk, body_file, tmp_path):
+    extra = struct.pack("<I4s", 8, b"ACME") + b"whatever"
+    raw = bytearray(body_file.read_bytes() + extra)
+    struct.pack_into("<I", raw, 8, len(raw))
+    (tmp_path / "extra.glb").write_bytes(raw)
+    assert read_document(tmp_path / "extra.glb").chunks == ((b"ACME", b"whatever"),)
+    content = put_onto(walk, tmp_path / "extra.glb", name="again")
+    assert content.endswith(extra) and struct.unpack_from("<I", content, 8) == (len(content),)
+
+
+def test_a_colour_on_no_first_corner_of_a_face_is_left_out(walk):
+    mesh = grow_body(walk.skeleton)
+    colours = np.tile(np.array([10, 20, 30], np.uint8), (len(mesh.vertices), 1))
+    lonely = np.append(mesh.vertices, mesh.vertices[:1], axis=0)
+    grown = {name: np.append(getattr(mesh, name), getattr(mesh, name)[:1], axis=0) for name in PER_VERTEX}
+    painted = np.append(colours, [[200, 0, 0]], axis=0).astype(np.uint8)
+    mesh = replace(mesh, vertices=lonely, colours=painted, **grown)
+    primitives = json_of(glb_bytes(walk.skeleton, mesh, {"walk": walk}))["meshes"][0]["primitives"]
+    assert len(primitives) == 1
+
+
+PER_VERTEX = ("normals", "joints", "weights")

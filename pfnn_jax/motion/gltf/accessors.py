@@ -18,8 +18,11 @@ COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5
 SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 """Numbers by accessor type; 2 × 2 and 3 × 3 matrices occur in no character."""
 
-MAX_ELEMENTS = 20_000_000
-"""Most elements of an accessor without data of its own, whose values are zero and take no room in the file."""
+MAX_NUMBERS = 16_000_000
+"""Most numbers of an accessor: two million vertices have eight million weights."""
+
+MAX_ZEROS = 1_000_000
+"""Most numbers of an accessor without data of its own, whose zeros take memory but no room in the file."""
 
 
 def read_accessor(document: Document, index: Any, kind: str, place: str) -> np.ndarray:
@@ -40,9 +43,10 @@ def read_accessor(document: Document, index: Any, kind: str, place: str) -> np.n
     if accessor.get("type") != kind:
         raise InputError(document.path, f"{at}.type", shown(accessor.get("type")), f"must be {kind} for {place}")
     dtype, count = _dtype(document, accessor, at), accessor.get("count")
-    if not is_index(count, MAX_ELEMENTS + 1):
-        raise InputError(document.path, f"{at}.count", shown(count), f"must be a number up to {MAX_ELEMENTS}")
     size = SIZES[kind]
+    most = (MAX_ZEROS if accessor.get("bufferView") is None else MAX_NUMBERS) // size
+    if not is_index(count, most + 1):
+        raise InputError(document.path, f"{at}.count", shown(count), f"must be a number up to {most}")
     if accessor.get("bufferView") is None:
         values = np.zeros((count, size), dtype)
     else:

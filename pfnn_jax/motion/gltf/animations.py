@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.gltf.accessors import read_accessor
 from pfnn_jax.motion.gltf.container import Document, shown
-from pfnn_jax.motion.gltf.nodes import NodeTree
+from pfnn_jax.motion.gltf.nodes import LARGEST_PLACE, NodeTree
 from pfnn_jax.motion.kinematics import quat_from_matrix, quat_normalise, quat_slerp, quat_to_matrix
 
 PATHS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}
@@ -26,6 +26,9 @@ INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
 
 RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 72.0, 90.0, 100.0, 120.0, 144.0, 240.0)
 """Frames per second at which motion is keyed; the least at whose frames all keys lie is taken."""
+
+USUAL_RATE = 30.0
+"""Frames per second of a clip with one key."""
 
 OTHER_RATE = 60.0
 """Frames per second where keys lie at the frames of no rate."""
@@ -46,7 +49,7 @@ CHUNK = 256
 """Frames whose matrices are held in memory at once."""
 
 SKEWED = 1e-3
-"""Largest cosine between the axes of a matrix, and relative difference of its scales, that count as none."""
+"""Cosine between the axes of a matrix below which it counts as free of shear."""
 
 WALK = re.compile(r"(?<![a-z])walk(?:ing|s)?(?![a-z])", re.IGNORECASE)
 OTHER_WALK = re.compile(
@@ -96,13 +99,16 @@ class Sampled:
 
 
 def clip_names(document: Document) -> list[str]:
-    """Returns the names of a file's clips; those without a name, or with that of another, get a number."""
-    names: list[str] = []
+    """Returns the names of a file's clips; those without a name, or with that of another, get a number of their own."""
+    names: dict[str, None] = {}
     for number, animation in enumerate(document.items("animations")):
         name = animation.get("name")
         name = name if isinstance(name, str) and name else f"clip {number}"
-        names.append(name if name not in names else f"{name} ({number})")
-    return names
+        unique, copy = name, number
+        while unique in names:
+            unique, copy = f"{name} ({copy})", copy + 1
+        names[unique] = None
+    return list(names)
 
 
 def choose_clip(document: Document, name: str | None) -> tuple[int, str]:
@@ -125,7 +131,9 @@ def choose_clip(document: Document, name: str | None) -> tuple[int, str]:
         if not same:
             raise InputError(path, "clip name", shown(name), rule)
         return same[0], ""
-    moving = [n for n in range(len(names)) if _num_keys(document, n) > 2] or list(range(len(names)))
+    accessors = document.items("accessors")
+    keys = [_num_keys(animation, accessors) for animation in document.items("animations")]
+    moving = [number for number, most in enumerate(keys) if most > 2] or list(range(len(names)))
     if len(moving) == 1:
         return moving[0], ""
     walks = sorted(
@@ -143,25 +151,32 @@ def read_tracks(document: Document, number: int) -> list[Track]:
     """Returns the tracks of an animation.
 
     Raises:
-        InputError: for accessors out of range, keys that do not ascend, or values that are not finite.
+        InputError: for accessors out of range, keys that do not ascend, too many, or values that are not finite.
     """
     place = f"animations[{number}]"
     animation = document.item("animations", number, place)
     samplers, channels = (_objects(document, animation, name, place) for name in ("samplers", "channels"))
     found: dict[tuple[int, str], Track] = {}
+    known: dict[tuple[Any, ...], Track] = {}  # many channels may name the same keys, which are read once
     for at, channel in enumerate(channels):
         target = channel.get("target")
         target = target if isinstance(target, dict) else {}
         node, path = target.get("node"), target.get("path")
-        if node is None or path not in PATHS:  # morph targets, and pointers of extensions
+        if node is None or not isinstance(path, str) or path not in PATHS:  # morph targets, and pointers of extensions
             continue
         document.item("nodes", node, f"{place}.channels[{at}].target.node")
         sampler = channel.get("sampler")
         if not isinstance(sampler, int) or isinstance(sampler, bool) or not 0 <= sampler < len(samplers):
             rule = f"must be one of {len(samplers)} samplers"
             raise InputError(document.path, f"{place}.channels[{at}].sampler", shown(sampler), rule)
-        if (node, path) not in found:
-            found[node, path] = _track(document, samplers[sampler], node, path, f"{place}.samplers[{sampler}]")
+        if (node, path) in found:
+            continue
+        keys = (*_sampler(document, samplers[sampler], f"{place}.samplers[{sampler}]"), path)
+        if keys not in known:
+            known[keys] = _track(document, keys, node, f"{place}.samplers[{sampler}]")
+            if (total := sum(len(track.times) for track in known.values())) > MAX_POSES:
+                raise InputError(document.path, place, f"{total} keys", f"must be at most {MAX_POSES}")
+        found[node, path] = replace(known[keys], node=node)
     return list(found.values())
 
 
@@ -178,7 +193,7 @@ def sample_nodes(
         place: of the animation, for messages.
 
     Raises:
-        InputError: if none of the nodes is animated, or the clip is too long.
+        InputError: if none of the nodes is animated, the clip is too long, or its transforms are too large.
     """
     used = {each for node in nodes for each in tree.above(int(node))}
     tracks = [track for track in tracks if track.node in used]
@@ -193,18 +208,23 @@ def sample_nodes(
         found = f"{count} frames of {len(used)} nodes"
         raise InputError(document.path, place, found, f"must be at most {MAX_POSES} frames times nodes")
     times = start + np.arange(count) / fps
-    parts = [_world(tree, tracks, nodes, used, times[first : first + CHUNK]) for first in range(0, count, CHUNK)]
-    positions, rotations = (np.concatenate([part[which] for part in parts]) for which in (0, 1))
-    scaled = any(track.path == "scale" and _changes(track.values) for track in tracks)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then is refused
+        parts = [_world(tree, tracks, nodes, used, times[first : first + CHUNK]) for first in range(0, count, CHUNK)]
+        positions, rotations = (np.concatenate([part[which] for part in parts]) for which in (0, 1))
+        good = (np.abs(positions) <= LARGEST_PLACE).all() and np.isfinite(rotations).all()
+    if not good:
+        rule = f"scales and translations must leave joints within {LARGEST_PLACE:g}"
+        raise InputError(document.path, place, "too large", rule)
+    scaled = any(_changes(values) for values in _different(track.values for track in tracks if track.path == "scale"))
     return Sampled(fps, positions, rotations, scaled, note)
 
 
 def find_rate(tracks: Sequence[Track]) -> tuple[float, str]:
     """Returns the frames per second at which tracks are keyed, and a note if their keys lie at no common rate."""
-    times = np.unique(np.concatenate([track.times for track in tracks]))
+    times = np.unique(np.concatenate(_different(track.times for track in tracks)))
     times = times - times[0]
     if len(times) < 2:
-        return RATES[2], ""
+        return USUAL_RATE, ""
     most = max((track.times for track in tracks), key=len)
     for rate in RATES:
         if np.abs(times * rate - np.rint(times * rate)).max() < ON_FRAME:
@@ -297,14 +317,22 @@ def rotations_of(matrices: np.ndarray) -> np.ndarray:
     return quat_normalise(quat_from_matrix(axes))
 
 
-def _track(document: Document, sampler: dict[str, Any], node: int, path: str, place: str) -> Track:
-    """Returns the track of a sampler."""
+def _sampler(document: Document, sampler: dict[str, Any], place: str) -> tuple[int, int, str]:
+    """Returns a sampler's accessors of times and of values, and its interpolation."""
     interpolation = sampler.get("interpolation", "LINEAR")
     if interpolation not in INTERPOLATIONS:
         rule = f"must be {', '.join(INTERPOLATIONS)}"
         raise InputError(document.path, f"{place}.interpolation", shown(interpolation), rule)
-    times = read_accessor(document, sampler.get("input"), "SCALAR", f"{place}.input").astype(float)
-    values = read_accessor(document, sampler.get("output"), PATHS[path], f"{place}.output").astype(float)
+    for name in ("input", "output"):
+        document.item("accessors", sampler.get(name), f"{place}.{name}")
+    return sampler["input"], sampler["output"], interpolation
+
+
+def _track(document: Document, keys: tuple[int, int, str, str], node: int, place: str) -> Track:
+    """Returns the track of a sampler: its accessors of times and of values, its interpolation, and a key of `PATHS`."""
+    first, second, interpolation, path = keys
+    times = read_accessor(document, first, "SCALAR", f"{place}.input").astype(float)
+    values = read_accessor(document, second, PATHS[path], f"{place}.output").astype(float)
     if not len(times) or (np.diff(times) < 0).any():
         raise InputError(document.path, f"{place}.input", f"{len(times)} keys", "must be keys with ascending times")
     per_key = 3 if interpolation == "CUBICSPLINE" else 1
@@ -331,16 +359,20 @@ def _objects(document: Document, animation: dict[str, Any], name: str, place: st
     return found
 
 
-def _num_keys(document: Document, number: int) -> int:
+def _num_keys(animation: dict[str, Any], accessors: list[dict[str, Any]]) -> int:
     """Returns the most keys of an animation's samplers, as the file states them."""
-    samplers = document.items("animations")[number].get("samplers")
-    accessors, most = document.items("accessors"), 0
+    samplers, most = animation.get("samplers"), 0
     for sampler in samplers if isinstance(samplers, list) else ():
         index = sampler.get("input") if isinstance(sampler, dict) else None
         if isinstance(index, int) and 0 <= index < len(accessors):
             count = accessors[index].get("count")
             most = max(most, count if isinstance(count, int) else 0)
     return most
+
+
+def _different(arrays: Iterable[np.ndarray]) -> list[np.ndarray]:
+    """Returns arrays of which tracks may share some, each once."""
+    return list({id(array): array for array in arrays}.values())
 
 
 def _on_frames(times: np.ndarray, spacing: float) -> bool:

@@ -1,5 +1,7 @@
-"""Appends animations to a glTF file and touches nothing else: what the file holds besides keeps its meaning and its
-bytes. Credits and licences (`asset.copyright`, `asset.extras`), which several libraries drop, stay in the file.
+"""Appends animations to a glTF file and touches nothing else: all other content keeps its meaning and its bytes.
+
+Credits and licences (`asset.copyright`, `asset.extras`), which several libraries drop, stay in the file, as do chunks
+of other types.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.gltf.container import Document, read_uri
+from pfnn_jax.motion.gltf.container import MAX_BYTES, Document, is_index, read_uri, shown
 from pfnn_jax.motion.kinematics import quat_align
 
 Property = Literal["rotation", "translation"]
@@ -65,16 +67,18 @@ def append_clips(document: Document, animations: Sequence[Animation]) -> bytes:
     name of an animation that the file already has.
 
     Raises:
-        InputError: if there is nothing to animate, or a key is not finite.
+        InputError: if there is nothing to animate, a key is not finite, or the file's lists or images are malformed.
     """
     for animation in animations:
         _check_keys(document, animation.channels, animation.fps)
+    for name in ("images", "bufferViews", "accessors", "animations"):
+        document.items(name)
     data, binary = pack(document)
     animated = {channel.node for animation in animations for channel in animation.channels}
     data["nodes"] = _as_trs(data["nodes"], animated)
     for animation in animations:
         data, binary = _append(data, binary, animation)
-    return glb(data, binary)
+    return glb(data, binary, document.chunks)
 
 
 def _append(data: dict[str, Any], binary: bytes, animation: Animation) -> tuple[dict[str, Any], bytes]:
@@ -93,13 +97,22 @@ def _append(data: dict[str, Any], binary: bytes, animation: Animation) -> tuple[
     return {**data, **changed}, binary
 
 
-def glb(data: dict[str, Any], binary: bytes) -> bytes:
-    """Returns the bytes of a GLB file of a JSON text and one binary chunk, which must fill whole words of 4 bytes."""
-    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+def glb(data: dict[str, Any], binary: bytes, others: Sequence[tuple[bytes, bytes]] = ()) -> bytes:
+    """Returns the bytes of a GLB file.
+
+    Args:
+        data: its JSON.
+        binary: its binary chunk, which must fill whole words of 4 bytes; none is written if it is empty.
+        others: type and content of further chunks.
+    """
+    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    text = text.encode("utf-8", "backslashreplace")  # half a surrogate pair stays the escape that it was in the file
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<I4s", len(text), _JSON_CHUNK) + text
     if binary:
         chunks += struct.pack("<I4s", len(binary), _BIN_CHUNK) + binary
+    for kind, content in others:
+        chunks += struct.pack("<I4s", len(_words(content)), kind) + _words(content)
     return struct.pack("<4sII", _MAGIC, 2, 12 + len(chunks)) + chunks
 
 
@@ -107,6 +120,9 @@ def pack(document: Document) -> tuple[dict[str, Any], bytes]:
     """Returns the JSON of a document whose data all lie in one binary chunk, and that chunk, in whole words of 4 bytes.
 
     A GLB file without other files is already packed: its JSON is returned as it is.
+
+    Raises:
+        InputError: if an image cannot be read, all are too large together, or a buffer view lies in no buffer.
     """
     data, binary = dict(document.json), document.binary
     buffers = data.get("buffers", [])
@@ -114,38 +130,52 @@ def pack(document: Document) -> tuple[dict[str, Any], bytes]:
         data, binary = _pack_buffers(data, document)
     elif buffers:
         binary = binary[: buffers[0]["byteLength"]]
-    for number, image in enumerate(data.get("images", [])):
-        uri = image.get("uri", "data:")
-        if not uri.startswith("data:"):
-            binary = _words(binary)
-            data, binary = _pack_image(data, binary, number, read_uri(document, uri))
-    return data, _words(binary)
+    images = document.items("images")
+    outside = [number for number, image in enumerate(images) if not _is_inside(image)]
+    return _pack_images(data, _words(binary), document, outside) if outside else (data, _words(binary))
+
+
+def _is_inside(image: dict[str, Any]) -> bool:
+    """Returns whether an image is within the file: in its binary chunk or its JSON."""
+    uri = image.get("uri")
+    return uri is None or (isinstance(uri, str) and uri.startswith("data:"))
 
 
 def _pack_buffers(data: dict[str, Any], document: Document) -> tuple[dict[str, Any], bytes]:
-    starts, binary = [], b""
-    for content, buffer in zip(document.buffers, data["buffers"], strict=True):
-        starts.append(len(binary))
-        binary = _words(binary + content[: buffer["byteLength"]])
-    views = [
-        {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + view.get("byteOffset", 0)}
-        for view in data.get("bufferViews", [])
-    ]
+    starts, rows, end = [], [], 0
+    for content in document.buffers:
+        starts.append(end)
+        rows.append(_words(content))
+        end += len(rows[-1])
+    views, binary = [], b"".join(rows)
+    for number, view in enumerate(document.items("bufferViews")):
+        buffer, offset = view.get("buffer"), view.get("byteOffset", 0)
+        document.item("buffers", buffer, f"bufferViews[{number}].buffer")
+        if not is_index(offset, MAX_BYTES):
+            rule = f"must be a number of bytes below {MAX_BYTES}"
+            raise InputError(document.path, f"bufferViews[{number}].byteOffset", shown(offset), rule)
+        views.append({**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset})
     kept = {key: value for key, value in data["buffers"][0].items() if key != "uri"}
     return {**data, "buffers": [{**kept, "byteLength": len(binary)}], "bufferViews": views}, binary
 
 
-def _pack_image(data: dict[str, Any], binary: bytes, number: int, content: bytes) -> tuple[dict[str, Any], bytes]:
-    """Returns the JSON and the binary chunk with one image inside."""
-    views = data.get("bufferViews", [])
-    image = {key: value for key, value in data["images"][number].items() if key != "uri"}
-    kind = next((mime for start, mime in _SIGNATURES.items() if content.startswith(start)), "image/png")
-    images = list(data["images"])
-    images[number] = {**image, "mimeType": image.get("mimeType", kind), "bufferView": len(views)}
-    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(content)}
-    size = {**_first(data.get("buffers")), "byteLength": len(binary) + len(content)}
-    changed = {"images": images, "bufferViews": [*views, view], "buffers": [size]}
-    return {**data, **changed}, binary + content
+def _pack_images(
+    data: dict[str, Any], binary: bytes, document: Document, outside: Sequence[int]
+) -> tuple[dict[str, Any], bytes]:
+    """Returns the JSON and the binary chunk with the images inside that lie in other files."""
+    images, views, rows, end = list(data["images"]), list(data.get("bufferViews", [])), [binary], len(binary)
+    for number in outside:
+        content = read_uri(document, images[number]["uri"], f"images[{number}]")
+        kind = next((mime for start, mime in _SIGNATURES.items() if content.startswith(start)), "image/png")
+        image = {key: value for key, value in images[number].items() if key != "uri"}
+        images[number] = {**image, "mimeType": image.get("mimeType", kind), "bufferView": len(views)}
+        views.append({"buffer": 0, "byteOffset": end, "byteLength": len(content)})
+        rows.append(_words(content))
+        end += len(rows[-1])
+        if end > MAX_BYTES:
+            raise InputError(document.path, f"images[{number}]", "too large", f"must be at most {MAX_BYTES} in all")
+    size = {**_first(data.get("buffers")), "byteLength": end}
+    return {**data, "images": images, "bufferViews": views, "buffers": [size]}, b"".join(rows)
 
 
 def _words(binary: bytes) -> bytes:
@@ -162,8 +192,9 @@ def _check_keys(document: Document, channels: Sequence[Channel], fps: float) -> 
     if not (np.isfinite(fps) and fps > 0):
         raise InputError(document.path, "frame rate", fps, "must be positive and finite")
     for channel in channels:
-        if not np.all(np.isfinite(channel.values)):
-            frame = int(np.argwhere(~np.isfinite(channel.values))[0][0])
+        bad = ~(np.abs(channel.values) <= np.finfo(np.float32).max)
+        if bad.any():
+            frame = int(np.argwhere(bad)[0][0])
             rule = "every value must be finite"
             raise InputError(document.path, f"frame {frame}", f"non-finite {channel.path} of node {channel.node}", rule)
 
@@ -211,10 +242,9 @@ def _as_trs(nodes: list[dict[str, Any]], animated: set[int]) -> list[dict[str, A
     changed = list(nodes)
     for number in animated:
         node = nodes[number]
-        if "matrix" in node:
-            matrix = np.reshape(node["matrix"], (4, 4)).T
-            translation, rotation, scale = decompose(matrix)
-            kept = {key: value for key, value in node.items() if key != "matrix"}
+        kept = changed[number] = {key: value for key, value in node.items() if key != "matrix"}
+        if node.get("matrix") is not None:
+            translation, rotation, scale = decompose(np.reshape(node["matrix"], (4, 4)).T)
             trs = {"translation": translation, "rotation": np.roll(rotation, -1), "scale": scale}
             changed[number] = {**kept, **{key: value.tolist() for key, value in trs.items()}}
     return changed

@@ -6,25 +6,38 @@ matrices. They are given in the space of the mesh, which is not always that of t
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.gltf.accessors import read_accessor
-from pfnn_jax.motion.gltf.container import Document
-from pfnn_jax.motion.gltf.nodes import NodeTree, is_regular
+from pfnn_jax.motion.gltf.container import Document, shown
+from pfnn_jax.motion.gltf.nodes import LARGEST_PLACE, NodeTree, is_regular
 
-NEAR = 0.02
+MAX_JOINTS = 2_000
+"""Most joints of a character and of each of its skins; elaborate rigs have 300."""
+
+MAX_SKINS = 200
+"""Most skins; files with a skin for each piece of clothing have a few dozen."""
+
+MAX_SKIN_JOINTS = 40_000
+"""Most joints of all skins together: skins of one body repeat its joints."""
+
+SAME_PLACE = 0.02
 """Of the size of the body: joints whose places differ by less are where they were bound."""
 
-CLOSE = 0.2
+CONTROL_REACH = 0.2
 """Of the size of the body: how far a control may be from the joint that it goes with."""
+
+AFFINE = 1e-4
+"""Difference of the last row of a matrix from 0, 0, 0, 1 that is rounding."""
 
 SAME_SCALE = 0.1
 """Relative difference of the summed lengths of bones that count as equal; files saved within a clip stretch some."""
 
-SOME = 0.5
+MIN_PLACED_SHARE = 0.5
 """Share of the joints that must be at their places for that to count: those near the top are by construction."""
 
 
@@ -45,14 +58,22 @@ def read_skins(document: Document) -> list[Skin]:
     """Returns the skins of a file.
 
     Raises:
-        InputError: if a joint is no node, or an inverse bind matrix is missing, singular or not finite.
+        InputError: if a joint is no node, an inverse bind matrix is missing, singular or not finite, or for too many
+            skins or joints.
     """
-    found = []
-    for number, skin in enumerate(document.items("skins")):
+    found: list[Skin] = []
+    skins, total = document.items("skins"), 0
+    if len(skins) > MAX_SKINS:
+        raise InputError(document.path, "skins", f"{len(skins)} skins", f"must be at most {MAX_SKINS}")
+    for number, skin in enumerate(skins):
         place = f"skins[{number}]"
         joints = skin.get("joints")
         if not isinstance(joints, list) or not joints:
             raise InputError(document.path, f"{place}.joints", "none", "must be a list of nodes")
+        total += len(joints)
+        if len(joints) > MAX_JOINTS or total > MAX_SKIN_JOINTS:
+            rule = f"must be at most {MAX_JOINTS} in a skin, and {MAX_SKIN_JOINTS} in all of them"
+            raise InputError(document.path, f"{place}.joints", f"{len(joints)} joints", rule)
         for joint in joints:
             document.item("nodes", joint, f"{place}.joints")
         inverse = np.tile(np.eye(4), (len(joints), 1, 1))
@@ -62,11 +83,19 @@ def read_skins(document: Document) -> list[Skin]:
             if len(values) < len(joints):
                 raise InputError(document.path, at, f"{len(values)}", f"must have one for each of {len(joints)} joints")
             inverse = values[: len(joints)].reshape(-1, 4, 4).swapaxes(1, 2)
-            bad = [j for j, matrix in enumerate(inverse) if not is_regular(matrix[:3, :3])]
-            if bad:
-                raise InputError(document.path, at, f"matrix {bad[0]} is singular", "must not flatten space")
+            for joint, matrix in enumerate(inverse):
+                _check_inverse(document, matrix, joint, at)
         found.append(Skin(tuple(joints), inverse))
     return found
+
+
+def _check_inverse(document: Document, matrix: np.ndarray, joint: int, place: str) -> None:
+    if not is_regular(matrix[:3, :3]):
+        raise InputError(document.path, place, f"matrix {joint} is singular", "must not flatten space")
+    if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], atol=AFFINE):
+        raise InputError(document.path, place, f"matrix {joint} ends in {shown(matrix[3].tolist())}", "must be affine")
+    if np.abs(matrix).max() > LARGEST_PLACE:
+        raise InputError(document.path, place, f"matrix {joint} is too large", f"must be within {LARGEST_PLACE:g}")
 
 
 def mesh_nodes(document: Document, num_skins: int) -> list[int | None]:
@@ -123,7 +152,7 @@ def _carried(
         world: [N, 4, 4] in the pose of the file.
     """
     places = world[sorted(known), :3, 3] if known else np.zeros((1, 3))
-    reach = CLOSE * float(np.ptp(places, axis=0).max())
+    reach = CONTROL_REACH * float(np.ptp(places, axis=0).max())
     nearest = {node: node for node in known}  # the joint at or below each node that is nearest to it
     found: dict[int, np.ndarray] = {}
 
@@ -134,7 +163,8 @@ def _carried(
         below, parent = nearest.get(node), int(tree.parents[node])
         if below is None:
             continue
-        if below != node and node in joints and gap(node, below) < reach:
+        carried = below != node and node in joints and gap(node, below) < reach
+        if carried and is_regular(world[below][:3, :3]):
             found[node] = known[below] @ np.linalg.inv(world[below]) @ world[node]
         if parent >= 0 and parent not in known and gap(parent, below) < gap(parent, nearest.get(parent, below)) + 1e-9:
             nearest[parent] = below
@@ -169,26 +199,30 @@ def _mesh_space(
     candidates = [np.eye(4)] + ([] if mesh_node is None else [world[mesh_node]])
     candidates += [world[node] for node in tree.above(int(joints[top]))[1:]]
     candidates += [rest[top] @ np.linalg.inv(places[top])]
-    above = np.array([_nearest_above(tree, int(joint), set(joints.tolist())) for joint in joints])
-    return max(candidates, key=lambda space: _agreement(space @ places, rest, joints, above))
+    candidates = [space for space in candidates if is_regular(space[:3, :3])]  # others put all joints at one place
+    rows = {int(joint): row for row, joint in enumerate(joints)}
+    above = np.array([rows[_nearest_above(tree, int(joint), rows)] for joint in joints])
+    spaces = np.stack(candidates)
+    moved = np.swapaxes(spaces[:, :3] @ places[:, :, 3].T, 1, 2)
+    return spaces[int(np.argmax(_agreement(moved, rest[:, :3, 3], above)))]
 
 
-def _nearest_above(tree: NodeTree, joint: int, joints: set[int]) -> int:
+def _nearest_above(tree: NodeTree, joint: int, joints: Collection[int]) -> int:
     """Returns the nearest ancestor of a joint that is one of some joints, or the joint itself."""
     return next((node for node in tree.above(joint)[1:] if node in joints), joint)
 
 
-def _agreement(bind: np.ndarray, rest: np.ndarray, joints: np.ndarray, above: np.ndarray) -> tuple[bool, int]:
-    """Returns whether bones have their lengths, and how many joints their places, if enough have.
+def _agreement(bind: np.ndarray, rest: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """Returns scores [C]: higher where bones have their lengths, then where more joints have their places, if enough.
 
     Args:
-        bind, rest: [N, 4, 4] matrices in the bind pose and in the pose of the file.
-        joints, above: [N] nodes of the joints and of those above them.
+        bind: [C, N, 3] places in the bind pose, for each candidate.
+        rest: [N, 3] places in the pose of the file.
+        above: [N] rows of the joints above them; of a joint at the top, its own.
     """
-    rows = {int(joint): row for row, joint in enumerate(joints)}
-    parents = np.array([rows[int(node)] for node in above])
-    lengths = [np.linalg.norm(pose[:, :3, 3] - pose[parents, :3, 3], axis=1) for pose in (bind, rest)]
-    off = np.linalg.norm(bind[:, :3, 3] - rest[:, :3, 3], axis=1)
-    same = abs(lengths[0].sum() - lengths[1].sum()) <= SAME_SCALE * max(lengths[1].sum(), 1e-9)
-    placed = int((off < NEAR * max(float(np.ptp(rest[:, :3, 3], axis=0).max()), 1e-9)).sum())
-    return bool(same), placed if placed > SOME * len(joints) else 0
+    lengths = np.linalg.norm(bind - bind[:, above], axis=-1).sum(axis=-1)
+    length = np.linalg.norm(rest - rest[above], axis=-1).sum()
+    same = np.abs(lengths - length) <= SAME_SCALE * max(length, 1e-9)
+    near = SAME_PLACE * max(float(np.ptp(rest, axis=0).max()), 1e-9)
+    placed = (np.linalg.norm(bind - rest, axis=-1) < near).sum(axis=-1)
+    return same * (len(rest) + 1) + np.where(placed > MIN_PLACED_SHARE * len(rest), placed, 0)

@@ -12,13 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.gltf.append import Channel, Property
 from pfnn_jax.motion.gltf.character import Character
-from pfnn_jax.motion.gltf.nodes import NodeTree, read_nodes
+from pfnn_jax.motion.gltf.nodes import NodeTree, is_regular, read_nodes
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.find import need_humanoid
 from pfnn_jax.motion.humanoid.map import HumanoidMap
+from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import (
     forward_kinematics,
     quat_conjugate,
@@ -26,6 +28,8 @@ from pfnn_jax.motion.kinematics import (
     quat_rotate,
     quat_to_matrix,
 )
+from pfnn_jax.motion.retargeting.body import body_joints
+from pfnn_jax.motion.roles import chain_up
 from pfnn_jax.motion.root_motion import RootMotion
 
 SAME_PLACE = 3e-5
@@ -61,18 +65,24 @@ def clip_channels(character: Character, clip: MotionClip, root: RootMotion | Non
         character: the file.
         clip: T frames on `character.skeleton`; in place if `root` is its travel.
         root: travel to add.
+
+    Raises:
+        InputError: if a scale of 0 above a joint leaves it no place to be moved to.
     """
     skeleton, tree = character.skeleton, read_nodes(character.document)
     body = need_humanoid(skeleton, character.document.path)
     wanted = _wanted(character, clip, body, root)
-    hips, always = int(character.nodes[body.hips]), {int(character.nodes[joint]) for joint in _parts(body)}
+    hips, always = int(character.nodes[body.hips]), {int(character.nodes[joint]) for joint in body_joints(body)}
     top = _root_bone(character, tree, hips)
     if top != hips and top not in wanted and root is not None:
-        wanted[top] = _moved(character, root, *_standing(tree, top, character))
+        wanted[top] = _moved(character, root, *_file_pose_in_ours(tree, top, character))
     near = SAME_PLACE * leg_length_of(skeleton, body) / character.placement.scale
     poses: dict[int, _Pose] = {}
     channels = []
     for node in _in_order(tree, wanted):
+        if not is_regular(_above_node(tree, int(tree.parents[node]), poses).linear[0]):
+            rule = "must have a scale: save the file while the character is visible"
+            raise InputError(character.document.path, f"nodes[{node}]", "a scale of 0 above it", rule)
         pose, keys = _pose_node(tree, node, poses, wanted.get(node), hips == node, node in always, near)
         poses[node] = pose
         channels += [Channel(node, path, _all_frames(keys[path], clip.num_frames)) for path in keys]
@@ -87,7 +97,8 @@ def _wanted(
     positions, rotations = forward_kinematics(skeleton, clip.root_positions, clip.rotations)
     rotations = quat_multiply(rotations, character.bind_rotations)
     wanted = {}
-    below, above = _below(skeleton.parents, body.hips), _above(skeleton.parents, body.hips)
+    below = sorted(joint_tree(tuple(skeleton.parents.tolist())).below(body.hips))
+    above = chain_up(skeleton.parents, body.hips)[:0:-1]  # the root first
     for joint in (*above, *below):
         place, turn = positions[:, joint], rotations[:, joint]
         if joint in above:  # they stand as in the bind pose
@@ -103,15 +114,14 @@ def _moved(
     if root is not None:
         positions = root.positions + quat_rotate(root.rotations, positions)
         rotations = quat_multiply(root.rotations, rotations)
-    place, back = character.placement, quat_conjugate(character.placement.rotation)
-    return quat_rotate(back, (positions - place.translation) / place.scale), quat_multiply(back, rotations)
+    place = character.placement
+    return place.to_scene(positions), quat_multiply(quat_conjugate(place.rotation), rotations)
 
 
-def _standing(tree: NodeTree, node: int, character: Character) -> tuple[np.ndarray, np.ndarray]:
+def _file_pose_in_ours(tree: NodeTree, node: int, character: Character) -> tuple[np.ndarray, np.ndarray]:
     """Returns position [1, 3] and rotation [1, 4] of a node of the file's pose in our space."""
     pose, place = _file_pose(tree, node), character.placement
-    positions = place.scale * quat_rotate(place.rotation, pose.positions) + place.translation
-    return positions, quat_multiply(place.rotation, pose.rotations)
+    return place.to_ours(pose.positions), quat_multiply(place.rotation, pose.rotations)
 
 
 def _file_pose(tree: NodeTree, node: int) -> _Pose:
@@ -195,30 +205,6 @@ def _root_bone(character: Character, tree: NodeTree, hips: int) -> int:
     while node >= 0:
         top, node = node if node in joints else top, int(tree.parents[node])
     return top
-
-
-def _parts(body: HumanoidMap) -> set[int]:
-    """Returns the joints of a humanoid map."""
-    from pfnn_jax.motion.retargeting.body import parts_of
-
-    return {part.joint for part in parts_of(body)}
-
-
-def _below(parents: np.ndarray, top: int) -> list[int]:
-    """Returns a joint and all joints below it, in the skeleton's order."""
-    found = {top}
-    for joint in range(top + 1, len(parents)):
-        if int(parents[joint]) in found:
-            found.add(joint)
-    return sorted(found)
-
-
-def _above(parents: np.ndarray, joint: int) -> list[int]:
-    """Returns the joints above one, the root first."""
-    chain: list[int] = []
-    while (joint := int(parents[joint])) >= 0:
-        chain.append(joint)
-    return chain[::-1]
 
 
 def _all_frames(values: np.ndarray, num_frames: int) -> np.ndarray:

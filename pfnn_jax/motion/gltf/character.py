@@ -6,6 +6,7 @@ has turned from the bind pose. All else (humanoid map, reference pose, retargeti
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.gltf.bind_pose import bind_matrices, mesh_nodes, read_skins
+from pfnn_jax.motion.gltf.bind_pose import MAX_JOINTS, bind_matrices, mesh_nodes, read_skins
 from pfnn_jax.motion.gltf.container import Document, read_document
 from pfnn_jax.motion.gltf.geometry import Part, read_parts
-from pfnn_jax.motion.gltf.nodes import NodeTree, nearest_rotation, read_nodes
-from pfnn_jax.motion.gltf.standing import with_ground
+from pfnn_jax.motion.gltf.ground import with_ground
+from pfnn_jax.motion.gltf.nodes import NodeTree, is_regular, nearest_rotation, read_nodes
 from pfnn_jax.motion.gltf.vrm import humanoid_nodes
 from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.find import find_humanoid
@@ -25,16 +26,13 @@ from pfnn_jax.motion.humanoid.map import LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.humanoid.overrides import read_overrides_file
 from pfnn_jax.motion.humanoid.pairs import find_mirror
 from pfnn_jax.motion.humanoid.tree import joint_tree
-from pfnn_jax.motion.kinematics import quat_from_yaw, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import quat_conjugate, quat_from_yaw, quat_multiply, quat_rotate
 from pfnn_jax.motion.length_unit import POSSIBLE_LEG
 from pfnn_jax.motion.roles import missing_roles, roles_of
 from pfnn_jax.motion.skeleton import Skeleton
 
 USUAL_LEG = 0.85
 """Metres from hip to ankle that a character is given whose own size no person has."""
-
-MAX_JOINTS = 2_000
-"""Most joints of a character; elaborate rigs have 300."""
 
 STRAIGHT_AHEAD = np.deg2rad(3.0)
 """A character that faces an axis to this angle faces along it."""
@@ -57,6 +55,10 @@ class Placement:
     def to_ours(self, points: np.ndarray) -> np.ndarray:
         """Returns points [..., 3] of the scene in our space."""
         return self.scale * quat_rotate(self.rotation, points) + self.translation
+
+    def to_scene(self, points: np.ndarray) -> np.ndarray:
+        """Returns points [..., 3] of our space in the scene."""
+        return quat_rotate(quat_conjugate(self.rotation), (points - self.translation) / self.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +121,12 @@ def character_of(
     nodes = _joint_nodes(tree, {joint for skin in skins for joint in skin.joints} or set(joints))
     if len(nodes) > MAX_JOINTS:
         raise InputError(document.path, "skins", f"{len(nodes)} joints", f"must be at most {MAX_JOINTS}")
+    for node in nodes:
+        if not is_regular(bind[node][:3, :3]):
+            rule = "must not flatten space in the bind pose: its scales must not be 0"
+            raise InputError(document.path, f"nodes[{node}]", "singular", rule)
     humanoid = _find_body(document, tree, nodes, bind, roles_file)
-    nodes, parents, humanoid = _order_below_legs(tree, nodes, humanoid)
+    nodes, parents, humanoid = _order_below_legs(document, tree, nodes, humanoid)
     parts = read_parts(document, tree, skins, bind, nodes)
     return _placed(document, tree, bind, nodes, parents, humanoid, parts, unit)
 
@@ -133,18 +139,16 @@ def _joint_nodes(tree: NodeTree, joints: set[int]) -> list[int]:
         shared += 1
     if len({chain[0] for chain in chains}) > 1:
         return _without_common_root(tree, joints)
-    first = shared
-    while first > 0 and chains[0][first] not in joints and len({c[first] for c in chains}) > 1:
-        first -= 1
-    kept = {node for chain in chains for node in chain[first:]}
+    kept = {node for chain in chains for node in chain[shared:]}
     return [int(node) for node in tree.order if node in kept]
 
 
 def _without_common_root(tree: NodeTree, joints: set[int]) -> list[int]:
     """Returns the joints under that top node which has the most of them: others stand in the scene without a body."""
-    tops = [tree.above(joint)[-1] for joint in joints]
-    top = max(sorted(set(tops)), key=tops.count)
-    return _joint_nodes(tree, {joint for joint in joints if tree.above(joint)[-1] == top})
+    tops = {joint: tree.above(joint)[-1] for joint in joints}
+    counts = Counter(tops.values())
+    most = max(sorted(counts), key=counts.__getitem__)
+    return _joint_nodes(tree, {joint for joint, top in tops.items() if top == most})
 
 
 def _skeleton(tree: NodeTree, nodes: list[int], places: np.ndarray, parents: dict[int, int]) -> Skeleton:
@@ -170,18 +174,23 @@ def _find_body(
         skeleton = replace(skeleton, names=_unique(skeleton.names, nodes))
         overrides = read_overrides_file(Path(roles_file))
         return find_humanoid(skeleton, poses=places[None], overrides=overrides, source=roles_file)
-    bones = {bone: node for bone, node in humanoid_nodes(document).items() if node in nodes}
+    rows = {node: row for row, node in enumerate(nodes)}
+    bones = {bone: node for bone, node in humanoid_nodes(document).items() if node in rows}
     if bones:
         skeleton = replace(skeleton, names=_unique(skeleton.names, nodes))
-        overrides = {bone: skeleton.names[nodes.index(node)] for bone, node in bones.items()}
+        overrides = {bone: skeleton.names[rows[node]] for bone, node in bones.items()}
         return find_humanoid(skeleton, poses=places[None], overrides=overrides, source=document.path)
     return find_humanoid(skeleton, poses=places[None], source=document.path)
 
 
 def _order_below_legs(
-    tree: NodeTree, nodes: list[int], body: HumanoidMap
+    document: Document, tree: NodeTree, nodes: list[int], body: HumanoidMap
 ) -> tuple[list[int], dict[int, int], HumanoidMap]:
-    """Returns joints with feet under their legs, parents first; the parent of each; and the map of the new order."""
+    """Returns joints with feet under their legs, parents first; the parent of each; and the map of the new order.
+
+    Raises:
+        InputError: if each leg is below the other leg's foot.
+    """
     parents = {node: int(tree.parents[node]) for node in nodes}
     for side in SIDES:
         _, shin, foot, _ = body.limb(side, LEG)
@@ -190,9 +199,13 @@ def _order_below_legs(
     order: list[int] = []
     waiting = list(nodes)
     while waiting:
-        ready = [node for node in waiting if parents[node] not in waiting]
+        left = set(waiting)
+        ready = [node for node in waiting if parents[node] not in left]
+        if not ready:
+            rule = "must not have legs below each other's feet: name the joints in a roles file"
+            raise InputError(document.path, "skeleton", "feet above legs", rule)
         order += ready
-        waiting = [node for node in waiting if node not in ready]
+        waiting = [node for node in waiting if parents[node] in left]
     rows = {node: row for row, node in enumerate(order)}
     return order, parents, body.move(lambda joint: rows[nodes[joint]])
 
@@ -256,7 +269,7 @@ def _leg(skeleton: Skeleton, body: HumanoidMap, places: np.ndarray, ground: floa
 
 def _metres(document: Document, leg: float, unit: float | None) -> tuple[float, tuple[str, ...]]:
     """Returns metres per unit, and notes. glTF says metres; a leg that no person has is given a person's length."""
-    if not leg > 0:
+    if not leg > 1e-9:
         raise InputError(document.path, "skeleton", "a leg of no length", "hips, knees and ankles must be apart")
     shortest, longest = POSSIBLE_LEG
     if unit is not None and not shortest <= leg * unit <= longest:
@@ -284,5 +297,8 @@ def _unique(names: tuple[str, ...], nodes: list[int]) -> tuple[str, ...]:
     found: list[str] = []
     for name, node in zip(names, nodes, strict=True):
         base = (name if name.isprintable() else ascii(name)) or "joint"
-        found.append(base if name and base not in found else f"{base}_{node}")
+        unique = base if name else f"{base}_{node}"
+        while unique in found:
+            unique = f"{unique}_{node}"
+        found.append(unique)
     return tuple(found)

@@ -15,10 +15,11 @@ from pfnn_jax.motion.gltf.character import Character, character_of, read_charact
 from pfnn_jax.motion.gltf.container import read_document
 from pfnn_jax.motion.gltf.nodes import read_nodes
 from pfnn_jax.motion.gltf.vrm import humanoid_nodes
-from pfnn_jax.motion.humanoid.map import LEG, SIDES
+from pfnn_jax.motion.humanoid.describe import leg_length_of
 from pfnn_jax.motion.humanoid.tree import joint_tree
 from pfnn_jax.motion.kinematics import forward_kinematics, joint_positions, quat_conjugate, quat_multiply
 from pfnn_jax.motion.reading import Reading, ReadOptions, check_options
+from pfnn_jax.motion.retargeting.body import body_joints
 from pfnn_jax.motion.retargeting.reference import some_poses
 from pfnn_jax.motion.roles import missing_roles, roles_of
 from pfnn_jax.motion.skeleton import Skeleton
@@ -161,14 +162,11 @@ def _doubts(clip: MotionClip, positions: np.ndarray, sampled: Sampled) -> list[s
     body, skeleton = clip.skeleton.humanoid, clip.skeleton
     assert body is not None
     notes = ["the scales of joints change in the clip: they are left out"] if sampled.scaled else []
-    joints = [
-        j for each in body.joints().values() for j in (each if isinstance(each, tuple) else (each,)) if j is not None
-    ]
+    joints = body_joints(body)
     rigid, _ = forward_kinematics(skeleton, clip.root_positions, clip.rotations)
     off = np.linalg.norm(rigid[:, joints] - positions[:, joints], axis=-1).max(axis=0)
-    leg = sum(float(np.linalg.norm(skeleton.offsets[j])) for side in SIDES for j in body.limb(side, LEG)[1:3] if j) / 2
     worst = int(np.argmax(off))
-    if off[worst] > STRETCH * leg:
+    if off[worst] > STRETCH * leg_length_of(skeleton, body):
         name = skeleton.names[joints[worst]]
         notes.append(f"bones change their lengths: with rigid ones {name} is up to {off[worst]:.2f} m off")
     return notes

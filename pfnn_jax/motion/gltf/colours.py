@@ -15,9 +15,12 @@ from PIL import Image
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.gltf.accessors import read_accessor
 from pfnn_jax.motion.gltf.container import Document, is_index, read_uri
+from pfnn_jax.motion.gltf.nodes import LARGEST
+from pfnn_jax.motion.gltf.srgb import to_linear, to_srgb
 
-MAX_PIXELS = 64 * 2**20
-"""Most pixels of a texture that is decoded."""
+MAX_PIXELS = 128 * 2**20
+"""Most pixels of all textures that are decoded, of which one may have half: eight of 4096 × 4096. Parts whose textures
+are beyond that have their material's own colour."""
 
 SEEN = 0.3
 """Opacity below which a face of a transparent material is left out."""
@@ -32,6 +35,7 @@ class Palette:
     def __init__(self, document: Document) -> None:
         self._document = document
         self._images: dict[int, np.ndarray | None] = {}
+        self._pixels_left = MAX_PIXELS
 
     def vertex_colours(self, primitive: dict[str, Any], count: int, place: str) -> tuple[np.ndarray, np.ndarray | None]:
         """Returns sRGB colours [V, 3] uint8 and, for a transparent material, opacities [V].
@@ -50,12 +54,12 @@ class Palette:
         attributes = primitive["attributes"]
         texels = self._texels(shading.get("baseColorTexture"), attributes, count, place)
         if texels is not None:
-            linear[:, :3] *= _to_linear(texels[:, :3] / 255.0)
+            linear[:, :3] *= to_linear(texels[:, :3] / 255.0)
             linear[:, 3] *= texels[:, 3] / 255.0
         painted = self._painted(attributes, count, place)
         if painted is not None:
             linear[:, : painted.shape[1]] *= painted
-        colours = np.rint(255.0 * _to_srgb(np.clip(linear[:, :3], 0.0, 1.0))).astype(np.uint8)
+        colours = np.rint(255.0 * to_srgb(np.clip(linear[:, :3], 0.0, 1.0))).astype(np.uint8)
         return colours, None if material.get("alphaMode", "OPAQUE") == "OPAQUE" else linear[:, 3]
 
     def _entry(self, name: str, index: Any) -> dict[str, Any]:
@@ -80,7 +84,7 @@ class Palette:
         name = f"TEXCOORD_{transform.get('texCoord', texture.get('texCoord', 0))}"
         if image is None or name not in attributes:
             return None
-        with suppress(InputError, ValueError, TypeError):
+        with suppress(InputError):
             uv = read_accessor(self._document, attributes[name], "VEC2", f"{place}.{name}").astype(float)
             if len(uv) != count:
                 return None
@@ -96,10 +100,13 @@ class Palette:
         extensions = entry.get("extensions")
         webp = extensions.get("EXT_texture_webp") if isinstance(extensions, dict) else None
         source = entry.get("source", webp.get("source") if isinstance(webp, dict) else None)
-        if not isinstance(source, int):
+        if not is_index(source, MAX_PIXELS):
             return None
         if source not in self._images:
-            self._images[source] = _decode(self._data(self._entry("images", source)))
+            most = min(MAX_PIXELS // 2, self._pixels_left)
+            image = _decode(self._data(self._entry("images", source)), most)
+            self._pixels_left -= 0 if image is None else image.shape[0] * image.shape[1]
+            self._images[source] = image
         return self._images[source]
 
     def _data(self, image: dict[str, Any]) -> bytes:
@@ -114,13 +121,13 @@ class Palette:
         return b""
 
 
-def _decode(data: bytes) -> np.ndarray | None:
-    """Returns a picture [height, width, 4] uint8; None if it cannot be decoded."""
+def _decode(data: bytes, most: int) -> np.ndarray | None:
+    """Returns a picture [height, width, 4] uint8; None if it cannot be decoded, or has more than `most` pixels."""
     if not data:
         return None
     try:
         with Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "WEBP")) as image:
-            if image.width * image.height > MAX_PIXELS:
+            if image.width * image.height > most:
                 return None
             return np.asarray(image.convert("RGBA"))
     except Exception:  # Pillow raises many kinds for broken pictures; a character is read without them
@@ -128,8 +135,15 @@ def _decode(data: bytes) -> np.ndarray | None:
 
 
 def _factor(value: Any, shaded: bool) -> np.ndarray:
-    good = isinstance(value, list) and len(value) == 4 and all(isinstance(v, int | float) for v in value)
-    return np.array(value if good else (1.0, 1.0, 1.0, 1.0) if shaded else PLAIN, float)
+    found = _numbers(value, 4)
+    return np.array((1.0, 1.0, 1.0, 1.0) if shaded else PLAIN) if found is None else found
+
+
+def _numbers(value: Any, size: int) -> np.ndarray | None:
+    """Returns a list of numbers of the JSON [size]; None if it is none of sensible size."""
+    good = isinstance(value, list) and len(value) == size
+    good = good and all(type(v) in (int, float) and abs(v) <= LARGEST for v in value)
+    return np.array(value, float) if good else None
 
 
 def _transform(texture: dict[str, Any]) -> dict[str, Any]:
@@ -139,16 +153,12 @@ def _transform(texture: dict[str, Any]) -> dict[str, Any]:
 
 
 def _transformed(uv: np.ndarray, transform: dict[str, Any]) -> np.ndarray:
-    """Returns texture coordinates [V, 2] scaled, turned and moved."""
-    angle = float(transform.get("rotation", 0.0))
+    """Returns texture coordinates [V, 2] scaled, turned and moved; values that are no numbers change nothing."""
+    angle, scale, offset = (
+        _numbers(value, size)
+        for value, size in (([transform.get("rotation")], 1), (transform.get("scale"), 2), (transform.get("offset"), 2))
+    )
+    angle = 0.0 if angle is None else float(angle[0])
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    scaled = uv * np.array(transform.get("scale", (1.0, 1.0)), float).reshape(2)
-    return scaled @ turn.T + np.array(transform.get("offset", (0.0, 0.0)), float).reshape(2)
-
-
-def _to_linear(srgb: np.ndarray) -> np.ndarray:
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def _to_srgb(linear: np.ndarray) -> np.ndarray:
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    scaled = uv * (1.0 if scale is None else scale)
+    return scaled @ turn.T + (0.0 if offset is None else offset)

@@ -10,10 +10,11 @@ from __future__ import annotations
 import base64
 import binascii
 import json
+import math
 import re
 import struct
 import urllib.parse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeGuard
 
@@ -30,6 +31,9 @@ MAX_DEPTH = 64
 
 MAX_NODES = 20_000
 """Most nodes; characters have at most a few hundred."""
+
+MAX_CLIPS = 1_000
+"""Most animations; large collections have a few hundred."""
 
 DECODED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 """Extensions whose data need a decoder."""
@@ -54,12 +58,14 @@ class Document:
         json: as parsed; keys that are not known are kept.
         binary: the binary chunk of a GLB; empty without one.
         buffers: the bytes of each of the JSON's buffers, cut to their declared lengths.
+        chunks: type and content of the other chunks of a GLB, which extensions may bring.
     """
 
     path: Path
     json: dict[str, Any]
     binary: bytes
     buffers: tuple[bytes, ...]
+    chunks: tuple[tuple[bytes, bytes], ...] = ()
 
     def items(self, name: str) -> list[Any]:
         """Returns a top-level list, such as `nodes`; empty if the file has none.
@@ -96,10 +102,10 @@ def read_document(path: str | Path) -> Document:
     """
     path = Path(path)
     raw = _read_bytes(path)
-    text, binary = _chunks(path, raw) if raw[:4] == b"glTF" else (raw, b"")
-    document = Document(path, _parse(path, text), binary, ())
+    text, binary, others = _chunks(path, raw) if raw[:4] == b"glTF" else (raw, b"", ())
+    document = Document(path, _parse(path, text), binary, (), others)
     _check_asset(document)
-    return Document(path, document.json, binary, _buffers(document))
+    return replace(document, buffers=_buffers(document))
 
 
 def is_index(value: Any, count: int) -> TypeGuard[int]:
@@ -123,8 +129,8 @@ def _read_bytes(path: Path) -> bytes:
         raise InputError(path, "file", error.strerror or "unreadable", "must be a readable glTF file") from None
 
 
-def _chunks(path: Path, raw: bytes) -> tuple[bytes, bytes]:
-    """Returns the JSON chunk and the binary chunk of a GLB file; chunks of other types are skipped."""
+def _chunks(path: Path, raw: bytes) -> tuple[bytes, bytes, tuple[tuple[bytes, bytes], ...]]:
+    """Returns the JSON chunk and the binary chunk of a GLB file, and type and content of all others."""
     if len(raw) < _HEADER.size:
         raise InputError(path, "header", f"{len(raw)} bytes", "must have 12 bytes: the file is cut off")
     _, version, length = _HEADER.unpack_from(raw)
@@ -144,14 +150,17 @@ def _chunks(path: Path, raw: bytes) -> tuple[bytes, bytes]:
         at += size
     if not chunks or chunks[0][0] != b"JSON":
         raise InputError(path, "chunk 0", shown(chunks[0][0]) if chunks else "missing", "must be JSON")
-    return chunks[0][1], next((data for kind, data in chunks[1:2] if kind == b"BIN\0"), b"")
+    binary = next((data for kind, data in chunks[1:2] if kind == b"BIN\0"), b"")
+    others = tuple(chunk for chunk in chunks[1:] if chunk[0] not in (b"JSON", b"BIN\0"))
+    return chunks[0][1], binary, others
 
 
 def _parse(path: Path, text: bytes) -> dict[str, Any]:
     if len(text) > MAX_JSON:
         raise InputError(path, "JSON", f"{len(text)} bytes", f"must be at most {MAX_JSON}")
     try:
-        data = json.loads(text.decode("utf-8-sig").rstrip("\0"), parse_constant=_refuse_constant)
+        content = text.decode("utf-8-sig").rstrip("\0")
+        data = json.loads(content, parse_constant=_refuse_constant, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         what = "nested too deeply" if isinstance(error, RecursionError) else str(error).splitlines()[0][:80]
         raise InputError(path, "JSON", what, "must be a glTF 2 file") from None
@@ -164,6 +173,13 @@ def _parse(path: Path, text: bytes) -> dict[str, Any]:
 
 def _refuse_constant(name: str) -> Any:
     raise ValueError(f"{name} is not JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if math.isinf(value):
+        raise ValueError(f"{text[:20]} is too large")
+    return value
 
 
 def _deeper(data: Any, levels: int) -> bool:
@@ -192,26 +208,33 @@ def _check_asset(document: Document) -> None:
             raise InputError(path, "extensionsRequired", name, rule)
         if name not in READABLE and "_materials_" not in name:
             raise InputError(path, "extensionsRequired", shown(name), "is not known: export the file without it")
-    if len(document.items("nodes")) > MAX_NODES:
-        found = f"{len(document.items('nodes'))} nodes"
-        raise InputError(path, "nodes", found, f"must be at most {MAX_NODES}")
+    for name, most in (("nodes", MAX_NODES), ("animations", MAX_CLIPS)):
+        if (count := len(document.items(name))) > most:
+            raise InputError(path, name, f"{count} {name}", f"must be at most {most}")
 
 
 def _buffers(document: Document) -> tuple[bytes, ...]:
-    """Returns the bytes of each buffer, cut to its length."""
+    """Returns the bytes of each buffer, cut to its length; a file that several name is read once."""
     found: list[bytes] = []
+    known: dict[str, bytes] = {}
+    total = 0
     for number, buffer in enumerate(document.items("buffers")):
         place = f"buffers[{number}]"
         uri, length = buffer.get("uri"), buffer.get("byteLength")
         if not is_index(length, MAX_BYTES + 1):
             rule = f"must be a whole number of bytes, at most {MAX_BYTES}"
             raise InputError(document.path, f"{place}.byteLength", shown(length), rule)
-        data = document.binary if uri is None and number == 0 else read_uri(document, uri, place)
+        if uri is None and number == 0:
+            data = document.binary
+        else:
+            data = known[uri] if isinstance(uri, str) and uri in known else read_uri(document, uri, place)
+            known[str(uri)] = data
         if len(data) < length:
             raise InputError(document.path, place, f"{len(data)} of {length} bytes", "must be whole: it is cut off")
-        found.append(data[:length])
-        if sum(map(len, found)) > MAX_BYTES:
+        total += length
+        if total > MAX_BYTES:
             raise InputError(document.path, "buffers", "too large", f"must be at most {MAX_BYTES} bytes together")
+        found.append(data[:length])
     return tuple(found)
 
 
@@ -231,7 +254,7 @@ def read_uri(document: Document, uri: Any, place: str = "uri") -> bytes:
         raise InputError(path, f"{place}.uri", shown(uri), "must name a file or hold the data")
     if uri.startswith("data:"):
         return _decode(path, uri, place)
-    return _read_bytes(_beside(path, uri, place))
+    return _read_bytes(_alongside(path, uri, place))
 
 
 def _decode(path: Path, uri: str, place: str) -> bytes:
@@ -244,7 +267,7 @@ def _decode(path: Path, uri: str, place: str) -> bytes:
         raise InputError(path, f"{place}.uri", shown(head), "must be valid base64 data") from None
 
 
-def _beside(path: Path, uri: str, place: str) -> Path:
+def _alongside(path: Path, uri: str, place: str) -> Path:
     """Returns the path of a file in the folder of the document, or below it."""
     name = urllib.parse.unquote(uri)
     parts = PurePosixPath(name).parts
@@ -253,9 +276,13 @@ def _beside(path: Path, uri: str, place: str) -> Path:
         rule = "must be a file in the folder of the glTF file, or in it"
         raise InputError(path, f"{place}.uri", shown(uri), rule)
     folder = path.parent.resolve()
-    target = folder.joinpath(*parts).resolve()
+    try:
+        target = folder.joinpath(*parts).resolve()
+        there = target.is_file()
+    except (OSError, UnicodeError, RuntimeError):  # too long, half a surrogate pair, links in a circle
+        raise InputError(path, f"{place}.uri", shown(uri), "must be the name of a file") from None
     if not target.is_relative_to(folder):  # a link that leads elsewhere
         raise InputError(path, f"{place}.uri", shown(uri), "must not lead out of the folder of the glTF file")
-    if not target.is_file():
+    if not there:
         raise InputError(path, f"{place}.uri", shown(uri), "no such file next to the glTF file")
     return target

@@ -17,15 +17,22 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.gltf.accessors import read_accessor
 from pfnn_jax.motion.gltf.bind_pose import Skin
-from pfnn_jax.motion.gltf.container import Document, shown
+from pfnn_jax.motion.gltf.container import Document, is_index, shown
 from pfnn_jax.motion.gltf.nodes import NodeTree
-from pfnn_jax.motion.skinned_mesh import strongest_weights, vertex_normals
+from pfnn_jax.motion.skinned_mesh import strongest_weights, unit_normals, vertex_normals
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Modes of primitives that have faces; points and lines are left out."""
 
-MAX_VERTICES = 4_000_000
-"""Most vertices and most faces of a character; detailed ones have a hundred thousand."""
+MAX_VERTICES = 2_000_000
+"""Most vertices of a character, counted once for every four joints that move them, and most faces; detailed
+characters have a hundred thousand."""
+
+MAX_PARTS = 2_000
+"""Most primitives of a character, counted again for each node that shows them; detailed ones have a hundred."""
+
+MAX_SETS = 8
+"""Most sets of four joints that move a vertex; exporters write one or two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +74,26 @@ def read_parts(
         InputError: for accessors out of range, vertices or joints that are not there, or too large meshes.
     """
     rows = {int(node): row for row, node in enumerate(nodes)}
-    carriers = [
-        next((rows[each] for each in tree.above(node) if each in rows), -1) for node in range(len(tree.parents))
+    carriers = [-1] * len(tree.parents)
+    for node in map(int, tree.order):
+        parent = int(tree.parents[node])
+        carriers[node] = rows.get(node, carriers[parent] if parent >= 0 else -1)
+    parts = [
+        _part(document, primitive, place, skin, bind, node, carriers)
+        for node, skin, primitive, place in _shown_parts(document, skins, carriers)
     ]
-    parts: list[Part] = []
+    return [part for part in parts if part is not None]
+
+
+def _shown_parts(
+    document: Document, skins: Sequence[Skin], carriers: Sequence[int]
+) -> list[tuple[int, Skin | None, dict[str, Any], str]]:
+    """Returns node, skin, JSON and place of the primitives that hang on joints, none of which is read yet.
+
+    Raises:
+        InputError: if they are too many or too large together.
+    """
+    found: list[tuple[int, Skin | None, dict[str, Any], str]] = []
     total = 0
     for number, node in enumerate(document.items("nodes")):
         if node.get("mesh") is None:
@@ -81,13 +104,28 @@ def read_parts(
             continue
         for at, primitive in enumerate(_primitives(document, mesh, node["mesh"])):
             place = f"meshes[{node['mesh']}].primitives[{at}]"
-            part = _part(document, primitive, place, skin, bind, number, carriers)
-            if part is not None:
-                parts.append(part)
-                total += max(len(part.vertices), len(part.faces))
+            found.append((number, skin, primitive, place))
+            total += _size(document, primitive)
+            if len(found) > MAX_PARTS:
+                rule = f"must be at most {MAX_PARTS} in all"
+                raise InputError(document.path, place, f"{len(found)} primitives", rule)
             if total > MAX_VERTICES:
                 raise InputError(document.path, place, f"{total} vertices", f"must be at most {MAX_VERTICES} in all")
-    return parts
+    return found
+
+
+def _size(document: Document, primitive: dict[str, Any]) -> int:
+    """Returns the vertices or faces of a primitive, whichever are more, as its accessors state them."""
+    attributes, mode = primitive.get("attributes"), primitive.get("mode", TRIANGLES)
+    if not isinstance(attributes, dict) or mode not in (TRIANGLES, STRIP, FAN):
+        return 0
+    vertices, corners = (
+        0 if index is None else document.item("accessors", index, name).get("count")
+        for name, index in (("POSITION", attributes.get("POSITION")), ("indices", primitive.get("indices")))
+    )
+    sets = sum(f"JOINTS_{number}" in attributes for number in range(MAX_SETS))
+    vertices, corners = (each if is_index(each, 2**62) else 0 for each in (vertices, corners))  # others are refused
+    return max(max(sets, 1) * vertices, corners // 3 if mode == TRIANGLES else corners)
 
 
 def _primitives(document: Document, mesh: dict[str, Any], number: int) -> list[dict[str, Any]]:
@@ -113,7 +151,7 @@ def _part(
     if "POSITION" not in attributes:
         return None
     points = read_accessor(document, attributes["POSITION"], "VEC3", f"{place}.POSITION").astype(float)
-    if not len(points) or len(points) > MAX_VERTICES:
+    if not len(points):
         return None
     faces = _faces(document, primitive, len(points), place)
     if skin is None:
@@ -142,8 +180,7 @@ def _posed(
         matrix, weight = matrices[joints[used, column]], share[used, column, None]
         moved[used] += weight * (np.einsum("vab,vb->va", matrix[:, :3, :3], points[used]) + matrix[:, :3, 3])
         turned[used] += weight * np.einsum("vab,vb->va", matrix[:, :3, :3], normals[used])
-    lengths = np.linalg.norm(turned, axis=1, keepdims=True)
-    return moved, np.where(lengths > 0, turned / np.where(lengths > 0, lengths, 1.0), [0.0, 1.0, 0.0])
+    return moved, unit_normals(turned)
 
 
 def _weights(
@@ -151,7 +188,7 @@ def _weights(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns joints of the skin [V, 4n] and weights [V, 4n]; a vertex without weights follows its first joint."""
     joints, weights = [], []
-    for number in range(8):
+    for number in range(MAX_SETS):
         names = [f"{name}_{number}" for name in ("JOINTS", "WEIGHTS")]
         if any(name not in attributes for name in names):
             break
@@ -180,9 +217,6 @@ def _faces(document: Document, primitive: dict[str, Any], count: int, place: str
         corners = read_accessor(document, primitive["indices"], "SCALAR", f"{place}.indices").astype(np.int64)
     if len(corners) and (corners.max() >= count or corners.min() < 0):
         raise InputError(document.path, f"{place}.indices", int(corners.max()), f"must be below {count} vertices")
-    if len(corners) > 3 * MAX_VERTICES:
-        found = f"{len(corners)} corners"
-        raise InputError(document.path, f"{place}.indices", found, f"must be at most {3 * MAX_VERTICES}")
     mode = primitive.get("mode", TRIANGLES)
     if mode == TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)

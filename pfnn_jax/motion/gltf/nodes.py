@@ -17,6 +17,12 @@ from pfnn_jax.motion.kinematics import quat_from_matrix, quat_to_matrix
 LARGEST = 1e6
 """Largest number in a transform, in the file's units."""
 
+LARGEST_PLACE = 1e12
+"""Largest number in a world matrix: scales multiply down the tree."""
+
+MAX_LEVELS = 256
+"""Most nodes above each other; spines, tails and hair have a few dozen."""
+
 
 @dataclass(frozen=True, eq=False)
 class NodeTree:
@@ -60,8 +66,8 @@ def read_nodes(document: Document) -> NodeTree:
     """Reads the nodes of a file.
 
     Raises:
-        InputError: if a node has two parents or is its own ancestor, or a transform is malformed, singular or not
-            finite.
+        InputError: if a node has two parents, is its own ancestor or is nested too deeply, or if a transform is
+            malformed, not finite or too large, or a `matrix` singular. Scales may be zero: exporters hide nodes so.
     """
     nodes = document.items("nodes")
     parents, order = _parents(document, nodes)
@@ -71,7 +77,13 @@ def read_nodes(document: Document) -> NodeTree:
         for part, shape in enumerate(((3,), (4,), (3,), (4, 4)))
     )
     names = tuple(name if isinstance(name := node.get("name"), str) else "" for node in nodes)
-    return NodeTree(names, parents, order, translations, rotations, scales, matrices)
+    tree = NodeTree(names, parents, order, translations, rotations, scales, matrices)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then is refused
+        far = ~(np.abs(tree.world()) <= LARGEST_PLACE).all(axis=(1, 2))
+    if far.any():
+        rule = f"scales and translations must leave nodes within {LARGEST_PLACE:g}"
+        raise InputError(document.path, f"nodes[{int(np.argmax(far))}]", "too large", rule)
+    return tree
 
 
 def decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -109,11 +121,16 @@ def _parents(document: Document, nodes: list[dict[str, Any]]) -> tuple[np.ndarra
             parents[child] = number
         children.append(below)
     order: list[int] = np.flatnonzero(parents < 0).tolist()
+    levels = np.ones(len(nodes), int)
     for node in order:  # grows while it is walked
         order.extend(children[node])
+        levels[children[node]] = levels[node] + 1
     if len(order) < len(nodes):
         looped = int(np.setdiff1d(np.arange(len(nodes)), order)[0])
         raise InputError(document.path, f"nodes[{looped}]", "is its own ancestor", "nodes must form a tree")
+    if len(nodes) and levels.max() > MAX_LEVELS:
+        found = f"{levels.max()} nodes above each other"
+        raise InputError(document.path, f"nodes[{int(np.argmax(levels))}]", found, f"must be at most {MAX_LEVELS}")
     return parents, np.array(order, int)
 
 

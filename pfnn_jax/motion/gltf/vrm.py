@@ -22,12 +22,12 @@ def humanoid_nodes(document: Document) -> dict[str, int]:
         humanoid = extension.get("humanoid") if isinstance(extension, dict) else None
         bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
         if isinstance(bones, list):  # VRM 0.x
-            bones = {bone.get("bone"): bone for bone in bones if isinstance(bone, dict)}
+            objects = [bone for bone in bones if isinstance(bone, dict)]
+            bones = {bone["bone"]: bone for bone in objects if isinstance(bone.get("bone"), str)}
         if isinstance(bones, dict):
             return {
-                bone: _node(document, entry, f"extensions.{name}.humanoid.{bone}")
+                bone: _node(document, entry, f"extensions.{name}.humanoid.humanBones[{shown(bone)}]")
                 for bone, entry in bones.items()
-                if isinstance(bone, str)
             }
     return {}
 

@@ -15,10 +15,11 @@ from pfnn_jax.motion.gltf.append import FLOAT, Animation, append_clips
 from pfnn_jax.motion.gltf.channels import clip_channels
 from pfnn_jax.motion.gltf.character import Character, Placement
 from pfnn_jax.motion.gltf.container import Document
+from pfnn_jax.motion.gltf.srgb import to_linear
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_rotate, quat_to_matrix
 from pfnn_jax.motion.root_motion import split_root
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.motion.skinned_mesh import SkinnedMesh
+from pfnn_jax.motion.skinned_mesh import SkinnedMesh, unit_normals
 
 ROOT = "root"
 """Name of the joint on the ground above the hips, which carries root motion: Unreal wants one."""
@@ -98,7 +99,9 @@ def _document(skeleton: Skeleton, mesh: SkinnedMesh) -> tuple[dict[str, Any], by
     """Returns the JSON and the binary chunk of a file with skeleton and body."""
     binary = _Binary()
     colours, kinds = np.unique(mesh.colours, axis=0, return_inverse=True)
-    primitives = [_primitive(binary, mesh, kinds.ravel(), number) for number in range(len(colours))]
+    kinds = kinds.ravel()
+    shown = np.unique(kinds[mesh.faces[:, 0]])  # a colour may be on no face's first vertex
+    primitives = [_primitive(binary, mesh, kinds, int(number)) for number in shown]
     joints = list(range(skeleton.num_joints + 1))
     bind = {"inverseBindMatrices": binary.add(_inverse_binds(mesh), FLOAT, "MAT4"), "joints": joints, "skeleton": 0}
     nodes = [*_joints(skeleton, mesh), {"name": "body", "mesh": 0, "skin": 0}]
@@ -151,7 +154,7 @@ def _primitive(binary: _Binary, mesh: SkinnedMesh, kinds: np.ndarray, number: in
     small = joints.max(initial=0) < 256
     attributes = {
         "POSITION": binary.add(positions, FLOAT, "VEC3", _ARRAY_BUFFER),
-        "NORMAL": binary.add(_unit(mesh.normals[used]).astype("<f4"), FLOAT, "VEC3", _ARRAY_BUFFER),
+        "NORMAL": binary.add(unit_normals(mesh.normals[used]).astype("<f4"), FLOAT, "VEC3", _ARRAY_BUFFER),
         "JOINTS_0": binary.add(
             joints.astype("<u1" if small else "<u2"), _UBYTE if small else _USHORT, "VEC4", _ARRAY_BUFFER
         ),
@@ -165,17 +168,10 @@ def _primitive(binary: _Binary, mesh: SkinnedMesh, kinds: np.ndarray, number: in
     return {"attributes": attributes, "indices": corners, "material": number}
 
 
-def _unit(normals: np.ndarray) -> np.ndarray:
-    """Returns normals [V, 3] of unit length, which glTF demands; those of faces without area point upwards."""
-    size = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.where(size > 1e-9, normals / np.maximum(size, 1e-9), (0.0, 1.0, 0.0))
-
-
 def _material(colour: np.ndarray) -> dict[str, Any]:
     """Returns a material of a colour [3] in sRGB; glTF states colours in linear light."""
-    share = colour / 255.0
-    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    surface = {"baseColorFactor": [*_plain(linear), 1.0], "metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
+    linear = _plain(to_linear(colour / 255.0))
+    surface = {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
     return {"pbrMetallicRoughness": surface}
 
 

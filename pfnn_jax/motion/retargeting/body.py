@@ -92,6 +92,11 @@ def parts_of(body: HumanoidMap) -> Iterator[Part]:
         yield from _limb_parts(body, side, LEG, body.hips, [-UP, -UP, FORWARD, FORWARD])
 
 
+def body_joints(body: HumanoidMap) -> list[int]:
+    """Returns the joints that turn the parts of a body, in the skeleton's order."""
+    return sorted({part.joint for part in parts_of(body)})
+
+
 def _limb_parts(
     body: HumanoidMap, side: str, names: tuple[str, ...], above: int, directions: list[np.ndarray]
 ) -> Iterator[Part]:
