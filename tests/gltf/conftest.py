@@ -84,9 +84,9 @@ class Three:
         return self._page.locator("#canvas").screenshot()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def three() -> Iterator[Three]:
-    """Three.js in headless Chromium, one page for all files."""
+    """Three.js in headless Chromium, one page for a module: a process drives one browser at a time."""
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
