@@ -62,12 +62,12 @@ class Config:
     chunk: int = 256
 
 
-def commands(speed: float, rate: float, aside: float, stop: int) -> tuple[np.ndarray, np.ndarray]:
+def commands(speed: float, rate: float, strafe_angle: float, stop: int) -> tuple[np.ndarray, np.ndarray]:
     """Returns velocities [T, 2] and directions [T, 2] of a walk that is to stop at a frame."""
     frame = np.arange(WALK + PHASES * APART + STAND + TURN + AGAIN)
     yaw = np.deg2rad(rate) * np.clip(frame - FPS, 0, stop - FPS) / FPS
     yaw = yaw + np.deg2rad(TURN_DEGREES) * (frame >= stop + STAND)
-    heading = yaw + np.deg2rad(aside) * (frame < stop)
+    heading = yaw + np.deg2rad(strafe_angle) * (frame < stop)
     moving = (frame < stop) | (frame >= stop + STAND + TURN)
     direction, travel = (np.stack([np.sin(angle), np.cos(angle)], -1).astype(np.float32) for angle in (yaw, heading))
     return np.float32(speed) * moving[:, None] * travel, direction

@@ -28,7 +28,6 @@ from pfnn_jax.control.standing import (
     StandingState,
     WalkingBody,
     mix_stances,
-    smooth,
     sway,
     update_standing,
 )
@@ -40,7 +39,7 @@ from pfnn_jax.control.tracking import (
     is_moving,
     limit_lookahead,
 )
-from pfnn_jax.control.vectors import length, lerp, to_3d
+from pfnn_jax.control.vectors import length, lerp, smoothstep, to_3d
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.layout import FrameLayout
@@ -285,7 +284,7 @@ def draw_body(
     standing = update_standing(
         state.standing, walk, stance, is_moving(command), command.direction, setup.rig.leg_length, setup.standing
     )
-    stands, share = standing.weight > 0.0, smooth(standing.weight)
+    stands, share = standing.weight > 0.0, smoothstep(standing.weight)
     from_hips = turn(root - walk.hips, angle_between(facing, standing.facing))
     state = replace(
         state,
@@ -345,7 +344,7 @@ def standing_pose(
 
 def _blended(setup: ControllerSetup, walked: Pose, facing: jax.Array, stance: Stance, standing: StandingState) -> Pose:
     """Returns the pose between the walk and the stance, which breathes and sways, before its feet are placed."""
-    share = smooth(standing.weight)
+    share = smoothstep(standing.weight)
     turned = quat_multiply(quat_from_yaw(-yaw_of(facing)), walked.rotations[0])
     rotations = _mix_rotations(walked.rotations.at[0].set(turned), stance.rotations, share)
     shift, pitch = sway(standing, setup.rig.leg_length, setup.standing)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import jax
@@ -109,10 +110,10 @@ def make_moves(controller: Controller, weights: np.ndarray, body: Embodiment) ->
     commands = [_commands(move, speed, fps) for move in MOVES.values()]
     start = replace(controller.start(), style=jnp.asarray(weights))
     run = jax.vmap(partial(rollout_commands, controller.setup, controller.params, start))
-    _, states = run(jax.tree.map(lambda *leaves: jnp.stack(leaves), *commands))
+    states = jax.tree.map(np.asarray, run(jax.tree.map(lambda *leaves: jnp.stack(leaves), *commands))[1])
     clips, notes = {}, []
     for number, (name, move) in enumerate(MOVES.items()):
-        own = jax.tree.map(lambda leaf: np.asarray(leaf[number]), states)  # noqa: B023 - used at once
+        own = jax.tree.map(itemgetter(number), states)
         try:
             clip = _clip(own, name, body)
             _check(move, _late(own), _late(commands[number]), fps, tracking)

@@ -5,7 +5,7 @@ walk the drawn body leaves the network's motion for the stance of its style (`St
 
 - Stopping. The hips come to rest a distance of their velocity over `rest_rate` ahead, without overshoot: the
   instantaneous capture point, where a walking body can stop. If a foot that is on the floor stands near enough to its
-  place in a stance there, it stays, and the other comes beside it; else the foot in the air lands there first, and the
+  place in a stance there, it stays, and the other steps next to it; else the foot in the air lands there first, and the
   other follows. Feet in the air leave with the velocity that they have.
 - Standing. The rest of the body blends into the stance, breathes, and shifts its weight a little.
 - Turning. From `turn_delay` on, the body turns to the commanded direction, and a foot that is too far from its place
@@ -29,7 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.vectors import length, lerp, to_3d, unit
+from pfnn_jax.control.vectors import length, lerp, smoothstep, to_3d, unit
 from pfnn_jax.errors import check_positive
 from pfnn_jax.motion.ground import angle_between, to_world, turn
 
@@ -238,7 +238,7 @@ def _walk(
     """Returns the state of a character that walks: the network's, and what is left of the offsets."""
     hips_offset = jnp.where(leaves, before.hips - walk.hips, before.hips_offset)
     feet_offset = jnp.where(leaves, before.feet - walk.feet, before.feet_offset)
-    share = smooth(weight)
+    share = smoothstep(weight)
     hips, feet = walk.hips + share * hips_offset, walk.feet + share * feet_offset
     return replace(
         before,
@@ -391,7 +391,7 @@ def _step_feet(
 def _swing(start: jax.Array, velocity: jax.Array, end: jax.Array, share: jax.Array) -> jax.Array:
     """Returns the cubic from a start with a velocity (per whole share) to an end at rest, at a share in [0, 1]."""
     back = 1.0 - share
-    return lerp(start, end, smooth(share)) + velocity * (share * back * back)
+    return lerp(start, end, smoothstep(share)) + velocity * (share * back * back)
 
 
 def _step_height(
@@ -404,16 +404,11 @@ def _step_height(
     return height * jnp.clip(1.0 - rise / (least * leg_length), 0.0, 1.0)
 
 
-def smooth(share: jax.Array) -> jax.Array:
-    """Returns the smoothstep of a share in [0, 1]."""
-    return share * share * (3.0 - 2.0 * share)
-
-
 def sway(state: StandingState, leg_length: float, config: StandingConfig) -> tuple[jax.Array, jax.Array]:
     """Returns the weight shift of the hips [] in metres to the left, and the pitch [] of the chest in radians."""
     (shift_seconds, breath_seconds), (shift, breath) = config.sway_seconds, config.sway
     time = jnp.maximum(state.seconds - config.turn_delay, 0.0)
-    share = smooth(state.weight) * smooth(jnp.clip(time, 0.0, 1.0))
+    share = smoothstep(state.weight) * smoothstep(jnp.clip(time, 0.0, 1.0))
     angle = 2.0 * math.pi * time
     shifted = 0.8 * jnp.sin(angle / shift_seconds) + 0.2 * jnp.sin(3.0 * angle / shift_seconds)
     return share * shift * leg_length * shifted, share * breath * jnp.sin(angle / breath_seconds)

@@ -23,6 +23,11 @@ def to_3d(ground: jax.Array) -> jax.Array:
     return jnp.stack([ground[0], jnp.zeros_like(ground[0]), ground[1]])
 
 
+def smoothstep(share: jax.Array) -> jax.Array:
+    """Returns the smoothstep of shares [...] in [0, 1]."""
+    return share * share * (3.0 - 2.0 * share)
+
+
 def length(v: jax.Array) -> jax.Array:
     """Returns the lengths [...] of vectors [..., N], with gradient 0 at 0."""
     squared = jnp.sum(v * v, axis=-1)

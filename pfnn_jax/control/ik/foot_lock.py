@@ -19,7 +19,7 @@ from flax import struct
 
 from pfnn_jax.control.ik.limb import forward_of
 from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics
-from pfnn_jax.control.vectors import length
+from pfnn_jax.control.vectors import length, smoothstep
 from pfnn_jax.errors import check_positive
 from pfnn_jax.motion.kinematics import quat_between, quat_conjugate, quat_multiply, quat_rotate
 from pfnn_jax.motion.two_bone import bend
@@ -137,7 +137,7 @@ def plan_feet(
     needed = needed_drop(rig, positions, targets, config)
     drop, speed = critically_damped_step(locks.drop[0] - needed, locks.drop[1], config)
     locks = replace(locks, drop=jnp.stack([needed + drop, speed]))
-    return targets.reshape(2, 2, 3), _smooth(locks.strength[np.array([1, 3])]), locks
+    return targets.reshape(2, 2, 3), smoothstep(locks.strength[np.array([1, 3])]), locks
 
 
 def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, config: FootLockConfig) -> FootLocks:
@@ -232,8 +232,3 @@ def _solve_leg(
 def _squared(v: jax.Array) -> jax.Array:
     """Returns the squared lengths [4] of v [4, 3]."""
     return jnp.sum(v * v, axis=-1)
-
-
-def _smooth(share: jax.Array) -> jax.Array:
-    """Returns the smoothstep of a share in [0, 1]."""
-    return share * share * (3.0 - 2.0 * share)

@@ -11,6 +11,7 @@ from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import quat_rotate
 from pfnn_jax.motion.retargeting.body import SIDES, limb, neck_chain, torso_chain
 from pfnn_jax.motion.retargeting.reference import reference_pose
+from pfnn_jax.motion.retargeting.retarget import place_joints
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
 from pfnn_jax.viewer.body.part import unit
 
@@ -132,11 +133,7 @@ class Anatomy:
 def anatomy_of(skeleton: Skeleton, body: HumanoidMap) -> Anatomy:
     """Returns a skeleton with a humanoid map in its reference pose."""
     rotations = _reference(skeleton, body)
-    positions = np.zeros((skeleton.num_joints, 3))
-    for joint in range(skeleton.num_joints):
-        parent = skeleton.parents[joint]
-        if parent >= 0:
-            positions[joint] = positions[parent] + quat_rotate(rotations[parent], skeleton.offsets[joint])
+    positions = place_joints(skeleton, np.zeros(3), rotations)
     positions -= positions[body.hips].copy()
     found = Anatomy(skeleton, body, positions, rotations, 1.0)
     return replace(found, size=_size(found))

@@ -16,7 +16,8 @@ import numpy as np
 
 from pfnn_jax.motion.features.layout import FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, load_normaliser
-from pfnn_jax.motion.kinematics import quat_exp, quat_from_forward_up, quat_rotate
+from pfnn_jax.motion.kinematics import quat_exp, quat_from_forward_up
+from pfnn_jax.motion.retargeting.retarget import place_joints
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
 from pfnn_jax.run_config import load_config
 from pfnn_jax.viewer.page import widgets
@@ -78,11 +79,7 @@ def mean_pose(layout: FrameLayout, normaliser: Normaliser, skeleton: Skeleton) -
         rotations = np.asarray(quat_exp(block(mean, "joint_rotation")))
     else:
         rotations = np.asarray(quat_from_forward_up(block(mean, "joint_forward"), block(mean, "joint_up")))
-    joints = np.zeros((skeleton.num_joints, 3))
-    joints[0] = block(mean, "joint_position")[0] * layout.length_unit
-    for joint in range(1, skeleton.num_joints):
-        parent = skeleton.parents[joint]
-        joints[joint] = joints[parent] + quat_rotate(rotations[parent], skeleton.offsets[joint])
+    joints = place_joints(skeleton, block(mean, "joint_position")[0] * layout.length_unit, rotations)
     if skeleton.roles is not None:
         feet = [*skeleton.roles.left_foot, *skeleton.roles.right_foot]
         # In most frames of any gait a foot is near the ground, about one standard deviation below its mean height.

@@ -99,8 +99,8 @@ def bend(upper, middle, end, target, pole):
     """
     u, v = middle - upper, end - middle
     axis = _hinge(u, v, pole)
-    along, aside = u @ v, cross(axis, v) @ u
-    both, squares, bent = np.hypot(along, aside), u @ u + v @ v, -np.arctan2(aside, along)
+    along, across = u @ v, cross(axis, v) @ u
+    both, squares, bent = np.hypot(along, across), u @ u + v @ v, -np.arctan2(across, along)
     longest = np.sqrt(squares + 2.0 * both)
     distance = _soft(np.linalg.norm(target - upper), np.linalg.norm(end - upper), longest)
     cosine = (distance**2 - squares) / (2.0 * max(both, 1e-9))
