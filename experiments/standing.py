@@ -8,7 +8,7 @@ Data      the given runs. Every style walks off from standing and walks straight
           its side, or at 1.5 times its natural speed; it is commanded to stop in 16 moments over 1.3 seconds, to turn
           by 120 degrees on the spot two seconds later, and to walk again two seconds after that.
 Measure   heights one second after the command over those of feet that stand flat in the run's data, or else over the
-          lowest twentieth of the heights of the same joint while the style walks straight; the share of stops with a
+          lower quartile of the heights of the same joint in contact while the style walks straight; the share of stops with a
           toe or heel more than 1 cm off, and with a toe 3 cm above the other; the largest speed of a joint after the
           command, relative to the largest during the walk before it, and the same joint by joint.
 Expect    see docs/results_appendix.md. Three minutes for 10 styles on 2 cores.
@@ -89,14 +89,15 @@ def stops(controller: Controller, chunk: int, resting: np.ndarray | None) -> dic
         walks = [commands(KINDS[k][0] * speeds[s], *KINDS[k][1:], WALK + APART * p) for s, k, p in part]
         velocity, direction = (jnp.asarray(np.stack(values)) for values in zip(*walks, strict=True))
         state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(starts[s] for s, _, _ in part))
-        joints, facing = many(
+        joints, facing, contacts = many(
             controller.params,
             state,
             Command(velocity=velocity, direction=direction),
             jnp.asarray(weights[[s for s, _, _ in part]]),
         )
         for i in range(min(chunk, len(cases) - first)):
-            measured = _measure(controller, np.asarray(joints[i]), np.asarray(facing[i]), WALK + APART * part[i][2])
+            walk = (np.asarray(values[i]) for values in (joints, facing, contacts))
+            measured = _measure(controller, *walk, WALK + APART * part[i][2])
             for name, value in measured.items():
                 found.setdefault(name, []).append(value)
     shape = (styles, len(KINDS), PHASES)
@@ -116,10 +117,10 @@ def _walk(setup, params, state, command, style):
     rows = jnp.broadcast_to(style, (len(command.velocity), *style.shape))
     command = Command(velocity=command.velocity, direction=command.direction, style=rows)
     states = rollout_commands(setup, params, state, command)[1]
-    return states.joints, states.facing
+    return states.joints, states.facing, states.contacts
 
 
-def _measure(controller: Controller, joints: np.ndarray, facing: np.ndarray, stop: int) -> dict:
+def _measure(controller: Controller, joints: np.ndarray, facing: np.ndarray, contacts: np.ndarray, stop: int) -> dict:
     feet = joints[:, list(controller.setup.rig.feet)]
     speed = np.linalg.norm(np.diff(joints, axis=0), axis=-1) * FPS  # row t: from t to t + 1
     walking = speed[2 * FPS : stop - 1].max(0)
@@ -129,7 +130,8 @@ def _measure(controller: Controller, joints: np.ndarray, facing: np.ndarray, sto
         "off": slice(stop + STAND + TURN - 1, stop + STAND + TURN + FPS - 1),
         "first start": slice(0, FPS),
     }
-    floor = np.quantile(feet[FPS:stop, :, 1], 0.05, axis=0)
+    touching = np.where(contacts[FPS:stop] > 0.5, feet[FPS:stop, :, 1], np.nan)
+    floor = np.nanquantile(touching, 0.25, axis=0)
     accelerations = np.linalg.norm(np.diff(joints, n=2, axis=0), axis=-1) * FPS**2
     measured: dict[str, Any] = {"floor": floor, "feet": feet[stop + FPS, :, 1]}
     for name, frames in parts.items():

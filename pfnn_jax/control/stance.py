@@ -9,6 +9,7 @@ over the feet.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -26,7 +27,7 @@ from pfnn_jax.control.controller_state import (
     predicted_frame,
     style_speed,
 )
-from pfnn_jax.control.ik.pose import Rig
+from pfnn_jax.control.ik.pose import Rig, forward_kinematics, pose_from_world
 from pfnn_jax.control.loop.state import ROOT, CharacterState, carry_state, initial_state
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.standing import GROUND, Stance
@@ -72,7 +73,8 @@ def find_stances(setup: ControllerSetup, params: ControllerParams, rows: Sequenc
 def _walks(
     setup: ControllerSetup, params: ControllerParams, weights: np.ndarray
 ) -> tuple[PredictedFrame, WaitingFrame]:
-    """Returns the frames of walks of styles [S, C] straight ahead, and the frame in which each waits."""
+    """Returns the frames of walks of styles [S, C] straight ahead, with joints on rigid bones, and the frame in which
+    each waits."""
     layout, rig = setup.layout, setup.rig
 
     def walk(weights: jax.Array) -> tuple[PredictedFrame, WaitingFrame]:
@@ -93,9 +95,16 @@ def _walks(
         angle = -yaw_of(waiting.frame.facing)
         shift = -turn(waiting.frame.root, angle)
         motion, placed = carry_state(waiting.motion, angle, shift), carry_frame(waiting.frame, angle, shift)
-        return found.frame, WaitingFrame(motion=motion, frame=placed)
+        return jax.vmap(partial(_on_rigid_bones, rig))(found.frame), WaitingFrame(motion=motion, frame=placed)
 
     return jax.vmap(walk)(jnp.asarray(weights))
+
+
+def _on_rigid_bones(rig: Rig, frame: PredictedFrame) -> PredictedFrame:
+    """Returns a predicted frame with the joints [J, 3] where a body that is drawn has them: the feet of the predicted
+    joints can be centimetres higher."""
+    pose = pose_from_world(rig, frame.joints[0], frame.rotations)
+    return replace(frame, joints=forward_kinematics(rig, pose)[0])
 
 
 def _stance_of(rig: Rig, walk: PredictedFrame, foot_heights: np.ndarray) -> Stance:
@@ -112,8 +121,7 @@ def _stance_of(rig: Rig, walk: PredictedFrame, foot_heights: np.ndarray) -> Stan
     feet = joints[:, list(rig.feet)].reshape(-1, 2, 2, 3)
     stood = weights[:, None, None] * walk.contacts.reshape(-1, 2, 2) ** 4
     share = stood.sum(0)
-    heights = (stood * feet[..., 1]).sum(0) / np.maximum(share, 1e-6)
-    heights = np.where(share > MIN_STOOD, heights, foot_heights)
+    heights = np.where(share > MIN_STOOD, _weighted_quartile(feet[..., 1], stood), foot_heights)
     if rig.resting_heights is not None:
         heights = np.array(rig.resting_heights)
     flat = stood.min(-1) + 1e-3 * weights[:, None]
@@ -129,6 +137,17 @@ def _stance_of(rig: Rig, walk: PredictedFrame, foot_heights: np.ndarray) -> Stan
         "chest": turned[rig.chest or 0],
     }
     return Stance(**{name: jnp.asarray(value) for name, value in found.items()})
+
+
+def _weighted_quartile(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Returns the lower quartiles over the first axis of values [T, ...] with weights [T, ...].
+
+    A joint that is in contact is higher while the foot rolls over it than while the foot is flat.
+    """
+    order = np.argsort(values, axis=0)
+    values, weights = (np.take_along_axis(array, order, axis=0) for array in (values, weights))
+    below = np.cumsum(weights, axis=0) < 0.25 * weights.sum(0)
+    return np.take_along_axis(values, below.sum(0)[None], axis=0)[0]
 
 
 def _mean_rotation(rotations: np.ndarray, weights: np.ndarray) -> np.ndarray:
