@@ -8,9 +8,9 @@ Data      the given runs. Every style walks off from standing and walks straight
           its side, or at 1.5 times its natural speed; it is commanded to stop in 16 moments over 1.3 seconds, to turn
           by 120 degrees on the spot two seconds later, and to walk again two seconds after that.
 Measure   heights one second after the command over those of feet that stand flat in the run's data, or else over the
-          lower quartile of the heights of the same joint in contact while the style walks straight; the share of stops with a
-          toe or heel more than 1 cm off, and with a toe 3 cm above the other; the largest speed of a joint after the
-          command, relative to the largest during the walk before it, and the same joint by joint.
+          lower quartile of the heights of the same joint in contact while the style walks straight; the share of
+          stops with a toe or heel more than 1 cm off, and with a toe 3 cm above the other; the largest speed of a
+          joint after the command, relative to the largest during the walk before it, and the same joint by joint.
 Expect    see docs/results_appendix.md. Three minutes for 10 styles on 2 cores.
 Run       python -m experiments.standing --runs RUN [RUN ...]
 """
@@ -120,7 +120,9 @@ def _walk(setup, params, state, command, style):
     return states.joints, states.facing, states.contacts
 
 
-def _measure(controller: Controller, joints: np.ndarray, facing: np.ndarray, contacts: np.ndarray, stop: int) -> dict:
+def _measure(
+    controller: Controller, joints: np.ndarray, facing: np.ndarray, contacts: np.ndarray, stop: int
+) -> dict[str, Any]:
     feet = joints[:, list(controller.setup.rig.feet)]
     speed = np.linalg.norm(np.diff(joints, axis=0), axis=-1) * FPS  # row t: from t to t + 1
     walking = speed[2 * FPS : stop - 1].max(0)

@@ -73,8 +73,7 @@ def find_stances(setup: ControllerSetup, params: ControllerParams, rows: Sequenc
 def _walks(
     setup: ControllerSetup, params: ControllerParams, weights: np.ndarray
 ) -> tuple[PredictedFrame, WaitingFrame]:
-    """Returns the frames of walks of styles [S, C] straight ahead, with joints on rigid bones, and the frame in which
-    each waits."""
+    """Returns the frames, on rigid bones, of straight walks of styles [S, C], and the frame in which each waits."""
     layout, rig = setup.layout, setup.rig
 
     def walk(weights: jax.Array) -> tuple[PredictedFrame, WaitingFrame]:
@@ -101,8 +100,10 @@ def _walks(
 
 
 def _on_rigid_bones(rig: Rig, frame: PredictedFrame) -> PredictedFrame:
-    """Returns a predicted frame with the joints [J, 3] where a body that is drawn has them: the feet of the predicted
-    joints can be centimetres higher."""
+    """Returns a predicted frame with its joints [J, 3] on the rig's bones, as a drawn body has them.
+
+    The feet among the predicted joints can be centimetres higher.
+    """
     pose = pose_from_world(rig, frame.joints[0], frame.rotations)
     return replace(frame, joints=forward_kinematics(rig, pose)[0])
 
