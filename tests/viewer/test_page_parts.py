@@ -162,6 +162,11 @@ def test_the_yaw_of_a_camera():
     assert camera_yaw([0.0, 3.0, 0.0], [0.0, 0.0, 0.0]) is None
 
 
+def test_advised_options_are_those_of_the_command_line():
+    lines = widgets.message("warning", "Note: pass `--unit` if that is wrong.\nWarning: few steps.")
+    assert lines.count("(on the command line)") == 1 and "few steps.<" in lines
+
+
 def test_no_zero_has_a_sign():
     assert [widgets.plain_number(value, 2) for value in (-0.0, -0.004, 0.004, -0.006)] == ["0.00"] * 3 + ["-0.01"]
 

@@ -250,6 +250,16 @@ def test_only_learned_styles_can_be_renamed_and_deleted(panel):
     assert panel._picker._manage.visible
 
 
+def test_a_refused_name_is_shown_below_its_button_until_another_style_is_chosen(panel):
+    picker = panel._picker
+    panel.serve(0.0)
+    picker._managed(picker._rename_style)
+    assert picker._refusal.visible and "new name" in picker._refusal.content
+    picker.select("run", "neutral")
+    panel.serve(0.1)
+    assert not picker._refusal.visible
+
+
 def test_a_style_is_named_before_it_is_learned(panel, client, monkeypatch):
     names = []
 

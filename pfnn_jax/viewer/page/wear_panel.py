@@ -34,6 +34,12 @@ CHARACTERS = ",".join(CHARACTER_SUFFIXES)
 
 FIRST_NOTE = "Drop in a rigged GLB or VRM character and drive it."
 
+CHOOSE = "Choose under Character."
+"""Where to answer what is asked about a file."""
+
+NOTICE_SECONDS = 10.0
+"""After which a notice of the question goes; the question itself stays below the controls."""
+
 NOTHING = ("", b"", FileContent("", (), False))
 """Name, bytes and content of no file."""
 
@@ -112,8 +118,11 @@ class WearPanel:
             self._ask(content._replace(clips=(), body=False), "")
             self._learn_given(content.clips[0])
         else:
-            self._ask(content, _question(content))
-            self._client.add_notification(f"{content.name}: wear it or learn from it?", "Choose under Character.")
+            question = _question(content)
+            self._ask(content, question)
+            self._client.add_notification(question, CHOOSE, auto_close_seconds=NOTICE_SECONDS)
+            if not wear:
+                self._refuse("plain", CHOOSE)
 
     def set_skeleton(self, skeleton: Skeleton) -> None:
         """Sets the skeleton that is driven; takes a character off that its motion cannot be put onto, and says so."""
