@@ -59,9 +59,7 @@ class StylePicker:
             self._new_name = gui.add_text("New name", "")
             self._rename = gui.add_button("Rename", color=rgb(BUTTON))
             self._delete = gui.add_button("Delete", color=rgb(BUTTON))
-        self._refusal = gui.add_html(
-            "", visible=False
-        )  # near the buttons: the message of the clips may be out of sight
+        self._refusal = gui.add_html("", visible=False)
         self._restore = gui.add_button("Undo", color=rgb(BUTTON), visible=False)
         self._set_seen(self._run.value, self._style.value)
         self._values.set(shares=self._share_field.value)

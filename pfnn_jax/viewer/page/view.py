@@ -12,6 +12,7 @@ import numpy as np
 from pfnn_jax.control.loop.state import ROOT, STRIDE
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.motion.kinematics import quat_normalise
 
 if TYPE_CHECKING:
     from pfnn_jax.control.controller import ControllerState
@@ -108,7 +109,7 @@ def at_moment(view: View) -> View:
     return replace(
         view,
         joints=shares[0] * joints + shares[1] * view.joints,
-        world_rotations=between / np.linalg.norm(between, axis=-1, keepdims=True),
+        world_rotations=quat_normalise(between),
         root=shares[0] * root + shares[1] * view.root,
     )
 
