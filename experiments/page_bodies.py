@@ -23,9 +23,9 @@ import websockets
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_from_axis_angle
 from pfnn_jax.motion.synthetic.walks import synthesise
-from pfnn_jax.viewer.page.outfit import Outfit, read_outfit
 from pfnn_jax.viewer.page.scene import PageScene
 from pfnn_jax.viewer.page.view import View
+from pfnn_jax.viewer.page.worn_character import WornCharacter, read_worn_character
 
 JOINTS = (22, 67, 141)
 
@@ -88,33 +88,24 @@ def moments(clip: MotionClip) -> list[View]:
             world_rotations=rotations[t],
             root=roots[t],
             facing=ahead,
-            heading=0.0,
             past_positions=roots[t - 60 : t + 1 : 10],
             past_directions=np.tile(ahead, (7, 1)),
             future_positions=roots[t : t + 60 : 10],
             future_directions=np.tile(ahead, (6, 1)),
             contacts=np.abs(np.sin(t / 10 + np.arange(4))),
-            dials=(),
-            speed=1.0,
-            wanted_speed=1.0,
-            style_weights={},
-            step_milliseconds=0.0,
-            steps_per_second=60.0,
-            recorded_seconds=None,
-            recording=False,
         )
         for t in range(60, clip.num_frames - 60, 2)
     ]
 
 
-def measure(clip: MotionClip, outfit: Outfit | None = None) -> tuple[float, float]:
+def measure(clip: MotionClip, worn: WornCharacter | None = None) -> tuple[float, float]:
     """Returns kilobytes and milliseconds of computing for a picture, the median of the latter."""
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     received = Received(server.get_port())
     scene, views, times = PageScene(server.scene), moments(clip), []
     scene.set_skeleton(clip.skeleton)
-    if outfit is not None:
-        scene.wear(outfit)
+    if worn is not None:
+        scene.wear(worn)
     time.sleep(2.0)  # until the page is set up
     before = received.count
     for number in range(PICTURES):
@@ -132,11 +123,11 @@ def main(config: Config) -> None:
     """Prints a row for each body."""
     clip, _ = synthesise("zombie", np.zeros(300), np.full(300, 1.2))
     print("| body | joints | kB a picture | ms a picture |\n| --- | --- | --- | --- |")
-    outfits = [read_outfit(path.name, path.read_bytes()) for path in config.worn]
-    for outfit in outfits:
-        sent, spent = measure(clip, outfit)
-        print(f"| {outfit.name}, worn | {outfit.skeleton.num_joints} | {sent:.1f} | {spent:.1f} |", flush=True)
-    for joints in () if outfits else JOINTS:
+    bodies = [read_worn_character(path.name, path.read_bytes()) for path in config.worn]
+    for worn in bodies:
+        sent, spent = measure(clip, worn)
+        print(f"| {worn.name}, worn | {worn.skeleton.num_joints} | {sent:.1f} | {spent:.1f} |", flush=True)
+    for joints in () if bodies else JOINTS:
         sent, spent = measure(with_joints(clip, joints))
         print(f"| its own | {joints} | {sent:.1f} | {spent:.1f} |", flush=True)
 

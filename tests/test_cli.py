@@ -23,6 +23,7 @@ from pfnn_jax.cli.command_line import COMMANDS, in_options, load_command
 from pfnn_jax.cli.predict import Predict
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
+from pfnn_jax.motion.clip_files import read_clip
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
 from pfnn_jax.run import fingerprint, load_run, load_style
 from pfnn_jax.run_config import list_styles, style_note, train_step
@@ -286,6 +287,13 @@ def test_generate_starts_standing_at_the_start_of_its_path(folder, tmp_path):
     assert clip.num_frames == 60
     first, second = clip.root_positions[:2, [0, 2]]
     assert np.linalg.norm(first) < 0.3 and 60.0 * np.linalg.norm(second - first) < 0.5
+
+
+def test_a_generated_clip_can_be_named(folder, tmp_path, monkeypatch):
+    walk = synthesise("proud", np.zeros(60), np.ones(60))[0]
+    monkeypatch.setattr("pfnn_jax.workflows.generate.generate_clip", lambda *_, **__: walk)
+    run("generate", folder / "run", "--name", "walk-loop", "--out", tmp_path / "a.glb")
+    assert read_clip(tmp_path / "a.glb", clip_name="walk-loop", travel="keep").num_frames == 60
 
 
 def test_tables_of_a_phase_need_the_published_loop(folder, tmp_path, refused):

@@ -50,6 +50,13 @@ def test_a_character_gets_one_more_clip_in_place(folder):
     assert travel_of(folder / "more.glb", clip_name="walk") < STAYS
 
 
+def test_a_clip_whose_name_is_taken_is_given_another_and_says_so(folder, capsys):
+    onto = ("--onto", folder / "character.glb", "--out", folder / "second.glb")
+    run("retarget", folder / "walk.bvh", *onto, "--name", "first")
+    assert "called 'first_2'" in capsys.readouterr().out
+    assert travel_of(folder / "second.glb", clip_name="first_2") < STAYS
+
+
 def test_root_motion_travels(folder):
     run("retarget", folder / "walk.bvh", "--out", folder / "travels.glb", "--root-motion")
     assert travel_of(folder / "travels.glb") > TRAVELS

@@ -32,6 +32,7 @@ class Generate(Command):
             them.
         out: the file to write: .bvh in centimetres, .glb, .vrm for a VRM character, or .vrma for every VRM character.
         file: whose body moves.
+        name: of the clip in a GLB file; by default its style.
         overwrite: replace an existing file.
     """
 
@@ -46,6 +47,7 @@ class Generate(Command):
     mode: Mode = "cubic"
     foot_ik: bool = True
     file: Annotated[MotionFile, FLAT] = MotionFile()
+    name: str | None = None
     overwrite: bool = False
 
     def run(self) -> Any:
@@ -69,7 +71,7 @@ class Generate(Command):
             stage("compiling the network and walking the path")
             clip = generate_clip(run, style, path, published_loop=self.published_loop, mode=self.mode, **options)
             stage("writing")
-            clip = self.file.write(self.out, clip, self.overwrite)
+            clip = self.file.write(self.out, clip, self.overwrite, self.name)
         seconds = clip.num_frames / clip.fps
         print(f"{self.out}: {seconds:.1f} s")
         return {"out": self.out, "seconds": seconds, "frames": clip.num_frames}

@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.control.controller import Controller
+from pfnn_jax.control.controller_state import style_speed
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.tracking import TrackingConfig
 from pfnn_jax.motion.ground import angle_between
@@ -43,7 +45,7 @@ def can_strafe(controller: Controller, style: str, seconds: float = STRAFE_SECON
     if tracking is None:
         raise ValueError("`controller` must have command tracking.")
     weights = controller.style_weights(style)
-    speed = float(controller.params.speeds[controller.styles.index(style)]) or float(controller.params.default_speed)
+    speed = float(style_speed(controller.params, jnp.asarray(weights)).natural)
     for side in (1.0, -1.0):
         arrays: dict[str, Any] = {
             "velocity": np.asarray([side * speed, 0.0], np.float32),

@@ -32,9 +32,32 @@ from flax import struct
 from pfnn_jax.control.vectors import length, lerp, smoothstep, to_3d, unit
 from pfnn_jax.errors import check_positive
 from pfnn_jax.motion.ground import angle_between, to_world, turn
+from pfnn_jax.motion.kinematics import quat_normalise
 
 GROUND = np.array([0, 2])
 """Axes of the ground in a position."""
+
+CONTACT = 0.5
+"""Predicted contact from which a foot stands on the floor."""
+
+LANDING = 2.5
+"""Multiple of distance over speed in which a foot in the air lands: `_swing` overshoots from 3 on."""
+
+LEAST_LANDING = 0.75
+"""Of the least duration of a step, for a foot that is in the air already and lands near."""
+
+FLIGHT_SECONDS = 0.12
+"""For which a foot in the air flies on at least with the velocity that it has: nearer, it would have to turn back."""
+
+SLOWEST = 1e-3
+"""Metres per second; below, a speed counts as this one, so that no duration is infinite."""
+
+INSIDE_FIRST = 0.1
+"""Added to the need of the foot on the inside of a turn, and taken from the other's, so that only one steps."""
+
+SECOND_WAVE, SECOND_SHARE = 3.0, 0.2
+"""Frequency of the second wave of the weight shift relative to the first, and its share: a single sine looks like a
+pendulum. A whole multiple, so that standing repeats."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +196,7 @@ def mix_stances(stances: Stance, weights: jax.Array) -> Stance:
 
     stances = replace(stances, rotations=aligned(stances.rotations), chest=aligned(stances.chest))
     mixed = jax.tree.map(lambda leaf: jnp.tensordot(weights, leaf, 1), stances)
-    rotations, chest = (q / jnp.maximum(length(q)[..., None], 1e-6) for q in (mixed.rotations, mixed.chest))
+    rotations, chest = quat_normalise(mixed.rotations), quat_normalise(mixed.chest)
     return replace(mixed, rotations=rotations, chest=chest)
 
 
@@ -266,15 +289,14 @@ def _begin_stop(
     """Returns the state of a character that walked until now: where it will stand, and what its feet do first."""
     floor, facing = stance.feet[..., 1], walked.facing
     above = walked.feet[..., 1] - floor
-    down = (jnp.max(walk.contacts, axis=1) >= 0.5) & (jnp.min(above, axis=1) < config.down_height * leg_length)
+    down = (jnp.max(walk.contacts, axis=1) >= CONTACT) & (jnp.min(above, axis=1) < config.down_height * leg_length)
     flat = _flat(walked.feet, above, stance)
     launch = (walked.feet - before.feet) * config.fps
     centre = _rest_place(walked, flat, down, launch, stance, leg_length, config)
     land = jnp.where(down[:, None, None], flat, _places(stance, centre, facing))
-    # A cubic with this velocity at its beginning and none at its end does not overshoot within this time.
     distance, speed = (length(_middle(values)) for values in (land - walked.feet, launch))
     shortest, longest = config.step_seconds
-    airborne = jnp.clip(2.5 * distance / jnp.maximum(speed, 1e-3), 0.75 * shortest, longest)
+    airborne = jnp.clip(LANDING * distance / jnp.maximum(speed, SLOWEST), LEAST_LANDING * shortest, longest)
     # From where the body was: `_stand` makes the step of this frame.
     return replace(
         walked,
@@ -319,7 +341,7 @@ def _rest_place(
     distance = jnp.where(down, length(apart), jnp.inf)
     kept = jnp.take(apart, jnp.argmin(distance), axis=0)
     # A foot in the air lands no less far ahead than it flies.
-    flying = jnp.einsum("fi,i->f", _middle(walked.feet + 0.12 * launch) - places, unit(ahead))
+    flying = jnp.einsum("fi,i->f", _middle(walked.feet + FLIGHT_SECONDS * launch) - places, unit(ahead))
     reach = jnp.clip(jnp.max(jnp.where(down, 0.0, flying)), 0.0, length(ahead)) * unit(ahead)
     return capture + jnp.where(jnp.min(distance) < config.keep_distance * leg_length, kept, reach)
 
@@ -362,11 +384,11 @@ def _step_feet(
     turning = jnp.abs(state.turn_rate) / config.max_turn_rate
     need = distance / (config.step_distance * leg_length) + off / (config.step_angle + turning * config.turning_angle)
     # Of two feet that need it alike, the one on the inside of the turn steps first.
-    need = jnp.where(need > 1.0, need + 0.1 * jnp.sign(state.turn_rate) * np.array([1.0, -1.0]), 0.0)
+    need = jnp.where(need > 1.0, need + INSIDE_FIRST * jnp.sign(state.turn_rate) * np.array([1.0, -1.0]), 0.0)
     lifts = (need > 0.0) & (need >= need[::-1]) & ~state.stepping.any()
     lifts = lifts & ~(lifts[::-1] & np.array([False, True]))
     begins = lifts[:, None, None]
-    fast = jnp.maximum(config.step_speed * speed, 1e-3)
+    fast = jnp.maximum(config.step_speed * speed, SLOWEST)
     elapsed = jnp.where(lifts, 0.0, state.elapsed) + 1.0 / config.fps
     duration = jnp.where(lifts, jnp.clip(distance / fast, shortest, longest), state.duration)
     lifted, launch = jnp.where(begins, state.feet, state.lifted), jnp.where(begins, 0.0, state.launch)
@@ -374,7 +396,8 @@ def _step_feet(
     land = jnp.where(stepping[:, None, None], places, state.land)
     share = jnp.clip(elapsed / duration, 0.0, 1.0)
     feet = _swing(lifted, launch * duration[:, None, None], land, share[:, None, None])
-    height = _step_height(lifted, land, stance, leg_length, config) * stepping * 16.0 * share**2 * (1.0 - share) ** 2
+    arc = 16.0 * share**2 * (1.0 - share) ** 2  # 1 in the middle; begins and ends without velocity
+    height = _step_height(lifted, land, stance, leg_length, config) * stepping * arc
     feet = feet.at[..., 1].set(jnp.maximum(feet[..., 1] + height[:, None], stance.feet[..., 1]))
     return replace(
         state,
@@ -410,7 +433,8 @@ def sway(state: StandingState, leg_length: float, config: StandingConfig) -> tup
     time = jnp.maximum(state.seconds - config.turn_delay, 0.0)
     share = smoothstep(state.weight) * smoothstep(jnp.clip(time, 0.0, 1.0))
     angle = 2.0 * math.pi * time
-    shifted = 0.8 * jnp.sin(angle / shift_seconds) + 0.2 * jnp.sin(3.0 * angle / shift_seconds)
+    first, second = (jnp.sin(wave * angle / shift_seconds) for wave in (1.0, SECOND_WAVE))
+    shifted = (1.0 - SECOND_SHARE) * first + SECOND_SHARE * second
     return share * shift * leg_length * shifted, share * breath * jnp.sin(angle / breath_seconds)
 
 

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+SMALL = 1e-12
+"""A vector shorter than this has no direction."""
+
 
 def array_namespace(*values: Any) -> Any:
     """Returns the library that computes with these values: NumPy, unless one of them belongs to another library."""
@@ -46,3 +49,11 @@ def cross(a: ArrayLike, b: ArrayLike) -> Any:
         return xp.cross(xp.asarray(a), xp.asarray(b))
     (ax, ay, az), (bx, by, bz) = components(a), components(b)
     return join_components((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), np)
+
+
+def unit(v: ArrayLike) -> Any:
+    """Normalises vectors [..., N] to unit length, with finite gradients; those without a direction become zero."""
+    xp, given = as_floats(v)
+    squared = xp.sum(given * given, axis=-1, keepdims=True)
+    found = squared > SMALL**2
+    return xp.where(found, given / xp.sqrt(xp.where(found, squared, 1.0)), 0.0)

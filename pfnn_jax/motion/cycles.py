@@ -110,7 +110,7 @@ def _find_ends(
     longest = min(round(seconds[1] * clip.fps), len(local) - 2)
     if longest < shortest:
         found = f"{clip.num_frames / clip.fps:.2g} s"
-        rule = f"must be longer than one cycle, at least {seconds[0]:g} s"
+        rule = f"must be at least {(shortest + 2) / clip.fps:.2f} s, and longer than one cycle"
         raise InputError(clip.source or "clip", "cycle", found, rule)
     velocity = np.gradient(local, 1 / clip.fps, axis=0)
     features = np.concatenate([local, VELOCITY_SECONDS * velocity], axis=-1)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.motion.body_points import POINT_NAMES, POINT_PARENTS, BodyPoints
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.filters import gaussian_filter, moving_minimum
@@ -145,7 +146,7 @@ class _Body:
         plane, wanted = _plane(positions[:, middle] - positions[:, root], positions[:, end] - positions[:, middle])
         share = np.clip((np.minimum(bent, wanted) - STRAIGHT) / (BENT - STRAIGHT), 0.0, 1.0)
         share = share * share * (3.0 - 2.0 * share)
-        along = _unit(upper)
+        along = unit(upper)
         angle = np.arctan2(np.sum(np.cross(own, plane) * along, axis=-1), np.sum(own * plane, axis=-1))
         return quat_from_axis_angle(along, gaussian_filter(share * limit_roll(angle), ROLL_SECONDS * self.fps))
 
@@ -230,10 +231,10 @@ def limit_wrists(positions: np.ndarray, own: np.ndarray) -> np.ndarray:
         )
         angle, most = angle_between(arm, hand), np.clip(angle_between(*bones), MOST_WRIST, 0.97 * np.pi)
         limited = np.minimum(angle, most * (np.pi - angle) / (np.pi - most))
-        axis = _unit(np.cross(hand, arm))
+        axis = unit(np.cross(hand, arm))
         turned = quat_rotate(quat_from_axis_angle(axis, angle - limited), hand)
         opposite = np.linalg.norm(axis, axis=-1) < 0.5
-        straight = _unit(arm) * np.linalg.norm(hand, axis=-1, keepdims=True)
+        straight = unit(arm) * np.linalg.norm(hand, axis=-1, keepdims=True)
         turned = np.where((opposite & (angle > most))[:, None], straight, turned)
         positions[:, end] = positions[:, wrist] + np.where((angle > most)[:, None], turned, hand)
     return positions
@@ -247,7 +248,7 @@ def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def _ahead(points: np.ndarray, limb: Points, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the metres [T] by which a knee is in front of its leg, and the direction [T, 3] that is the front."""
     hip, knee, ankle = (points[:, point] for point in limb)
-    forward = np.cross(_unit(ankle - hip), _unit(left))
+    forward = np.cross(unit(ankle - hip), unit(left))
     return np.sum((knee - hip) * forward, axis=-1), forward
 
 
@@ -284,12 +285,12 @@ def steady_arcs(have: np.ndarray, want: np.ndarray, reach: int = 0) -> np.ndarra
         if 0 < start and stop < len(far):
             last = quat_multiply(quat_between(quat_rotate(arcs[stop - 1], have[stop]), want[stop]), arcs[stop - 1])
             missing = quat_multiply(arcs[stop], quat_conjugate(last))
-            axis = _unit(want[stop])
+            axis = unit(want[stop])
             angle = 2 * np.arctan2(missing[1:] @ axis, missing[0])
             angle = (angle + np.pi) % (2 * np.pi) - np.pi  # the shorter way round
             share = np.arange(1, stop - start + 1) / (stop - start + 1)
             arcs[start:stop] = quat_multiply(
-                quat_from_axis_angle(_unit(want[start:stop]), share * angle), arcs[start:stop]
+                quat_from_axis_angle(unit(want[start:stop]), share * angle), arcs[start:stop]
             )
     return arcs
 
@@ -324,7 +325,7 @@ def _share_twist(body: _Body) -> None:
     spine, chest = (int(body.points.joints[POINT_NAMES.index(name)]) for name in ("spine", "chest"))
     if body.skeleton.parents[chest] != spine:
         return
-    axis = _unit(body.places[:, chest] - body.places[:, spine])
+    axis = unit(body.places[:, chest] - body.places[:, spine])
     changes = [quat_multiply(body.turned[:, j], quat_conjugate(body.world[:, j])) for j in (spine, chest)]
     between = quat_multiply(changes[1], quat_conjugate(changes[0]))
     half = np.arctan2(np.sum(between[:, 1:] * axis, axis=-1), between[:, 0])
@@ -336,8 +337,4 @@ def _plane(upper: np.ndarray, lower: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Returns the unit normal [T, 3] of the plane of two bones, or zero, and the sine [T] of their angle."""
     normal = np.cross(upper, lower)
     lengths = np.linalg.norm(upper, axis=-1) * np.linalg.norm(lower, axis=-1)
-    return _unit(normal), np.linalg.norm(normal, axis=-1) / np.maximum(lengths, 1e-12)
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12)
+    return unit(normal), np.linalg.norm(normal, axis=-1) / np.maximum(lengths, 1e-12)

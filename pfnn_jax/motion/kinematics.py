@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pfnn_jax.motion.arrays import array_namespace, as_floats, components, cross, join_components
+from pfnn_jax.motion.arrays import SMALL, array_namespace, as_floats, components, cross, join_components, unit
 from pfnn_jax.motion.skeleton import Skeleton
 
 AXES = {"X": 0, "Y": 1, "Z": 2}
-SMALL = 1e-12  # a vector shorter than this has no direction
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -205,7 +204,7 @@ def quat_between(u: ArrayLike, v: ArrayLike) -> Any:
     For opposite directions this is a half turn about some axis perpendicular to u; zero vectors give the identity.
     """
     xp, *given = as_floats(u, v)
-    start, end = xp.broadcast_arrays(*(_direction(each, xp) for each in given))
+    start, end = xp.broadcast_arrays(*(unit(each) for each in given))
     dot = xp.sum(start * end, axis=-1, keepdims=True)
     opposite = dot < -1.0 + (1e-9 if start.dtype == np.float64 else 1e-6)
     q = xp.concatenate((1.0 + dot, cross(start, end)), axis=-1)
@@ -229,8 +228,8 @@ def quat_from_forward_up(forward: ArrayLike, up: ArrayLike) -> Any:
     They need be neither unit nor orthogonal, as a network's outputs are not; `forward` keeps its direction.
     """
     xp, along, upward = as_floats(forward, up)
-    z = _direction(along, xp)
-    x = _direction(cross(upward, z), xp)
+    z = unit(along)
+    x = unit(cross(upward, z))
     return quat_from_matrix(xp.stack((x, cross(z, x), z), axis=-1))
 
 
@@ -311,13 +310,6 @@ def _levels(parents: tuple[int, ...]) -> list[tuple[np.ndarray, np.ndarray]]:
 def _parity(i: int, j: int) -> float:
     """Returns +1 if the axes i, j and the third are a cyclic permutation of X, Y, Z, otherwise -1."""
     return 1.0 if j == (i + 1) % 3 else -1.0
-
-
-def _direction(v: Any, xp: Any) -> Any:
-    """Normalises v [..., 3] to unit length, or to zero where it has no direction."""
-    squared = xp.sum(v * v, axis=-1, keepdims=True)
-    found = squared > SMALL**2
-    return xp.where(found, v / xp.sqrt(xp.where(found, squared, 1.0)), 0.0)
 
 
 def _axes(order: str) -> tuple[int, int, int]:

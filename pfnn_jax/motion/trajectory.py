@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.motion.features.layout import TRAJECTORY_OFFSETS, FrameLayout
 from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.ground import facing_of, to_local, yaw_of
@@ -58,10 +59,10 @@ def root_motion(positions: np.ndarray, roles: Roles, fps: float, smoothing_secon
     """
     across = positions[:, roles.left_shoulder] - positions[:, roles.right_shoulder]
     across = across + positions[:, roles.left_hip] - positions[:, roles.right_hip]
-    forward = _across_up(across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9))
+    forward = _across_up(unit(across))
     if smoothing_seconds > 0:
         forward = gaussian_filter(forward, smoothing_seconds * fps)
-    return Root(positions[:, roles.hips][:, [0, 2]], _unit(forward))
+    return Root(positions[:, roles.hips][:, [0, 2]], unit(forward))
 
 
 def hips_root(positions: np.ndarray, roles: Roles) -> Root:
@@ -74,7 +75,7 @@ def hips_root(positions: np.ndarray, roles: Roles) -> Root:
         roles: hips.
     """
     across = positions[:, roles.left_hip] - positions[:, roles.right_hip]
-    return Root(positions[:, roles.hips][:, [0, 2]], _unit(_across_up(across)))
+    return Root(positions[:, roles.hips][:, [0, 2]], unit(_across_up(across)))
 
 
 def layout_root(positions: np.ndarray, roles: Roles, layout: FrameLayout) -> Root:
@@ -139,10 +140,6 @@ def sample_offsets(fps: float) -> np.ndarray:
 def _across_up(across: np.ndarray) -> np.ndarray:
     """Returns x and z [T, 2] of across [T, 3] × (0, 1, 0); its y is zero."""
     return np.stack([-across[:, 2], across[:, 0]], axis=-1)
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
 
 
 def _extrapolate(root: Root, before: int, after: int, fps: float) -> tuple[np.ndarray, np.ndarray]:

@@ -43,10 +43,10 @@ def bend(upper: Any, middle: Any, end: Any, target: Any, pole: Any) -> tuple[Any
     xp, upper, middle, end, target, pole = as_floats(upper, middle, end, target, pole)
     u, v = middle - upper, end - middle
     axis = _hinge(u, v, pole, xp)
-    along, aside = _dot(u, v, xp), _dot(cross(axis, v), u, xp)
-    both = _length(xp.concatenate((along, aside), axis=-1), xp)
+    along, across = _dot(u, v, xp), _dot(cross(axis, v), u, xp)
+    both = _length(xp.concatenate((along, across), axis=-1), xp)
     squares = _dot(u, u, xp) + _dot(v, v, xp)
-    bent = -_angle(aside, along, xp)
+    bent = -_angle(across, along, xp)
     longest = xp.sqrt(xp.maximum(squares + 2.0 * both, 1e-12))
     distance = _soft(_length(target - upper, xp), _length(end - upper, xp), longest, xp)
     cosine = (distance * distance - squares) / (2.0 * xp.maximum(both, 1e-9))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.motion.clip import MotionClip, move_clip
 from pfnn_jax.motion.humanoid.map import LEG, SIDES, HumanoidMap
 from pfnn_jax.motion.reading import AXES, Axis
@@ -43,7 +44,7 @@ def find_up(positions: np.ndarray, humanoid: HumanoidMap) -> tuple[Axis, bool]:
     top = trunk[-1] if humanoid.head is None else humanoid.head
     left, right = (shin if foot is None else foot for shin, foot in (humanoid.limb(side, LEG)[1:3] for side in SIDES))
     body = positions[:, top] - (positions[:, left] + positions[:, right]) / 2
-    shares = np.sort(body / np.maximum(np.linalg.norm(body, axis=-1, keepdims=True), 1e-9), axis=0)
+    shares = np.sort(unit(body), axis=0)
     middle = shares[len(shares) // 2]
     axis = int(np.argmax(np.abs(middle)))
     sign = 1.0 if middle[axis] > 0 else -1.0

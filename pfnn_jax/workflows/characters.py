@@ -10,6 +10,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import bvh_text
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.clip_files import CHARACTER_SUFFIXES, is_character_file, is_gltf_file, read_target
+from pfnn_jax.motion.gltf.append import unused_name
 from pfnn_jax.motion.gltf.character import read_character
 from pfnn_jax.motion.gltf.write import character_bytes
 from pfnn_jax.motion.length_unit import CENTIMETRE
@@ -77,6 +78,9 @@ def put_clips_onto(
         say("its buffers and images are packed into one GLB file")
     moved = {name: _retarget(clip, character.skeleton, target) for name, clip in clips.items()}
     say(next(iter(moved.values())).summary)
+    for name in moved:
+        if (used := unused_name(name, character.document.items("animations"))) != name:
+            say(f"it has a clip {name!r} already: the new one is called {used!r}")
     return character_bytes(character, {name: each.clip for name, each in moved.items()}, root_motion=root_motion)
 
 

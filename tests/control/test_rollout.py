@@ -13,11 +13,12 @@ from jax.test_util import check_grads
 
 from pfnn_jax.control.loop.pursuit import make_timed_path, point_at
 from pfnn_jax.control.loop.rollout import Frames, follow_path, locked_rollout, rollout, stability
-from pfnn_jax.control.loop.state import ROOT, initial_state, place_state, standing_state
+from pfnn_jax.control.loop.state import ROOT, initial_state, place_state, straight_row
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, network_input, published_step, steer
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style
+from pfnn_jax.motion.features.layout import GAITS
 from pfnn_jax.motion.paths import circle, figure_eight, mirror_path, resample_path, straight
 from tests.control.walkers import (
     LAYOUT,
@@ -258,7 +259,9 @@ def test_points_along_paths():
 
 def test_standing_character_stands():
     layout = LAYOUT["pfnn2017"]
-    state = standing_state(layout, input_row(layout, WALK), jnp.ones(2), jnp.float32(1.0))
+    row = straight_row(layout, input_row(layout, WALK), 0.0)
+    state = initial_state(layout, row, jnp.zeros(()), jnp.ones(2), jnp.float32(1.0))
+    state = replace(state, gait=jnp.zeros_like(state.gait).at[:, GAITS.index("stand")].set(1.0))
     frames = rollout(ORACLES[layout.name], WALK, layout, state, straight_on(120, speed=0.0))
     np.testing.assert_allclose(frames.root_positions, np.ones((120, 2)), atol=REORDERED)
     np.testing.assert_allclose(frames.root_yaw, np.ones(120), atol=REORDERED)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control.loop.rollout import Frames, rollout
-from pfnn_jax.control.loop.state import standing_state
+from pfnn_jax.control.loop.state import initial_state, straight_row
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.layers.full import BlendedLayer
@@ -54,7 +54,7 @@ def walk(predictor: Predictor, speed: float, turn: float = 0.0) -> Frames:
     x = x.at[LAYOUT.input_slice("joint_position")].set(predictor.output_mean[joints])
     yaw = jnp.where(jnp.arange(NUM_FRAMES) < 300, 0.0, turn)
     direction = jnp.stack([jnp.sin(yaw), jnp.cos(yaw)], -1)
-    start = jax.jit(standing_state, static_argnums=0)(LAYOUT, x, jnp.zeros(2), jnp.zeros(()))
+    start = initial_state(LAYOUT, straight_row(LAYOUT, x, 0.0), jnp.zeros(()), jnp.zeros(2), jnp.zeros(()))
     commands = Command(velocity=speed * direction, direction=direction)
     return jax.tree.map(np.asarray, rollout(evaluate, predictor, LAYOUT, start, commands))
 

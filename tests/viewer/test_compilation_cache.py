@@ -134,7 +134,7 @@ def test_the_seconds_of_a_start_are_kept_only_with_its_compiled_code(monkeypatch
     noted: list[float] = []
     page = SimpleNamespace(url="", begin=lambda library: None)
     times = SimpleNamespace(expected=1.0, note=noted.append)
-    stubs = {"first_sight": None, "RunLibrary": Library(), "Page": contextlib.nullcontext(page), "StartTimes": times}
+    stubs = {"standing_body": None, "RunLibrary": Library(), "Page": contextlib.nullcontext(page), "StartTimes": times}
     for name, value in (stubs | {"check_finished": None, "cancel_learning": None, "_cache": None}).items():
         monkeypatch.setattr(play, name, lambda *_, value=value, **__: value)
     monkeypatch.setattr(background, "leave_work", lambda code: None)

@@ -93,7 +93,7 @@ def test_the_port_is_taken_before_anything_is_loaded(monkeypatch, capsys):
             play.check_address("127.0.0.1", int(found[1]))
         raise InputError("run", "config", "none", "must be there")
 
-    monkeypatch.setattr(play, "first_sight", lambda *_: None)
+    monkeypatch.setattr(play, "standing_body", lambda *_: None)
     monkeypatch.setattr(play, "RunLibrary", load)
     monkeypatch.setattr(play, "check_finished", lambda _: None)
     with pytest.raises(InputError, match="config"):
@@ -110,7 +110,7 @@ def test_a_page_that_cannot_start_lets_the_program_end(monkeypatch, error, code)
     def fail(**_: object) -> None:
         raise error
 
-    monkeypatch.setattr(play, "first_sight", lambda *_: None)
+    monkeypatch.setattr(play, "standing_body", lambda *_: None)
     monkeypatch.setattr(play, "RunLibrary", lambda *_: SimpleNamespace(runs=(), styles=(), warm_up=lambda: None))
     monkeypatch.setattr(play, "Page", fail)
     monkeypatch.setattr(play, "check_finished", lambda _: None)

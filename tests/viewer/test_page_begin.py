@@ -14,7 +14,7 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 from pfnn_jax.viewer.page import play as play_module  # noqa: E402
 from pfnn_jax.viewer.page import widgets  # noqa: E402
-from pfnn_jax.viewer.page.first_sight import StartProgress, first_sight  # noqa: E402
+from pfnn_jax.viewer.page.start_screen import StartProgress, standing_body  # noqa: E402
 
 FLAT = 0.2  # metres: both feet are near the floor, in a mean pose of walking
 UPRIGHT = 1.2  # metres above it
@@ -73,13 +73,13 @@ def test_early_client_waits_and_sees_the_progress(monkeypatch):
 
 
 def test_the_body_stands_before_anything_is_loaded(trained_run):
-    sight = first_sight(trained_run, "run")
-    body, roles = sight.skeleton, sight.skeleton.roles
+    body = standing_body(trained_run, "run")
+    skeleton, roles = body.skeleton, body.skeleton.roles
     assert roles is not None
-    feet = sight.view.joints[[*roles.left_foot, *roles.right_foot], 1]
-    assert np.abs(feet).max() < FLAT and sight.view.joints[roles.head, 1] > UPRIGHT
-    lengths = np.linalg.norm(sight.view.joints[1:] - sight.view.joints[body.parents[1:]], axis=1)
-    np.testing.assert_allclose(lengths, np.linalg.norm(body.offsets[1:], axis=1), atol=RIGID)
+    feet = body.view.joints[[*roles.left_foot, *roles.right_foot], 1]
+    assert np.abs(feet).max() < FLAT and body.view.joints[roles.head, 1] > UPRIGHT
+    lengths = np.linalg.norm(body.view.joints[1:] - body.view.joints[skeleton.parents[1:]], axis=1)
+    np.testing.assert_allclose(lengths, np.linalg.norm(skeleton.offsets[1:], axis=1), atol=RIGID)
 
 
 def test_a_start_that_takes_longer_than_expected_says_so():

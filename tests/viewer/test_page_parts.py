@@ -12,8 +12,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pfnn_jax.viewer.page import background, pace, widgets
+from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.drive_input import parse_message
+from pfnn_jax.viewer.page.frame_scheduler import (
+    ACTIVE_SECONDS,
+    FRAME,
+    IDLE_INTERVAL,
+    STANDING_INTERVAL,
+    FramePlan,
+    FrameScheduler,
+)
 from pfnn_jax.viewer.page.framing import frame_character
 from pfnn_jax.viewer.page.guard import names_of, objection
 from pfnn_jax.viewer.page.play import check_address
@@ -154,22 +162,27 @@ def test_the_yaw_of_a_camera():
     assert camera_yaw([0.0, 3.0, 0.0], [0.0, 0.0, 0.0]) is None
 
 
+def test_advised_options_are_those_of_the_command_line():
+    lines = widgets.message("warning", "Note: pass `--unit` if that is wrong.\nWarning: few steps.")
+    assert lines.count("(on the command line)") == 1 and "few steps.<" in lines
+
+
 def test_no_zero_has_a_sign():
     assert [widgets.plain_number(value, 2) for value in (-0.0, -0.004, 0.004, -0.006)] == ["0.00"] * 3 + ["-0.01"]
 
 
-def test_the_pace_of_a_tab():
-    """Full while the character moves, fewer pictures while it stands, nothing when it rests or is hidden."""
-    pacer = pace.Pacer()
+def test_a_tab_is_drawn_as_often_as_needed():
+    """Fully while the character moves, fewer pictures while it stands, nothing when it rests or is hidden."""
+    scheduler, rests = FrameScheduler(), 0.1 + ACTIVE_SECONDS
 
-    def at(now: float, moving: bool = False, touched: bool = False, visible: bool = True) -> pace.Pace:
-        return pacer.pace(now, visible=visible, moving=moving, touched=touched)
+    def at(now: float, moving: bool = False, touched: bool = False, visible: bool = True) -> FramePlan:
+        return scheduler.plan(now, visible=visible, moving=moving, touched=touched)
 
-    assert at(0.0, moving=True) == pace.Pace(True, pace.FRAME, 0.0)
-    assert at(1.0) == pace.Pace(True, pace.FRAME, pace.STANDING_INTERVAL)
-    assert not at(0.1 + pace.ACTIVE_SECONDS).steps and at(0.2 + pace.ACTIVE_SECONDS).wait == pace.IDLE_INTERVAL
-    assert at(1.0 + pace.ACTIVE_SECONDS, touched=True).steps and at(2.0 + pace.ACTIVE_SECONDS).steps
-    assert not at(2.1 + pace.ACTIVE_SECONDS, moving=True, visible=False).steps
+    assert at(0.0, moving=True) == FramePlan(True, FRAME, 0.0)
+    assert at(1.0) == FramePlan(True, FRAME, STANDING_INTERVAL)
+    assert not at(rests).steps and at(rests + 0.1).wait == IDLE_INTERVAL
+    assert at(rests + 0.9, touched=True).steps and at(rests + 1.9).steps
+    assert not at(rests + 2.0, moving=True, visible=False).steps
 
 
 def test_framing_keeps_the_character_beside_the_panels():

@@ -17,16 +17,16 @@ from pfnn_jax.motion.synthetic.walks import synthesise
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
-from pfnn_jax.viewer.page import downloads, wardrobe  # noqa: E402
+from pfnn_jax.viewer.page import downloads, wear_panel  # noqa: E402
 from pfnn_jax.viewer.page import tab as tab_module  # noqa: E402
+from pfnn_jax.viewer.page.frame_scheduler import SILENCE  # noqa: E402
 from pfnn_jax.viewer.page.learning import LearningBoard  # noqa: E402
-from pfnn_jax.viewer.page.outfit import Offer  # noqa: E402
-from pfnn_jax.viewer.page.pace import SILENCE  # noqa: E402
 from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
 from pfnn_jax.viewer.page.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
 from pfnn_jax.viewer.page.tab import Tab  # noqa: E402
 from pfnn_jax.viewer.page.uploads import MOST_BUFFERED, LearnedUpload, drop_large  # noqa: E402
-from pfnn_jax.viewer.page.wardrobe import NOTHING  # noqa: E402
+from pfnn_jax.viewer.page.wear_panel import NOTHING  # noqa: E402
+from pfnn_jax.viewer.page.worn_character import FileContent  # noqa: E402
 
 SOON = 20.0  # seconds for a thread to start or end on a loaded machine
 
@@ -114,7 +114,7 @@ def client(server) -> Iterator[Client]:
 
 @pytest.fixture
 def panel(client) -> Any:
-    return Panel(client, any_of(Library()), any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0, outfit=None)))
+    return Panel(client, any_of(Library()), any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0, worn=None)))
 
 
 def any_of(stand_in: object) -> Any:
@@ -204,7 +204,7 @@ def test_every_tab_shows_what_is_learned_and_its_outcome(client):
     library = any_of(Library())
     library.learning.clock = lambda: 100.0
     job = library.learning.begin("run", "<zombie>")
-    opened_later = Panel(client, library, any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0, outfit=None)))
+    opened_later = Panel(client, library, any_of(StubCharacter()), any_of(SimpleNamespace(yaw=0.0, worn=None)))
     opened_later.serve(0.0)
     assert "Learning &lt;zombie&gt; on run" in opened_later._jobs.content
     assert "about 40 s left" in opened_later._jobs.content
@@ -248,6 +248,16 @@ def test_only_learned_styles_can_be_renamed_and_deleted(panel):
     panel._picker.select("run", "zombie")
     panel.serve(0.1)
     assert panel._picker._manage.visible
+
+
+def test_a_refused_name_is_shown_below_its_button_until_another_style_is_chosen(panel):
+    picker = panel._picker
+    panel.serve(0.0)
+    picker._managed(picker._rename_style)
+    assert picker._refusal.visible and "new name" in picker._refusal.content
+    picker.select("run", "neutral")
+    panel.serve(0.1)
+    assert not picker._refusal.visible
 
 
 def test_a_style_is_named_before_it_is_learned(panel, client, monkeypatch):
@@ -368,32 +378,32 @@ def test_a_file_that_comes_while_another_is_read_is_refused(panel, monkeypatch):
         assert free.wait(SOON)
         raise RuntimeError("out of paper")
 
-    monkeypatch.setattr(wardrobe, "read_offer", read)
-    panel.wardrobe.serve_learning(lambda *_: None, lambda *message: messages.append(message))
-    panel.wardrobe.take_clip("first.glb", b"")
+    monkeypatch.setattr(wear_panel, "read_content", read)
+    panel.wear.serve_learning(lambda *_: None, lambda *message: messages.append(message))
+    panel.wear.take_clip("first.glb", b"")
     assert begun.wait(SOON)
-    panel.wardrobe.take_clip("second.glb", b"")
+    panel.wear.take_clip("second.glb", b"")
     assert soon(lambda: messages)[0][0] == "bad" and "Another file is being read" in messages[0][1]
     free.set()
     assert soon(lambda: messages[1:]) == [("bad", "RuntimeError: out of paper")]
 
 
 def test_a_file_is_forgotten_when_nothing_more_can_be_done_with_it(panel, monkeypatch):
-    learned, walk = [], Offer("walk", ("",), body=False)
-    monkeypatch.setattr(wardrobe, "read_offer", lambda *_: walk)
-    panel.wardrobe.serve_learning(lambda *sent: learned.append(sent), panel.show_message)
-    panel.wardrobe.take_clip("walk.bvh", b"HIERARCHY")
-    soon(lambda: learned == [("walk.bvh", b"HIERARCHY")] and panel.wardrobe._given == NOTHING)
+    learned, walk = [], FileContent("walk", ("",), body=False)
+    monkeypatch.setattr(wear_panel, "read_content", lambda *_: walk)
+    panel.wear.serve_learning(lambda *sent: learned.append(sent), panel.show_message)
+    panel.wear.take_clip("walk.bvh", b"HIERARCHY")
+    soon(lambda: learned == [("walk.bvh", b"HIERARCHY")] and panel.wear._given == NOTHING)
 
 
 def test_a_character_that_another_run_cannot_move_is_taken_off(panel):
     def refuse(_: Any) -> None:
         raise InputError("hero.glb", "roles", "no left leg", "must have legs")
 
-    panel.wardrobe._off.visible = True
+    panel.wear._off.visible = True
     panel._scene.set_skeleton = refuse
-    panel.wardrobe.set_skeleton(any_of(None))
-    assert "no left leg" in panel.wardrobe._message.content and not panel.wardrobe._off.visible
+    panel.wear.set_skeleton(any_of(None))
+    assert "no left leg" in panel.wear._message.content and not panel.wear._off.visible
 
 
 def transfer(name: str, size: int) -> dict[str, Any]:

@@ -98,6 +98,7 @@ def test_a_name_can_change_to_other_letters_of_its_own_but_not_to_that_of_a_clip
     assert (path_of(library) / "uploads" / "Mine.bvh").is_file() and "Mine" in list_styles(path_of(library))
     (path_of(library) / "uploads" / "walk.glb").write_bytes(b"")
     assert_refused(lambda: library.rename_style("run", "Mine", "Walk"), value="Walk", rule_mentions="taken")
+    assert_refused(lambda: library.rename_style("run", "Mine", "../größe"), file="run", value=repr("../größe"))
 
 
 @pytest.mark.parametrize("fails", ["note", "clip"])

@@ -1,4 +1,4 @@
-"""Worn characters without a browser: what files offer, skinned bodies in pieces, and poses fitted moment by moment."""
+"""Worn characters without a browser: contents of files, skinned bodies in pieces, and poses moment by moment."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from pfnn_jax.motion.retargeting.retarget import retarget  # noqa: E402
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh  # noqa: E402
 from pfnn_jax.motion.synthetic.walks import synthesise  # noqa: E402
 from pfnn_jax.viewer.body import grow_body  # noqa: E402
-from pfnn_jax.viewer.page import outfit as outfits  # noqa: E402
 from pfnn_jax.viewer.page import scene as scenes  # noqa: E402
+from pfnn_jax.viewer.page import worn_character  # noqa: E402
 from pfnn_jax.viewer.page.downloads import BVH, GLB, recording_bytes  # noqa: E402
-from pfnn_jax.viewer.page.outfit import (  # noqa: E402
-    Fitting,
-    Offer,
-    Outfit,
-    clip_as_bvh,
-    clip_bytes,
-    read_offer,
-    read_outfit,
-)
 from pfnn_jax.viewer.page.restyle import check_clip  # noqa: E402
 from pfnn_jax.viewer.page.scene import PageScene, Spring  # noqa: E402
 from pfnn_jax.viewer.page.skinned_body import MOST_BONES, Piece, SkinnedBody, split_mesh  # noqa: E402
 from pfnn_jax.viewer.page.view import View, at_moment  # noqa: E402
+from pfnn_jax.viewer.page.worn_character import (  # noqa: E402
+    FileContent,
+    LiveRetargeter,
+    WornCharacter,
+    clip_as_bvh,
+    clip_bytes,
+    read_content,
+    read_worn_character,
+)
 from tests.raising import assert_refused  # noqa: E402
 
 EXACT = 1e-9  # float64 over a few products
@@ -61,8 +61,8 @@ def character(clip) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def worn(character) -> Outfit:
-    return read_outfit("my rig.glb", character)
+def worn(character) -> WornCharacter:
+    return read_worn_character("my rig.glb", character)
 
 
 def views(clip: MotionClip) -> list[View]:
@@ -76,20 +76,11 @@ def views(clip: MotionClip) -> list[View]:
             world_rotations=rotations[t],
             root=roots[t],
             facing=np.array([0.0, 1.0]),
-            heading=0.0,
             past_positions=roots[t][None],
             past_directions=np.array([[0.0, 1.0]]),
             future_positions=roots[t][None],
             future_directions=np.array([[0.0, 1.0]]),
             contacts=np.zeros(4),
-            dials=(),
-            speed=1.0,
-            wanted_speed=1.0,
-            style_weights={},
-            step_milliseconds=0.0,
-            steps_per_second=60.0,
-            recorded_seconds=None,
-            recording=False,
         )
         for t in range(len(positions))
     ]
@@ -121,9 +112,9 @@ def test_a_character_that_cannot_follow_another_skeleton_is_taken_off(clip, worn
         def refuse(*_: Any) -> None:
             raise InputError("my rig.glb", "roles", "no left leg", "must have legs")
 
-        monkeypatch.setattr(scenes, "Fitting", refuse)
+        monkeypatch.setattr(scenes, "LiveRetargeter", refuse)
         assert_refused(lambda: scene.set_skeleton(clip.skeleton), place="roles")
-        assert scene.outfit is None
+        assert scene.worn is None
         scene.draw(views(clip)[0], 0.1)
     finally:
         server.stop()
@@ -141,9 +132,9 @@ def test_pieces_move_as_the_whole_mesh(clip):
 
 
 def test_joints_that_are_carried_need_no_bones(clip, worn):
-    fitting = Fitting(clip.skeleton, worn)
-    seen = fitting.dress(views(clip)[60])
-    carriers = fitting.retargeter.carriers
+    live = LiveRetargeter(clip.skeleton, worn)
+    seen = live.retarget(views(clip)[60])
+    carriers = live.retargeter.carriers
     every, fewer = split_mesh(worn.mesh), split_mesh(worn.mesh, carriers)
     assert set(np.concatenate([piece.bones for piece in fewer])) <= set(carriers)
     for piece, same in zip(every, fewer, strict=True):
@@ -211,12 +202,12 @@ def test_nodes_of_a_larger_body_are_hidden_and_taken_again(clip, worn):
     assert all(node.visible for node in scene.nodes.values()) and len(scene.nodes) == count
 
 
-def test_moments_of_a_fitting_equal_the_clip_on_level_ground(clip, worn):
-    fitting = Fitting(clip.skeleton, worn)
+def test_poses_of_single_moments_equal_the_clip_on_level_ground(clip, worn):
+    live = LiveRetargeter(clip.skeleton, worn)
     there = retarget(clip, worn.skeleton)
     expected = forward_kinematics(worn.skeleton, there.clip.root_positions, there.clip.rotations)[0]
     for view in views(clip):
-        seen = fitting.dress(view)
+        seen = live.retarget(view)
         assert np.allclose(seen.joints, expected[view.frame], atol=LEVEL), view.frame
         assert np.allclose(seen.root, there.scale * view.root, atol=EXACT)
 
@@ -246,11 +237,11 @@ def test_the_camera_does_not_depend_on_the_number_of_pictures_and_never_overshoo
 
 
 def test_files_offer_what_they_hold(clip, character):
-    assert read_offer("C:\\a walk.BVH", bvh_text(clip).encode()) == Offer("a walk", ("",), body=False)
-    rig = Offer("my rig", ("walk", "stroll"), body=True, whole=False)
-    assert read_offer("my rig.glb", character) == rig, "blink is too short"
+    assert read_content("C:\\a walk.BVH", bvh_text(clip).encode()) == FileContent("a walk", ("",), body=False)
+    rig = FileContent("my rig", ("walk", "stroll"), body=True, whole=False)
+    assert read_content("my rig.glb", character) == rig, "blink is too short"
     bare = glb_bytes(clip.skeleton, grow_body(clip.skeleton), {})
-    assert read_offer("bare.vrm", bare) == Offer("bare", (), body=True)
+    assert read_content("bare.vrm", bare) == FileContent("bare", (), body=True)
     name, data = clip_as_bvh("my rig.glb", character, "stroll")
     assert name == "my rig stroll.bvh" and data.startswith(b"HIERARCHY")
 
@@ -262,15 +253,15 @@ def test_the_motion_that_is_offered_is_the_one_that_is_learned(clip, monkeypatch
         clip, **{name: np.tile(getattr(clip, name), (25, 1, 1)[: getattr(clip, name).ndim]) for name in MOVED}
     )
     data = glb_bytes(clip.skeleton, grow_body(clip.skeleton), {"Walk": long, "Run": turned}, root_motion=True)
-    offer = read_offer("both.glb", data)
-    assert offer == Offer("both", ("Run",), body=True, whole=False)
-    assert clip_bytes("both.glb", data, offer, "Run") == clip_as_bvh("both.glb", data, "Run")
+    content = read_content("both.glb", data)
+    assert content == FileContent("both", ("Run",), body=True, whole=False)
+    assert clip_bytes("both.glb", data, content, "Run") == clip_as_bvh("both.glb", data, "Run")
     assert check_clip("both.glb", data).name == "both Run"
     alone = glb_bytes(clip.skeleton, grow_body(clip.skeleton), {"Run": turned}, root_motion=True)
-    offer = read_offer("one.glb", alone)
-    assert clip_bytes("one.glb", alone, offer, "Run") == ("one.glb", alone)
-    monkeypatch.setattr(outfits, "MOST_BYTES", len(alone) - 1)
-    assert clip_bytes("one.glb", alone, offer, "Run")[0] == "one Run.bvh", "large for its body, not for its motion"
+    content = read_content("one.glb", alone)
+    assert clip_bytes("one.glb", alone, content, "Run") == ("one.glb", alone)
+    monkeypatch.setattr(worn_character, "MOST_BYTES", len(alone) - 1)
+    assert clip_bytes("one.glb", alone, content, "Run")[0] == "one Run.bvh", "large for its body, not for its motion"
 
 
 @pytest.mark.parametrize(
@@ -284,26 +275,26 @@ def test_the_motion_that_is_offered_is_the_one_that_is_learned(clip, monkeypatch
     ],
 )
 def test_other_files_are_refused_by_their_own_name(name, data):
-    assert_refused(lambda: read_offer(name, data), file=name)
+    assert_refused(lambda: read_content(name, data), file=name)
 
 
 def test_what_cannot_be_worn_is_refused(clip, character, monkeypatch):
-    assert_refused(lambda: read_outfit("walk.bvh", bvh_text(clip).encode()), file="walk.bvh", place="body")
-    assert_refused(lambda: read_outfit("walk.exe", b""), place="file name")
-    monkeypatch.setattr(outfits, "MOST_FACES", 10)
-    assert_refused(lambda: read_outfit("my rig.glb", character), file="my rig.glb", place="mesh")
-    monkeypatch.setattr(outfits, "MOST_CHARACTER_BYTES", 10)
-    assert_refused(lambda: read_outfit("my rig.glb", character), file="my rig.glb", place="size")
+    assert_refused(lambda: read_worn_character("walk.bvh", bvh_text(clip).encode()), file="walk.bvh", place="body")
+    assert_refused(lambda: read_worn_character("walk.exe", b""), place="file name")
+    monkeypatch.setattr(worn_character, "MOST_FACES", 10)
+    assert_refused(lambda: read_worn_character("my rig.glb", character), file="my rig.glb", place="mesh")
+    monkeypatch.setattr(worn_character, "MOST_CHARACTER_BYTES", 10)
+    assert_refused(lambda: read_worn_character("my rig.glb", character), file="my rig.glb", place="size")
 
 
 def test_a_recording_is_downloaded_on_the_body_or_the_worn_character(clip, worn, tmp_path):
     from pfnn_jax.motion.clip_files import read_clip
 
-    for kind, outfit, scale in ((BVH, None, 1.0), (GLB, None, 1.0), (BVH, worn, GIANT), (GLB, worn, GIANT)):
+    for kind, body, scale in ((BVH, None, 1.0), (GLB, None, 1.0), (BVH, worn, GIANT), (GLB, worn, GIANT)):
         path = tmp_path / f"recording.{kind.lower()}"
-        path.write_bytes(recording_bytes(replace(clip, style="mine"), kind, outfit))
+        path.write_bytes(recording_bytes(replace(clip, style="mine"), kind, body))
         found = read_clip(path, travel="keep", clip_name="mine" if kind == GLB else None)
         assert found.num_frames == clip.num_frames
         travel = (found.root_positions[-1] - found.root_positions[0])[[0, 2]]
         expected = scale * (clip.root_positions[-1] - clip.root_positions[0])[[0, 2]]
-        assert np.allclose(travel, expected, atol=LEVEL * scale), (kind, outfit)
+        assert np.allclose(travel, expected, atol=LEVEL * scale), (kind, body)

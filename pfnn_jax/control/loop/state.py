@@ -106,17 +106,6 @@ def _axes(read: dict[str, jax.Array], faced: jax.Array) -> dict[str, jax.Array]:
     return {"joint_forward": to_world(forward, faced), "joint_up": to_world(up, faced)}
 
 
-def standing_state(layout: FrameLayout, x: jax.Array, position: jax.Array, yaw: jax.Array) -> CharacterState:
-    """Returns a character that stands still in the pose of x [Dx], at phase 0, at `position` [2] facing `yaw` []."""
-    x = jnp.asarray(x)
-    for name in layout.input_blocks:
-        if name not in ("joint_position", "joint_forward", "joint_up", "terrain_height"):
-            x = x.at[layout.input_slice(name)].set(1.0 if name == "trajectory_direction_z" else 0.0)
-    phase = jnp.zeros((layout.phase_size,) if layout.phase_size else (), x.dtype)
-    state = initial_state(layout, x, phase, position, yaw)
-    return replace(state, gait=jnp.zeros_like(state.gait).at[:, GAITS.index("stand")].set(1.0))
-
-
 def straight_row(layout: FrameLayout, x: jax.Array, speed: float | jax.Array) -> jax.Array:
     """Returns x [Dx] in layout units with a trajectory straight ahead along +Z at `speed` metres per second."""
     offsets = jnp.asarray(TRAJECTORY_OFFSETS, jnp.asarray(x).dtype)

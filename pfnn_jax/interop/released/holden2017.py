@@ -25,6 +25,7 @@ from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.spline import catmull_rom_basis
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.motion.features.layout import pfnn2017
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.kinematics import quat_conjugate, quat_exp, quat_rotate
@@ -201,7 +202,7 @@ def _skeleton(shared: Network, normaliser: Normaliser, source: Path) -> Skeleton
     rest_bones = quat_rotate(quat_conjugate(quat_exp(rotations))[:, parents], positions - positions[:, parents])
     bones = rest_bones.mean(axis=0)
     lengths = np.array([length for _, _, length in JOINTS]) * layout.length_unit
-    directions = bones / np.maximum(np.linalg.norm(bones, axis=1, keepdims=True), 1e-6)
+    directions = unit(bones)
     offsets = directions * lengths[:, None]
     return cmu_skeleton(offsets, str(source))
 

@@ -206,8 +206,8 @@ def check_style_name(name: str, source: str | Path = "style") -> str:
     """
     bad = not name or len(name) > 100 or name.startswith((".", " ")) or name.endswith((".", " "))
     if bad or not name.isprintable() or re.search(r'[/\\<>:"|?*]', name):
-        shown = ascii(name) if len(name) <= 40 else ascii(name[:37]) + "..."
-        rule = "must be a file name: 1 to 100 printable characters, no slash, no leading dot"
+        shown = repr(name) if len(name) <= 40 else repr(name[:37]) + "..."
+        rule = 'must be a file name: at most 100 characters, none of / \\ < > : " | ? *, no dot or space at its ends'
         raise InputError(source, "style name", shown, rule)
     return name
 

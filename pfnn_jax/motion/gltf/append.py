@@ -85,7 +85,7 @@ def _append(data: dict[str, Any], binary: bytes, animation: Animation) -> tuple[
     """Returns the JSON and the binary chunk of a packed file with one more animation."""
     keys, accessors = _keys(animation.channels, animation.fps)
     views, before, old = (data.get(name, []) for name in ("bufferViews", "accessors", "animations"))
-    name = _unused_name(animation.name, [each.get("name") for each in old])
+    name = unused_name(animation.name, old)
     view = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(keys)}
     binary += keys
     changed = {
@@ -227,7 +227,9 @@ def _animation(channels: Sequence[Channel], first: int, name: str) -> dict[str, 
     return {"name": name, "channels": rows, "samplers": samplers}
 
 
-def _unused_name(name: str, used: Sequence[str | None]) -> str:
+def unused_name(name: str, animations: Sequence[dict[str, Any]]) -> str:
+    """Returns a name, followed by a number if one of a file's animations has it."""
+    used = [each.get("name") for each in animations]
     number, free = 1, name
     while free in used:
         number += 1

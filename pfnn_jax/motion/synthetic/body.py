@@ -141,9 +141,9 @@ def _hips(
 ) -> np.ndarray:
     """Returns the hips [T, 3]: over the root, swaying and bobbing, never higher than both legs can reach."""
     over = np.cos(walk.phase - np.pi * style.duty)  # 1 when the right leg carries the body
-    aside = -style.sway * over + 0.25 * np.tan(lean_in) + wobble(0.004)
+    sideways = -style.sway * over + 0.25 * np.tan(lean_in) + wobble(0.004)
     back = -0.14 * np.sin(np.deg2rad(style.lean + style.pelvis_pitch))  # the trunk's weight stays over the feet
-    offset = np.stack([aside, np.zeros_like(aside), back + np.zeros_like(aside)], axis=-1)
+    offset = np.stack([sideways, np.zeros_like(sideways), back + np.zeros_like(sideways)], axis=-1)
     hips = quat_rotate(quat_from_yaw(walk.yaw), offset)
     hips[:, [0, 2]] += walk.position
     bob = style.hip_bob * np.clip(walk.vigour, 0.3, 1.3) * np.cos(2 * (walk.phase - np.deg2rad(style.bob_delay)))

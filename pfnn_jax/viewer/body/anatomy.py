@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.motion.humanoid.map import HumanoidMap
 from pfnn_jax.motion.kinematics import quat_rotate
 from pfnn_jax.motion.retargeting.body import SIDES, limb, neck_chain, torso_chain
 from pfnn_jax.motion.retargeting.reference import reference_pose
 from pfnn_jax.motion.retargeting.retarget import place_joints
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
-from pfnn_jax.viewer.body.part import unit
 
 LEG, TORSO, ARM, HIP, SHOULDER = 0.83, 0.5, 0.54, 0.09, 0.18
 """Metres in a person of 1.75 m: hip to ankle, hips to shoulders, shoulder to wrist; half the distance between the hip

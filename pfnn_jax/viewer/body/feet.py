@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.viewer.body.anatomy import Anatomy
-from pfnn_jax.viewer.body.part import Part, ball, profile, smooth_step, tube, unit
+from pfnn_jax.viewer.body.part import Part, ball, profile, smooth_step, tube
 
 BALL, TIP, HEEL = 0.135, 0.072, 0.062
 """Metres of a person from the ankle to the ball of the foot, from there to the tip, and from the ankle back."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.viewer.body.anatomy import ARM, Anatomy
-from pfnn_jax.viewer.body.part import Part, tube, unit
+from pfnn_jax.viewer.body.part import Part, tube
 
 # Metres of a person along the hand, and half its breadth, half its thickness, and how far it sinks.
 PALM = (
@@ -50,12 +51,12 @@ def _palm(corners: int = 10) -> np.ndarray:
     return np.array([np.stack([np.full(corners, x), w * c, t * s + d], axis=-1) for x, w, t, d in PALM])
 
 
-def _finger(aside: float, along: float, length: float) -> np.ndarray:
+def _finger(across: float, along: float, length: float) -> np.ndarray:
     """Returns the rings [R, N, 3] of a person's finger."""
-    fan = 0.12 * aside / 0.031
+    fan = 0.12 * across / 0.031
     steps = length * np.array([0.40, 0.34, 0.26])
     heading = np.stack([np.cos(CURL), fan * np.cos(CURL), np.sin(CURL)], axis=-1)
-    points = np.array([along, aside, 0.004]) + np.concatenate(
+    points = np.array([along, across, 0.004]) + np.concatenate(
         [np.zeros((1, 3)), np.cumsum(steps[:, None] * heading[:3], axis=0)]
     )
     return _worm(points, FINGER_RADIUS * np.array([1.0, 0.98, 0.88, 0.74]))

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.viewer.body.anatomy import ARM, LEG
-from pfnn_jax.viewer.body.part import Part, ball, profile, smooth_step, tube, unit
+from pfnn_jax.viewer.body.part import Part, ball, profile, smooth_step, tube
 
 # Position along the limb (0 at its first joint, 1 at knee or elbow, 2 at its end) and metres from the bones to the skin
 # of a person: to either side, to the front, to the back. Limbs begin as a ball, which looks the same however they turn.

@@ -114,11 +114,6 @@ def smooth_step(x: np.ndarray | float) -> np.ndarray:
     return t * t * (3.0 - 2.0 * t)
 
 
-def unit(vector: np.ndarray) -> np.ndarray:
-    """Returns a vector [..., 3] of length 1 in the same direction."""
-    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-12)
-
-
 def _skin(weights: Sequence[Weights], count: int, corners: int) -> tuple[np.ndarray, np.ndarray]:
     """Returns joints and weights [V, 4] of the vertices of a tube; poles move like the ring that they close."""
     joints, shares = np.zeros((len(weights), INFLUENCES), int), np.zeros((len(weights), INFLUENCES))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.motion.kinematics import quat_rotate
 from pfnn_jax.motion.skeleton import Skeleton, rest_pose
-from pfnn_jax.viewer.body.part import Part, ball, tube, unit
+from pfnn_jax.viewer.body.part import Part, ball, tube
 from pfnn_jax.viewer.draw.palette import SIDES, rgb
 
 THICK, THIN, LONGEST, DOT = 0.03, 0.35, 0.12, 0.06

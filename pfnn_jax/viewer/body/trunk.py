@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from pfnn_jax.motion.arrays import unit
 from pfnn_jax.motion.retargeting.body import neck_chain, torso_chain
 from pfnn_jax.viewer.body.anatomy import HIP, SHOULDER, TORSO, Anatomy
-from pfnn_jax.viewer.body.part import Part, Weights, profile, smooth_step, tube, unit
+from pfnn_jax.viewer.body.part import Part, Weights, profile, smooth_step, tube
 
 CORNERS = 18
 # Height (0 at the hip joints, 1 at the shoulder joints), and metres of a person: half the width, depth to the front and
@@ -108,8 +109,8 @@ def _weights(anatomy: Anatomy, rings: np.ndarray, up: np.ndarray) -> list[Weight
             continue
         # a clavicle that starts in the middle of the chest moves all of it, one at the collar only the shoulder
         low = np.clip(float((anatomy.at(arm) - anatomy.at(clavicle)) @ up) / (LOW_CLAVICLE * torso), 0.0, 1.0)
-        aside, width, height = (1 - low) * SHOULDER_PART + low * CHEST_PART
-        out = smooth_step((sign * points[:, 0] / anatomy.shoulder_half - aside) / width)
+        begin, width, height = (1 - low) * SHOULDER_PART + low * CHEST_PART
+        out = smooth_step((sign * points[:, 0] / anatomy.shoulder_half - begin) / width)
         level = smooth_step(1.5 - np.abs((points - anatomy.at(arm)) @ up) / (height * torso))
         pull = SHRUG * out * level
         for vertex in np.flatnonzero(pull > 0.01):

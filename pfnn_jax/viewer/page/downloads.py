@@ -13,9 +13,9 @@ from pfnn_jax.motion.gltf.write import glb_bytes
 from pfnn_jax.motion.retargeting.retarget import retarget
 from pfnn_jax.viewer.body import grow_body
 from pfnn_jax.viewer.page import background
-from pfnn_jax.viewer.page.outfit import Outfit
 from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.scene import PageScene
+from pfnn_jax.viewer.page.worn_character import WornCharacter
 from pfnn_jax.workflows.characters import put_onto
 
 if TYPE_CHECKING:
@@ -41,15 +41,15 @@ class Downloads:
 
     def __init__(self, client: viser.ClientHandle, scene: PageScene, refuse: Callable[[str, str], None]) -> None:
         self._client, self._scene, self._refuse = client, scene, refuse
-        self._worn: Outfit | None = None
+        self._worn: WornCharacter | None = None
         hint = "GLB holds the body too; both keep the travel."
         self._format: Any = client.gui.add_dropdown("Download as", (BVH, GLB), initial_value=BVH, hint=hint)
 
     def refresh(self) -> None:
         """Offers the formats for what is worn now, that of the character first."""
-        if self._scene.outfit is self._worn:
+        if self._scene.worn is self._worn:
             return
-        self._worn = self._scene.outfit
+        self._worn = self._scene.worn
         worn = () if self._worn is None else tuple(f"{kind} of {self._worn.name}" for kind in (GLB, BVH))
         self._format.options = (*worn, BVH, GLB)
         self._format.value = (*worn, BVH)[0]
@@ -65,13 +65,13 @@ class Downloads:
         kind = GLB if str(self._format.value).startswith(GLB) else BVH
         threading.Thread(target=self._send, args=(name, clip, kind, worn), name="download", daemon=True).start()
 
-    def _send(self, name: str, clip: MotionClip, kind: str, worn: Outfit | None) -> None:
+    def _send(self, name: str, clip: MotionClip, kind: str, worn: WornCharacter | None) -> None:
         name = f"{name[:LONGEST_NAME]}_{clip.num_frames}.{kind.lower()}"
         with background.shown_errors(partial(self._refuse, "bad"), name):
             self._client.send_file_download(name, recording_bytes(clip, kind, worn), save_immediately=True)
 
 
-def recording_bytes(clip: MotionClip, kind: str, worn: Outfit | None = None) -> bytes:
+def recording_bytes(clip: MotionClip, kind: str, worn: WornCharacter | None = None) -> bytes:
     """Returns the file of a recording, with its travel.
 
     Args:

@@ -16,15 +16,15 @@ from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.downloads import Downloads
 from pfnn_jax.viewer.page.drive_input import parse_message
+from pfnn_jax.viewer.page.frame_scheduler import SILENCE
 from pfnn_jax.viewer.page.framing import Framing
-from pfnn_jax.viewer.page.pace import SILENCE
 from pfnn_jax.viewer.page.restyle_panel import RestylePanel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene, camera_yaw
 from pfnn_jax.viewer.page.style_picker import StylePicker
 from pfnn_jax.viewer.page.uploads import ACCEPTED, NICENESS, LearnedUpload
 from pfnn_jax.viewer.page.view import View
-from pfnn_jax.viewer.page.wardrobe import Wardrobe
+from pfnn_jax.viewer.page.wear_panel import WearPanel
 from pfnn_jax.viewer.page.widgets import CONTACT_SECONDS, FieldChanges, Timeline
 from pfnn_jax.workflows.samples import sample_clips
 
@@ -95,7 +95,7 @@ class Panel:
             self._picker = StylePicker(self._gui, library, character)
             self._picker.on_manage(self._queued)
         self._files()
-        self.wardrobe = Wardrobe(client, scene, self.clicks, self.wake)
+        self.wear = WearPanel(client, scene, self.clicks, self.wake)
         self.restyle = RestylePanel(client)
         self._gait()
         self._camera()

@@ -20,10 +20,10 @@ from pfnn_jax.run_config import check_finished
 from pfnn_jax.viewer.draw.palette import ACCENT, rgb
 from pfnn_jax.viewer.page import background, widgets
 from pfnn_jax.viewer.page.compilation_cache import StartTimes, use_private_cache
-from pfnn_jax.viewer.page.first_sight import FirstSight, StartProgress, Ticker, Waiting, first_sight
 from pfnn_jax.viewer.page.guard import guarded
 from pfnn_jax.viewer.page.run_library import RunLibrary, run_names
 from pfnn_jax.viewer.page.scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
+from pfnn_jax.viewer.page.start_screen import StandingBody, StartProgress, Ticker, WaitingTab, standing_body
 from pfnn_jax.viewer.page.tab import Tab
 from pfnn_jax.viewer.page.uploads import cancel_learning, prepare_learning
 
@@ -50,7 +50,7 @@ class Page:
     Args:
         library: the runs; None if they follow with `begin`.
         host, port: address to listen at; port 0 takes a free one.
-        sight: the body that is shown before the runs are loaded; None shows only the progress.
+        body: the body that is shown before the runs are loaded; None shows only the progress.
         progress: of loading.
 
     Raises:
@@ -63,12 +63,12 @@ class Page:
         host: str = LOCAL,
         port: int = 8080,
         *,
-        sight: FirstSight | None = None,
+        body: StandingBody | None = None,
         progress: StartProgress | None = None,
     ) -> None:
-        self._library, self._sight, self._progress = library, sight, progress or StartProgress()
+        self._library, self._body, self._progress = library, body, progress or StartProgress()
         self._tabs: dict[int, Tab] = {}
-        self._waiting: dict[int, Waiting] = {}
+        self._waiting: dict[int, WaitingTab] = {}
         self._lock = threading.Lock()
         self._closed = False
         self._server = _serve(host, port)
@@ -81,7 +81,7 @@ class Page:
             brand_color=rgb(ACCENT),
         )
         self._server.gui.set_panel_label("pfnn_jax")
-        names = ", ".join(library.runs) if library is not None else sight.run if sight is not None else ""
+        names = ", ".join(library.runs) if library is not None else body.run if body is not None else ""
         # Of the server, not of a tab: they reach a browser with the first messages.
         self._server.gui.add_html(widgets.script(names))
         self._note = None if library is not None else self._server.gui.add_html(self._progress.html())
@@ -157,7 +157,7 @@ class Page:
             if self._closed:
                 return
             if self._library is None:
-                self._waiting[client.client_id] = Waiting(client, self._sight)
+                self._waiting[client.client_id] = WaitingTab(client, self._body)
                 return
             tab = self._tabs[client.client_id] = Tab(client, self._library)
         tab.start()
@@ -220,10 +220,10 @@ def _play(
     names = run_names([Path(path) for path in run_paths])
     times = StartTimes([str(Path(path).resolve()) for path in run_paths], _cache() if keep_compiled else None)
     progress = StartProgress(times.expected)
-    sight = background.do(partial(first_sight, run_paths[0], names[0]))
+    body = background.do(partial(standing_body, run_paths[0], names[0]))
     library = None
     # The page is there before anything is loaded, so that a taken port is reported at once.
-    with Page(host=host, port=port, sight=sight, progress=progress) as page:
+    with Page(host=host, port=port, body=body, progress=progress) as page:
         try:
             print(f"compiling; the page is open at {page.url}: about {times.expected:.0f} s", flush=True)
             if open_browser:

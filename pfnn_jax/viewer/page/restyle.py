@@ -18,9 +18,9 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.blending import Parts
 from pfnn_jax.viewer.draw.annotated_clip import annotate_clips
 from pfnn_jax.viewer.page import background
-from pfnn_jax.viewer.page.outfit import clip_bytes, read_offer
 from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.uploads import NICENESS, WAITING, Progress, check_upload, style_name, suffix_of
+from pfnn_jax.viewer.page.worn_character import clip_bytes, read_content
 from pfnn_jax.viewer.player.player import player_page
 from pfnn_jax.workflows.transfer import transfer_clip
 
@@ -68,11 +68,11 @@ def check_clip(filename: str, data: bytes) -> ClipUpload:
         InputError: for a file of another kind, one without a motion, and as `uploads.check_upload`.
     """
     name, suffix = style_name(filename), suffix_of(filename)
-    offer = read_offer(filename, data)
-    if not offer.clips:
+    content = read_content(filename, data)
+    if not content.clips:
         rule = "must hold the motion of a clip: this file holds a character alone, which can be worn"
         raise InputError(f"{name}{suffix}", "motion", "none", rule)
-    filename, data = clip_bytes(filename, data, offer, offer.clips[0])  # the likely walk
+    filename, data = clip_bytes(filename, data, content, content.clips[0])  # the likely walk
     name, suffix = style_name(filename), suffix_of(filename)
     check_upload(name, data, suffix)
     return ClipUpload(name, data, suffix)

@@ -17,6 +17,7 @@ from pfnn_jax.control.controller import Command, Controller, make_controller, wi
 from pfnn_jax.control.controller_state import ControllerParams
 from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.errors import InputError
+from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run import Run, load_run, load_style
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.viewer.page.learning import LearningBoard
@@ -213,6 +214,7 @@ class RunLibrary:
         """
         with self._lock:
             loaded = self._need_learned(run, old)
+            check_style_name(new, run)  # here, so that a refusal names the run as the page does, not its folder
             if new.lower() in (style.lower() for style in loaded.styles if style != old):
                 raise InputError(run, "style name", new, "is taken by another style; choose another name")
             rename_style(loaded.run.path, old, new)

@@ -27,9 +27,9 @@ from pfnn_jax.viewer.draw.palette import (
     SCENE_SIDES,
     SKY,
 )
-from pfnn_jax.viewer.page.outfit import Fitting, Outfit, height_of
 from pfnn_jax.viewer.page.skinned_body import BODY, SkinnedBody
 from pfnn_jax.viewer.page.view import View, at_moment
+from pfnn_jax.viewer.page.worn_character import LiveRetargeter, WornCharacter, height_of
 
 if TYPE_CHECKING:
     import viser
@@ -99,8 +99,8 @@ class PageScene:
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
         self._own: Skeleton | None = None
-        self._outfit: Outfit | None = None
-        self._fitting: Fitting | None = None
+        self._worn: WornCharacter | None = None
+        self._live: LiveRetargeter | None = None
         self._skeleton: Skeleton | None = None  # of what is drawn
         self._parts: list[Any] = []
         self._zoom = 1.0
@@ -129,14 +129,14 @@ class PageScene:
         )
 
     @property
-    def outfit(self) -> Outfit | None:
+    def worn(self) -> WornCharacter | None:
         """The character that is worn."""
-        return self._outfit
+        return self._worn
 
     @property
     def _travel(self) -> float:
         """Factor on the ground covered by the character that is driven."""
-        return 1.0 if self._fitting is None else self._fitting.retargeter.scale
+        return 1.0 if self._live is None else self._live.retargeter.scale
 
     @property
     def origin(self) -> np.ndarray:
@@ -156,12 +156,12 @@ class PageScene:
         """
         self._own = skeleton
         try:
-            self.wear(self._outfit)
+            self.wear(self._worn)
         except InputError:
             self.wear(None)
             raise
 
-    def wear(self, outfit: Outfit | None) -> None:
+    def wear(self, worn: WornCharacter | None) -> None:
         """Replaces the body by that of a character, or by the skeleton's own.
 
         All is drawn so that a body of another height fills as much of the picture.
@@ -170,16 +170,16 @@ class PageScene:
             InputError: if the skeleton's motion cannot be put onto the character; nothing has changed then.
         """
         if self._own is None:
-            self._outfit = outfit
+            self._worn = worn
             return
-        fitting, before = None if outfit is None else Fitting(self._own, outfit), self._travel
+        live, before = None if worn is None else LiveRetargeter(self._own, worn), self._travel
         own = grow_body(self._own)
-        if outfit is None or fitting is None:
+        if worn is None or live is None:
             self._show(self._own, own, np.arange(self._own.num_joints), 1.0)
         else:
-            zoom = height_of(own) / height_of(outfit.mesh)
-            self._show(outfit.skeleton, outfit.mesh, fitting.retargeter.carriers, zoom)
-        self._outfit, self._fitting = outfit, fitting
+            zoom = height_of(own) / height_of(worn.mesh)
+            self._show(worn.skeleton, worn.mesh, live.retargeter.carriers, zoom)
+        self._worn, self._live = worn, live
         self._origin.jump(self._origin.value * (self._travel / before))
 
     def _show(self, skeleton: Skeleton, mesh: SkinnedMesh, carriers: np.ndarray, zoom: float) -> None:
@@ -204,8 +204,8 @@ class PageScene:
             seconds: since the last call.
         """
         view = at_moment(view)
-        if self._fitting is not None:
-            view = self._fitting.dress(view)
+        if self._live is not None:
+            view = self._live.retarget(view)
         self._move_camera(view, seconds)
         self._world.wxyz = quat_from_yaw(-self.yaw)
         self._world.position = -self._zoom * self._turned(self.origin)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.errors import InputError
@@ -58,6 +59,7 @@ class StylePicker:
             self._new_name = gui.add_text("New name", "")
             self._rename = gui.add_button("Rename", color=rgb(BUTTON))
             self._delete = gui.add_button("Delete", color=rgb(BUTTON))
+        self._refusal = gui.add_html("", visible=False)
         self._restore = gui.add_button("Undo", color=rgb(BUTTON), visible=False)
         self._set_seen(self._run.value, self._style.value)
         self._values.set(shares=self._share_field.value)
@@ -75,7 +77,7 @@ class StylePicker:
             (self._delete, self._delete_style),
             (self._restore, self._restore_style),
         ):
-            button.on_click(queued(action))
+            button.on_click(queued(partial(self._managed, action)))
 
     @property
     def run(self) -> str:
@@ -111,6 +113,7 @@ class StylePicker:
         if moved or (chosen and self._style.value == MIXTURE):
             self._mix(corners, now)
         if self._values.changed("managed", (self._run.value, self._style.value)):
+            self._refuse("")
             self._show_manage()
         if now >= self._redraw_at:
             self._draw()
@@ -127,6 +130,17 @@ class StylePicker:
         self._run.value, self._style.value = run, style
         self._set_seen(run, style)
         self._draw()
+
+    def _managed(self, action: Callable[[], None]) -> None:
+        """Renames, deletes or restores; a refusal is shown below the buttons until the next attempt or choice."""
+        self._refuse("")
+        try:
+            action()
+        except InputError as error:
+            self._refuse(str(error))
+
+    def _refuse(self, text: str) -> None:
+        self._refusal.content, self._refusal.visible = widgets.message("bad", text), bool(text)
 
     def _rename_style(self) -> None:
         run, old, new = self._character.run, self._style.value, str(self._new_name.value).strip()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.character import Character
-from pfnn_jax.viewer.page.pace import SLOWEST, Pacer, picture_interval
+from pfnn_jax.viewer.page.frame_scheduler import SLOWEST, FrameScheduler, picture_interval
 from pfnn_jax.viewer.page.panel import STANDING, Panel
 from pfnn_jax.viewer.page.run_library import RunLibrary
 from pfnn_jax.viewer.page.scene import PageScene
@@ -78,14 +78,14 @@ class Tab:
             threading.Thread(target=work, name="upload", daemon=True).start()
 
         async def uploaded(event: Any) -> None:
-            panel.wardrobe.take_clip(event.target.value.name, event.target.value.content)
+            panel.wear.take_clip(event.target.value.name, event.target.value.content)
 
         async def tried(event: Any) -> None:
             path = sample_clips().get(event.target.value)
             if path is not None:  # a browser can send names that its page does not offer
                 learn(path.name, path.read_bytes())
 
-        panel.wardrobe.serve_learning(learn, panel.show_message)
+        panel.wear.serve_learning(learn, panel.show_message)
         panel.upload.on_upload(uploaded)
         panel.samples.on_click(tried)
         self._wake = panel.wake
@@ -93,7 +93,7 @@ class Tab:
 
     def _follow(self, character: Character, panel: Panel, scene: PageScene) -> None:
         """Serves, steps and draws until the tab is closed; waits for input while nobody needs a picture."""
-        pacer, view = Pacer(), character.advance(time.monotonic())
+        scheduler, view = FrameScheduler(), character.advance(time.monotonic())
         run, cost, drawn_at, shown_at = "", 0.0, -1.0, -1.0
         while not self._closed.is_set():
             now = time.monotonic()
@@ -101,15 +101,15 @@ class Tab:
                 panel.show_message("bad", refusal)
             panel.serve(now)
             moving = view.speed > STANDING or view.wanted_speed > 0.0 or view.recording
-            pace = pacer.pace(now, visible=panel.visible(now), moving=moving, touched=panel.take_touched())
-            if pace.steps:
+            plan = scheduler.plan(now, visible=panel.visible(now), moving=moving, touched=panel.take_touched())
+            if plan.steps:
                 view = character.advance(now)
                 panel.add_contacts(view, now)
                 stepped = time.monotonic() - now
-                if now - drawn_at >= max(pace.interval, picture_interval(stepped + cost, panel.rate)):
+                if now - drawn_at >= max(plan.interval, picture_interval(stepped + cost, panel.rate)):
                     if view.run != run:
                         run = view.run
-                        panel.wardrobe.set_skeleton(self._library.get(view.run).run.skeleton)
+                        panel.wear.set_skeleton(self._library.get(view.run).run.skeleton)
                         scene.jump_to(view)
                     before = time.monotonic()
                     with self._client.atomic():
@@ -120,7 +120,7 @@ class Tab:
                 if now - shown_at >= READOUT:
                     panel.show(view, now, sum(moment > now - 1.0 for moment in self._drawn))
                     shown_at = now
-            panel.wake.wait(max(pace.wait - (time.monotonic() - now), 0.001))
+            panel.wake.wait(max(plan.wait - (time.monotonic() - now), 0.001))
             panel.wake.clear()
 
     def _learn(self, character: Character, panel: Panel, filename: str, content: bytes) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from pfnn_jax.control.loop.state import ROOT, STRIDE
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.motion.kinematics import quat_normalise
 
 if TYPE_CHECKING:
     from pfnn_jax.control.controller import ControllerState
@@ -52,11 +53,11 @@ class View:
         world_rotations: [J, 4] of the joints' frames.
         root: [2] on the ground (x, z).
         facing: [2] unit vector on the ground.
-        heading: [] radians about +Y: the direction of W; the yaw of a camera that turns along.
         past_positions, past_directions: [P, 2] past trajectory, oldest first, every tenth frame.
         future_positions, future_directions: [F, 2] predicted trajectory from the present on, scaled by the time scale:
             a single point while the character stands.
         contacts: [4] in 0..1: left heel, left toe, right heel, right toe.
+        heading: [] radians about +Y: the direction of W; the yaw of a camera that turns along.
         dials: the phases: one of the gait cycle, four local ones, or none.
         speed: present speed along the ground, m/s.
         wanted_speed: commanded speed, m/s.
@@ -75,20 +76,20 @@ class View:
     world_rotations: np.ndarray
     root: np.ndarray
     facing: np.ndarray
-    heading: float
     past_positions: np.ndarray
     past_directions: np.ndarray
     future_positions: np.ndarray
     future_directions: np.ndarray
     contacts: np.ndarray
-    dials: tuple[Dial, ...]
-    speed: float
-    wanted_speed: float
-    style_weights: Mapping[str, float]
-    step_milliseconds: float
-    steps_per_second: float
-    recorded_seconds: float | None
-    recording: bool
+    heading: float = 0.0
+    dials: tuple[Dial, ...] = ()
+    speed: float = 0.0
+    wanted_speed: float = 0.0
+    style_weights: Mapping[str, float] = field(default_factory=dict)
+    step_milliseconds: float = 0.0
+    steps_per_second: float = 0.0
+    recorded_seconds: float | None = None
+    recording: bool = False
     before: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
     share: float = 1.0
 
@@ -108,7 +109,7 @@ def at_moment(view: View) -> View:
     return replace(
         view,
         joints=shares[0] * joints + shares[1] * view.joints,
-        world_rotations=between / np.linalg.norm(between, axis=-1, keepdims=True),
+        world_rotations=quat_normalise(between),
         root=shares[0] * root + shares[1] * view.root,
     )
 

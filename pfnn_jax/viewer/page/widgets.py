@@ -78,7 +78,7 @@ def start_note(what: str, seconds: float, expected: float | None) -> str:
     elif seconds < expected:
         rest = f"about {max(expected - seconds, 1.0):.0f} s to go"
     else:
-        rest = "a little longer than expected"
+        rest = "longer than expected"
     bar = f'<div class="pfnn-bar"><div style="width:{100.0 * share:.1f}%"></div></div>'
     counted = f"<span>{seconds:.0f} s so far</span><span>{rest}</span>"
     return (
@@ -227,7 +227,11 @@ def plain_number(value: float, digits: int) -> str:
 
 
 def message(kind: str, text: str) -> str:
-    """Returns one or several lines in a coloured box; `kind` is `good`, `warning`, `bad` or `plain`."""
+    """Returns one or several lines in a coloured box; `kind` is `good`, `warning`, `bad` or `plain`.
+
+    A line that advises an option says where there are options: the page has none.
+    """
+    text = "\n".join(f"{line} (on the command line)" if "`--" in line else line for line in text.split("\n"))
     colour, back = MESSAGES[kind]
     style = f"{_FONT};font-size:12.5px;line-height:1.4;color:{colour};background:{back}"
     box = "overflow-wrap:anywhere;white-space:pre-line;border-radius:7px;padding:7px 10px;margin:2px 12px 9px"

@@ -47,8 +47,8 @@ def between(u, v):
     u, v = (w / np.maximum(np.linalg.norm(w, axis=-1, keepdims=True), 1e-12) for w in (u, v))
     along = (u * v).sum(-1, keepdims=True)
     turn = np.concatenate([1.0 + along, cross(u, v)], -1)
-    aside = np.where(abs(u[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    half_turn = np.concatenate([0.0 * along, cross(u, aside)], -1)
+    other = np.where(abs(u[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    half_turn = np.concatenate([0.0 * along, cross(u, other)], -1)
     return normalise(np.where(along < -1.0 + 1e-9, half_turn, turn))
 
 

@@ -13,9 +13,15 @@ from pfnn_jax.motion.clip_files import CHARACTER_SUFFIXES
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.viewer.draw.palette import BUTTON, rgb
 from pfnn_jax.viewer.page import background, widgets
-from pfnn_jax.viewer.page.outfit import Offer, Outfit, clip_bytes, read_offer, read_outfit
 from pfnn_jax.viewer.page.scene import PageScene
 from pfnn_jax.viewer.page.uploads import NICENESS
+from pfnn_jax.viewer.page.worn_character import (
+    FileContent,
+    WornCharacter,
+    clip_bytes,
+    read_content,
+    read_worn_character,
+)
 
 if TYPE_CHECKING:
     import viser
@@ -28,14 +34,20 @@ CHARACTERS = ",".join(CHARACTER_SUFFIXES)
 
 FIRST_NOTE = "Drop in a rigged GLB or VRM character and drive it."
 
-NOTHING = ("", b"", Offer("", (), False))
+CHOOSE = "Choose under Character."
+"""Where to answer what is asked about a file."""
+
+NOTICE_SECONDS = 10.0
+"""After which a notice of the question goes; the question itself stays below the controls."""
+
+NOTHING = ("", b"", FileContent("", (), False))
 """Name, bytes and content of no file."""
 
 Learn = Callable[[str, bytes], None]
 """Learns the style of a clip, given the name and the bytes of its file."""
 
 
-class Wardrobe:
+class WearPanel:
     """Wears characters in one tab, one at a time.
 
     Args:
@@ -55,7 +67,7 @@ class Wardrobe:
         self._working = threading.Lock()
         self._learn: Learn = lambda filename, data: None
         self._refuse: Callable[[str, str], None] = self.show_message
-        self._given: tuple[str, bytes, Offer] = NOTHING
+        self._given: tuple[str, bytes, FileContent] = NOTHING
         gui = client.gui
         with gui.add_folder("Character"):
             self.upload = gui.add_upload_button(WEAR, mime_type=CHARACTERS)
@@ -97,17 +109,20 @@ class Wardrobe:
         Raises:
             InputError: for a file that cannot be taken.
         """
-        offer = background.do(partial(read_offer, filename, data), niceness=NICENESS)
-        self._given = filename, data, offer
-        if wear and offer.body:
-            self._ask(offer._replace(body=False), "")
+        content = background.do(partial(read_content, filename, data), niceness=NICENESS)
+        self._given = filename, data, content
+        if wear and content.body:
+            self._ask(content._replace(body=False), "")
             self._wear_given()
-        elif not wear and len(offer.clips) == 1 and not offer.body:
-            self._ask(offer._replace(clips=(), body=False), "")
-            self._learn_given(offer.clips[0])
+        elif not wear and len(content.clips) == 1 and not content.body:
+            self._ask(content._replace(clips=(), body=False), "")
+            self._learn_given(content.clips[0])
         else:
-            self._ask(offer, _question(offer))
-            self._client.add_notification(f"{offer.name}: wear it or learn from it?", "Choose under Character.")
+            question = _question(content)
+            self._ask(content, question)
+            self._client.add_notification(question, CHOOSE, auto_close_seconds=NOTICE_SECONDS)
+            if not wear:
+                self._refuse("plain", CHOOSE)
 
     def set_skeleton(self, skeleton: Skeleton) -> None:
         """Sets the skeleton that is driven; takes a character off that its motion cannot be put onto, and says so."""
@@ -121,22 +136,22 @@ class Wardrobe:
         """Shows a message below the controls; `kind` is `good`, `bad` or `plain`."""
         self._message.content = widgets.message(kind, text)
 
-    def _ask(self, offer: Offer, question: str) -> None:
+    def _ask(self, content: FileContent, question: str) -> None:
         """Shows the buttons for what a file holds."""
-        if offer.clips:
-            self._clip.options = offer.clips
-            self._clip.value = offer.clips[0]
-        self._clip.visible = len(offer.clips) > 1
-        self._learn_it.visible, self._wear_it.visible = bool(offer.clips), offer.body
+        if content.clips:
+            self._clip.options = content.clips
+            self._clip.value = content.clips[0]
+        self._clip.visible = len(content.clips) > 1
+        self._learn_it.visible, self._wear_it.visible = bool(content.clips), content.body
         if question:
             self.show_message("plain", question)
 
     def _wear_given(self) -> None:
         self.show_message("plain", f"Reading {self._given[0][:80]} …")
         filename, data, _ = self._given
-        outfit = background.do(partial(read_outfit, filename, data), niceness=NICENESS)
+        worn = background.do(partial(read_worn_character, filename, data), niceness=NICENESS)
         self._wear_it.visible = False
-        self._put(partial(self._wear, outfit))
+        self._put(partial(self._wear, worn))
 
     def _learn_chosen(self) -> None:
         self._learn_given(self._clip.value)
@@ -148,19 +163,19 @@ class Wardrobe:
     def _take_off(self) -> None:
         self._put(partial(self._wear, None))
 
-    def _wear(self, outfit: Outfit | None) -> None:
+    def _wear(self, worn: WornCharacter | None) -> None:
         """Changes what the tab draws, in its thread."""
         try:
-            self._scene.wear(outfit)
+            self._scene.wear(worn)
         except InputError as error:
             self.show_message("bad", str(error))
             return
-        self._off.visible = outfit is not None
-        if outfit is None:
+        self._off.visible = worn is not None
+        if worn is None:
             self.show_message("plain", FIRST_NOTE)
         else:
-            size = f"{outfit.skeleton.num_joints} joints, {len(outfit.mesh.faces)} triangles"
-            self.show_message("good", f"{outfit.name} ({size}) is worn: drive it with W, A, S and D.")
+            size = f"{worn.skeleton.num_joints} joints, {len(worn.mesh.faces)} triangles"
+            self.show_message("good", f"{worn.name} ({size}) is worn: drive it with W, A, S and D.")
 
     def _put(self, action: Callable[[], None]) -> None:
         self._clicks.put(action, timeout=10.0)
@@ -188,14 +203,14 @@ class Wardrobe:
                     self._given = NOTHING  # it can hold many megabytes
                 self._working.release()
 
-        threading.Thread(target=work, name="wardrobe", daemon=True).start()
+        threading.Thread(target=work, name="wear", daemon=True).start()
 
 
-def _question(offer: Offer) -> str:
+def _question(content: FileContent) -> str:
     """Returns what to say of a file that holds something else than was wanted, or both."""
-    if not offer.body:
-        return f"{offer.name} holds a motion and no body: learn its style?"
-    if not offer.clips:
-        return f"{offer.name} holds a character and no motion to learn from: wear it?"
-    motions = "a motion" if len(offer.clips) == 1 else f"{len(offer.clips)} motions"
-    return f"{offer.name} holds a character and {motions}: wear it, or learn from it?"
+    if not content.body:
+        return f"{content.name} holds a motion and no body: learn its style?"
+    if not content.clips:
+        return f"{content.name} holds a character and no motion to learn from: wear it?"
+    motions = "a motion" if len(content.clips) == 1 else f"{len(content.clips)} motions"
+    return f"{content.name} holds a character and {motions}: wear it, or learn from it?"

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class FirstSight:
+class StandingBody:
     """A standing body.
 
     Attributes:
@@ -44,7 +44,7 @@ class FirstSight:
     view: View
 
 
-def first_sight(run: str | Path, name: str) -> FirstSight:
+def standing_body(run: str | Path, name: str) -> StandingBody:
     """Returns the body of a run as it stands before the run is loaded.
 
     Args:
@@ -59,7 +59,7 @@ def first_sight(run: str | Path, name: str) -> FirstSight:
     skeleton = skeleton_from_json(config.skeleton, path / "config.json")
     layout = layout_for(config.layout, skeleton)
     joints, rotations = mean_pose(layout, load_normaliser(path / "normaliser"), skeleton)
-    return FirstSight(name, skeleton, _standing_view(name, joints, rotations))
+    return StandingBody(name, skeleton, _standing_view(name, joints, rotations))
 
 
 def mean_pose(layout: FrameLayout, normaliser: Normaliser, skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
@@ -97,20 +97,11 @@ def _standing_view(run: str, joints: np.ndarray, rotations: np.ndarray) -> View:
         world_rotations=rotations,
         root=here[0],
         facing=ahead[0],
-        heading=0.0,
         past_positions=here,
         past_directions=ahead,
         future_positions=here,
         future_directions=ahead,
         contacts=np.ones(4),
-        dials=(),
-        speed=0.0,
-        wanted_speed=0.0,
-        style_weights={},
-        step_milliseconds=0.0,
-        steps_per_second=0.0,
-        recorded_seconds=None,
-        recording=False,
     )
 
 
@@ -140,25 +131,25 @@ class StartProgress:
         return widgets.start_note(self._what, self.seconds, self.expected)
 
 
-class Waiting:
+class WaitingTab:
     """A tab whose runs are still being loaded: it shows the standing body.
 
     Args:
         client: the tab.
-        sight: the body; None shows nothing.
+        body: the standing body; None shows nothing.
 
     Attributes:
         scene: of the tab, which its character takes over; None without a body.
     """
 
-    def __init__(self, client: viser.ClientHandle, sight: FirstSight | None) -> None:
-        self.client, self.scene = client, None if sight is None else PageScene(client.scene)
+    def __init__(self, client: viser.ClientHandle, body: StandingBody | None) -> None:
+        self.client, self.scene = client, None if body is None else PageScene(client.scene)
         self._framing = Framing(client)
-        if sight is not None and self.scene is not None:
+        if body is not None and self.scene is not None:
             with client.atomic():
-                self.scene.set_skeleton(sight.skeleton)
-                self.scene.jump_to(sight.view)
-                self.scene.draw(sight.view, 1.0)
+                self.scene.set_skeleton(body.skeleton)
+                self.scene.jump_to(body.view)
+                self.scene.draw(body.view, 1.0)
 
     def update(self) -> None:
         """Puts the body where it can be seen, in a window of any shape."""

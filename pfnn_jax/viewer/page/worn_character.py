@@ -1,4 +1,4 @@
-"""Characters to wear: what a file offers, and the motion of a tab's character on the body of another.
+"""Characters to wear: what a file holds, and the motion of a tab's character on the body of another.
 
 As in `uploads`, a browser sends bytes and a name. They are read as glTF and as nothing else, by a reader that takes
 nothing from outside the temporary folder of the file.
@@ -47,7 +47,7 @@ STEPS_PER_SECOND = 60.0
 """Of every layout."""
 
 
-class Offer(NamedTuple):
+class FileContent(NamedTuple):
     """What a file holds.
 
     Attributes:
@@ -64,7 +64,7 @@ class Offer(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Outfit:
+class WornCharacter:
     """A character of a file.
 
     Attributes:
@@ -81,7 +81,7 @@ class Outfit:
     data: bytes
 
 
-def read_offer(filename: str, data: bytes) -> Offer:
+def read_content(filename: str, data: bytes) -> FileContent:
     """Returns what a file holds.
 
     Args:
@@ -94,7 +94,7 @@ def read_offer(filename: str, data: bytes) -> Offer:
     """
     name, suffix = style_name(filename), suffix_of(filename)
     if suffix == ".bvh":
-        return Offer(name, ("",), False)
+        return FileContent(name, ("",), False)
     with _kept(name, suffix, data) as path:
         document = read_document(path)
         clips = tuple(clip for number, clip in enumerate(clip_names(document)) if _fits(read_tracks(document, number)))
@@ -104,22 +104,22 @@ def read_offer(filename: str, data: bytes) -> Offer:
         if not clips and not document.items("skins"):
             rule = f"must hold a rigged character, or a motion of {SHORTEST:g} to {LONGEST:g} s"
             raise InputError(path, "file", "neither body nor motion", rule)
-        return Offer(name, clips, bool(document.items("skins")), len(clip_names(document)) <= 1)
+        return FileContent(name, clips, bool(document.items("skins")), len(clip_names(document)) <= 1)
 
 
-def clip_bytes(filename: str, data: bytes, offer: Offer, clip: str) -> tuple[str, bytes]:
+def clip_bytes(filename: str, data: bytes, content: FileContent, clip: str) -> tuple[str, bytes]:
     """Returns the name and the bytes of a file that holds one motion: those given, or the motion as a BVH file.
 
     Args:
         filename: as sent by the browser.
         data: the file's bytes.
-        offer: what the file holds.
+        content: what the file holds.
         clip: name of the motion.
 
     Raises:
         InputError: as `read_clip`.
     """
-    if suffix_of(filename) == ".bvh" or (offer.whole and len(data) <= MOST_BYTES):
+    if suffix_of(filename) == ".bvh" or (content.whole and len(data) <= MOST_BYTES):
         return filename, data
     return clip_as_bvh(filename, data, clip)
 
@@ -140,7 +140,7 @@ def clip_as_bvh(filename: str, data: bytes, clip: str) -> tuple[str, bytes]:
         return f"{name} {style_name(f'{clip}.bvh')}.bvh", bvh_bytes(read_clip(path, clip_name=clip))
 
 
-def read_outfit(filename: str, data: bytes) -> Outfit:
+def read_worn_character(filename: str, data: bytes) -> WornCharacter:
     """Returns the character of a file.
 
     Args:
@@ -159,7 +159,7 @@ def read_outfit(filename: str, data: bytes) -> Outfit:
     if len(mesh.faces) > MOST_FACES:
         rule = f"must be at most {MOST_FACES}: reduce the mesh"
         raise InputError(f"{name}{suffix}", "mesh", f"{len(mesh.faces)} triangles", rule)
-    return Outfit(name, character.skeleton, mesh, suffix, data)
+    return WornCharacter(name, character.skeleton, mesh, suffix, data)
 
 
 @contextmanager
@@ -185,15 +185,15 @@ def _fits(tracks: list[Track]) -> bool:
     return SHORTEST <= max(float(keys[-1]) for keys in times) - min(float(keys[0]) for keys in times) <= LONGEST
 
 
-class Fitting:
-    """Puts the poses of one skeleton onto an outfit, in their order.
+class LiveRetargeter:
+    """Puts the poses of one skeleton onto a worn character, in their order.
 
     A foot stands on the lowest floor of the last second. A clip as a whole also looks a second ahead; on level ground
     that is the same.
 
     Args:
         skeleton: of the poses.
-        outfit: the character.
+        worn: the character.
 
     Attributes:
         retargeter: of both skeletons.
@@ -202,13 +202,13 @@ class Fitting:
         InputError: as `make_retargeter`.
     """
 
-    def __init__(self, skeleton: Skeleton, outfit: Outfit) -> None:
-        self.retargeter: Retargeter = make_retargeter(skeleton, outfit.skeleton)
+    def __init__(self, skeleton: Skeleton, worn: WornCharacter) -> None:
+        self.retargeter: Retargeter = make_retargeter(skeleton, worn.skeleton)
         self._soles: deque[tuple[int, float]] = deque()
         self._window = stance_frames(STEPS_PER_SECOND)
 
-    def dress(self, view: View) -> View:
-        """Returns what is drawn of a moment: the outfit's joints, and everything on the ground scaled as its travel.
+    def retarget(self, view: View) -> View:
+        """Returns what is drawn of a moment: the joints of the worn character, and the ground scaled as its travel.
 
         Args:
             view: of a character with the skeleton of the poses.

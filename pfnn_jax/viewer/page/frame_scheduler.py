@@ -33,7 +33,7 @@ BUSY = 0.7
 
 
 @dataclass(frozen=True)
-class Pace:
+class FramePlan:
     """What a tab does in one turn of its loop.
 
     Attributes:
@@ -47,13 +47,13 @@ class Pace:
     interval: float
 
 
-class Pacer:
-    """Decides the pace of one tab. Times are seconds of one clock."""
+class FrameScheduler:
+    """Decides when one tab is stepped and drawn. Times are seconds of one clock."""
 
     def __init__(self) -> None:
         self._active = -math.inf
 
-    def pace(self, now: float, *, visible: bool, moving: bool, touched: bool, drawn: float = 0.0) -> Pace:
+    def plan(self, now: float, *, visible: bool, moving: bool, touched: bool, drawn: float = 0.0) -> FramePlan:
         """Returns what to do now.
 
         Args:
@@ -66,8 +66,8 @@ class Pacer:
         if not math.isfinite(self._active) or moving or touched:
             self._active = now
         if not visible or now - self._active > ACTIVE_SECONDS:
-            return Pace(False, IDLE_INTERVAL, max(drawn, STANDING_INTERVAL))
-        return Pace(True, FRAME, drawn if moving or touched else max(drawn, STANDING_INTERVAL))
+            return FramePlan(False, IDLE_INTERVAL, max(drawn, STANDING_INTERVAL))
+        return FramePlan(True, FRAME, drawn if moving or touched else max(drawn, STANDING_INTERVAL))
 
 
 def picture_interval(work: float, rate: float) -> float:
