@@ -302,9 +302,7 @@ def _follow(predictor: Predictor, layout: FrameLayout, x, gating, track: TimedPa
 
 
 @partial(jax.jit, static_argnames=("setup", "num_frames"))
-def _track(
-    setup: ControllerSetup, params: ControllerParams, weights, track: TimedPath, points, yaws, num_frames: int
-):
+def _track(setup: ControllerSetup, params: ControllerParams, weights, track: TimedPath, points, yaws, num_frames: int):
     """Returns joints [N, T, J, 3], phases and contacts of a tracked character, for paths with a leading axis N."""
 
     def one(track, point, yaw):

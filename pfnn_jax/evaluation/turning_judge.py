@@ -202,6 +202,15 @@ def _worst() -> Judged:
     return {**dict.fromkeys(MEASURES, np.nan), **distances, "contacts": 0.0}
 
 
+def mean_measures(judged: Sequence[Judged]) -> Judged:
+    """Returns the mean of each measure over the walks that have it; NaN where none has."""
+    values = np.array([list(one.values()) for one in judged])
+    has = np.isfinite(values)
+    sums, counts = np.where(has, values, 0.0).sum(axis=0), has.sum(axis=0)
+    means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    return dict(zip(judged[0], means.tolist(), strict=True))
+
+
 def turning_frames(walk: Walk, fps: float) -> np.ndarray:
     """Returns which frames [T] turn faster than `TURNING`."""
     return np.abs(_yaw_rate(walk, fps)) > TURNING
@@ -250,13 +259,20 @@ def _mean_cycle(walk: Walk, part: slice) -> np.ndarray:
 
 
 def _warped(take: DrivenTake, walk: Walk, joints: np.ndarray) -> float:
-    every = max(round(take.fps / WARPING_FPS), 1)
-    true, own = take.actor.poses[::every][:, joints], walk.poses[walk.part][::every][:, joints]
-    distances = frame_distances(true, own)
+    return 100 * warped_distance(take.actor.poses[:, joints], walk.poses[walk.part][:, joints], take.fps)
+
+
+def warped_distance(true: np.ndarray, own: np.ndarray, fps: float) -> float:
+    """Returns the mean distance in metres of poses [T, J, 3] and [U, J, 3] after dynamic time warping.
+
+    Frames of `WARPING_FPS` are matched that differ by at most `WARPING_SECONDS` from uniform timing.
+    """
+    every = max(round(fps / WARPING_FPS), 1)
+    distances = frame_distances(true[::every], own[::every])
     rows, columns = (np.linspace(0.0, 1.0, count) for count in distances.shape)
-    seconds = np.abs(rows[:, None] - columns[None]) * (max(distances.shape) * every / take.fps)
+    seconds = np.abs(rows[:, None] - columns[None]) * (max(distances.shape) * every / fps)
     distances[seconds > WARPING_SECONDS] = np.inf
-    return 100 * dynamic_time_warping(distances)[0]
+    return dynamic_time_warping(distances)[0]
 
 
 def _path(take: DrivenTake, walk: Walk) -> float:
