@@ -54,6 +54,7 @@ MEASURES = {
     "network flicker": "the same of the contacts that the network predicts",
     "skating": "sliding of feet near the ground over the actor's (`metrics.foot_skating`)",
     "turn rate": "mean turn rate over the actor's, at the places where the actor turns",
+    "failed": "1 for a walk that is not finite, leaves the range of heights, does not get to the end or has no steps",
 }
 """What `judge_walk` measures."""
 
@@ -62,7 +63,6 @@ STYLE_MEASURES = {
     "recall": "cm, from real poses while turning to the nearest of the walks",
     "recognised": "share of windows that the classifier takes for the style",
     "frechet": "Fréchet distance between the classifier's features of the walks and of the takes",
-    "faults": "share of walks that failed",
 }
 """What `judge_style` adds."""
 
@@ -108,9 +108,9 @@ class Match:
 def match_frames(actor: Walk, walk: Walk, joints: np.ndarray) -> Match | None:
     """Returns the frames of a walk that the actor's frames are compared with, None for a walk without steps.
 
-    The walk's frame has the same phase and is the nearest in place along the path, within the length of a stride. Labels
-    of contacts differ between real and generated walks: all phases of the walk are shifted by up to `LARGEST_SHIFT`
-    samples of `NUM_PHASES`, to where the distance is least.
+    The walk's frame has the same phase and is the nearest in place along the path, within the length of a stride.
+    Labels of contacts differ between real and generated walks: all phases of the walk are shifted by up to
+    `LARGEST_SHIFT` samples of `NUM_PHASES`, to where the distance is least.
 
     Args:
         actor: with a phase.
@@ -166,8 +166,8 @@ def _distances(actor: Walk, walk: Walk, match: Match) -> np.ndarray:
 def judge_walk(take: DrivenTake, walk: Walk) -> Judged:
     """Returns the `MEASURES` of a walk along a take.
 
-    A walk that failed, or has no steps, has the `WORST_DISTANCE` in every distance between poses and no contact in
-    common with the actor; its other measures are NaN. Such walks are known by NaN as their `speed`.
+    A walk that failed has the `WORST_DISTANCE` in every distance between poses and no contact in common with the actor;
+    its other measures are NaN.
     """
     if walk.faults:
         return _worst()
@@ -189,6 +189,7 @@ def judge_walk(take: DrivenTake, walk: Walk) -> Judged:
         "network flicker": np.nan,
         "skating": _skating(take, walk) / _skating(take, actor),
         "turn rate": _turn_rate(take, walk),
+        "failed": 0.0,
     }
     if walk.network_contacts is not None:
         judged["network flicker"] = _flicker(walk.network_contacts[walk.part]) / _flicker(actor.contacts)
@@ -199,7 +200,7 @@ def judge_walk(take: DrivenTake, walk: Walk) -> Judged:
 
 def _worst() -> Judged:
     distances = dict.fromkeys(("distance", "trunk", "arms", "legs", "cycle", "warped"), WORST_DISTANCE)
-    return {**dict.fromkeys(MEASURES, np.nan), **distances, "contacts": 0.0}
+    return {**dict.fromkeys(MEASURES, np.nan), **distances, "contacts": 0.0, "failed": 1.0}
 
 
 def mean_measures(judged: Sequence[Judged]) -> Judged:
@@ -331,7 +332,7 @@ def judge_style(
 ) -> Judged:
     """Returns the `STYLE_MEASURES` of walks along takes of one style: how their poses are distributed.
 
-    Poses of turns are those at places where the actor turns. Walks that failed have none.
+    Poses of turns are those at places where the actor turns. Walks with `faults` have none.
 
     Args:
         takes, walks: N of each.
@@ -340,7 +341,6 @@ def judge_style(
     """
     judged = dict.fromkeys(STYLE_MEASURES, np.nan)
     good = [(take, walk) for take, walk in zip(takes, walks, strict=True) if not walk.faults]
-    judged["faults"] = 1.0 - len(good) / len(takes)
     if not good:
         return judged
     joints = body_joints(takes[0].skeleton)
