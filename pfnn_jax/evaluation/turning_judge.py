@@ -8,7 +8,7 @@ learning a style sees any of this, so that nothing is tuned on it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,7 +41,8 @@ from pfnn_jax.motion.labels.phase import CYCLE, runs_of
 
 MEASURES = {
     "distance": "cm, joints of the body from the actor's, relative to the root, at the same phase and place",
-    "trunk": "cm, the same over the trunk",
+    "turning": "cm, the same over the frames in which the actor turns",
+    "trunk": "cm, the same as the distance over the trunk",
     "arms": "cm, the same over the arms",
     "legs": "cm, the same over the legs",
     "cycle": "cm, between the mean gait cycles while turning",
@@ -76,6 +77,9 @@ TURNING = np.deg2rad(20.0)
 LEAST_MATCHED = 0.9
 """Share of the actor's frames that a walk must have a phase for; with less, the network's own phase is used."""
 
+LEAST_COMMON = 0.7
+"""The same share for two takes of the actor, which are of different lengths."""
+
 WARPING_FPS = 30.0
 """Frame rate at which poses are warped in time, the data's own: twice the rate would cost four times as much."""
 
@@ -87,6 +91,9 @@ END_SECONDS = 0.5
 
 RESAMPLES = 2000
 """Bootstrap samples of an interval."""
+
+DISTANCES = ("distance", "turning", "trunk", "arms", "legs", "cycle", "warped")
+"""The measures of how far poses are apart."""
 
 Judged = dict[str, float]
 """Measures by name; NaN where something cannot be measured."""
@@ -105,7 +112,7 @@ class Match:
     walk: np.ndarray
 
 
-def match_frames(actor: Walk, walk: Walk, joints: np.ndarray) -> Match | None:
+def match_frames(actor: Walk, walk: Walk, joints: np.ndarray, least: float = LEAST_MATCHED) -> Match | None:
     """Returns the frames of a walk that the actor's frames are compared with, None for a walk without steps.
 
     The walk's frame has the same phase and is the nearest in place along the path, within the length of a stride.
@@ -116,6 +123,7 @@ def match_frames(actor: Walk, walk: Walk, joints: np.ndarray) -> Match | None:
         actor: with a phase.
         walk: along the same take. Where too few of its frames have a phase, that of its network is used.
         joints: that count.
+        least: share of the actor's frames that must be matched.
     """
     for phase in (walk.phase, walk.network_phase):
         if phase is None:
@@ -123,9 +131,9 @@ def match_frames(actor: Walk, walk: Walk, joints: np.ndarray) -> Match | None:
         shifts = np.arange(-LARGEST_SHIFT, LARGEST_SHIFT + 1) * (CYCLE / NUM_PHASES)
         # The smallest shift comes first, so that it wins where a shift changes nothing.
         found = [_matched(actor, walk, phase, shift) for shift in shifts[np.argsort(np.abs(shifts), kind="stable")]]
-        usable = [match for match in found if len(match.true) >= LEAST_MATCHED * np.isfinite(actor.phase).sum()]
+        usable = [match for match in found if len(match.true) >= least * np.isfinite(actor.phase).sum()]
         if usable:
-            return min(usable, key=lambda match: float(_distances(actor, walk, match)[joints].mean()))
+            return min(usable, key=lambda match: float(_apart(actor, walk, match)[:, joints].mean()))
     return None
 
 
@@ -157,10 +165,9 @@ def _stride(actor: Walk) -> float:
     return float((actor.place[stop - 1] - actor.place[start]) / cycles)
 
 
-def _distances(actor: Walk, walk: Walk, match: Match) -> np.ndarray:
-    """Returns the mean distance [J] in metres of each joint over matched frames."""
-    apart = actor.poses[match.true] - poses_at(walk.poses, match.walk)
-    return np.linalg.norm(apart, axis=-1).mean(axis=0)
+def _apart(actor: Walk, walk: Walk, match: Match) -> np.ndarray:
+    """Returns the distance [N, J] in metres of each joint in matched frames."""
+    return np.linalg.norm(actor.poses[match.true] - poses_at(walk.poses, match.walk), axis=-1)
 
 
 def judge_walk(take: DrivenTake, walk: Walk) -> Judged:
@@ -175,10 +182,11 @@ def judge_walk(take: DrivenTake, walk: Walk) -> Judged:
     match = match_frames(actor, walk, joints)
     if match is None:
         return _worst()
-    parts = by_part(_distances(actor, walk, match), take.skeleton)
+    apart, turning = _apart(actor, walk, match), turning_frames(actor, take.fps)[match.true]
     own = walk.contacts[np.round(match.walk).astype(int)]
     judged = {
-        **parts,
+        **by_part(apart.mean(axis=0), take.skeleton),
+        "turning": 100 * float(apart[turning][:, joints].mean()) if turning.any() else np.nan,
         "cycle": _cycle(take, walk),
         "warped": _warped(take, walk, joints),
         "path": _path(take, walk),
@@ -193,13 +201,12 @@ def judge_walk(take: DrivenTake, walk: Walk) -> Judged:
     }
     if walk.network_contacts is not None:
         judged["network flicker"] = _flicker(walk.network_contacts[walk.part]) / _flicker(actor.contacts)
-    distances = ("distance", "trunk", "arms", "legs", "cycle", "warped")
-    capped = {name: min(judged[name], WORST_DISTANCE) for name in distances if name in judged}
+    capped = {name: min(judged[name], WORST_DISTANCE) for name in DISTANCES if name in judged}
     return {name: float((judged | capped).get(name, np.nan)) for name in MEASURES}
 
 
 def _worst() -> Judged:
-    distances = dict.fromkeys(("distance", "trunk", "arms", "legs", "cycle", "warped"), WORST_DISTANCE)
+    distances = dict.fromkeys(DISTANCES, WORST_DISTANCE)
     return {**dict.fromkeys(MEASURES, np.nan), **distances, "contacts": 0.0, "failed": 1.0}
 
 
@@ -299,6 +306,31 @@ def _flicker(contacts: np.ndarray) -> float:
 
 def _skating(take: DrivenTake, walk: Walk) -> float:
     return skating_of_feet(walk.joints[walk.part][:, foot_joints(take.roles)], take.fps)
+
+
+def repetition_distance(takes: Sequence[DrivenTake]) -> float:
+    """Returns the distance in centimetres between takes of one actor that turn to the same side, NaN without any.
+
+    One take is moved along the path of the other until their turns coincide, and frames are matched as those of a walk.
+    No method can be expected to come nearer to a take than the actor himself in another one.
+    """
+    found = []
+    for one in takes:
+        for other in takes:
+            (place, side), (there, same) = _turn_of(one), _turn_of(other)
+            if other is one or side != same:
+                continue
+            walk, joints = replace(other.actor, place=other.actor.place + place - there), body_joints(one.skeleton)
+            if (match := match_frames(one.actor, walk, joints, least=LEAST_COMMON)) is not None:
+                found.append(_apart(one.actor, walk, match)[:, joints].mean())
+    return 100 * float(np.mean(found)) if found else np.nan
+
+
+def _turn_of(take: DrivenTake) -> tuple[float, float]:
+    """Returns the mean place in metres along the path at which the actor turns, and to which side (1 is left)."""
+    rate, turning = _yaw_rate(take.actor, take.fps), turning_frames(take.actor, take.fps)
+    weights = np.where(turning, np.abs(rate), 0.0)
+    return float((take.actor.place * weights).sum() / max(weights.sum(), 1e-9)), float(np.sign(rate[turning].sum()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from pfnn_jax.evaluation.turning_judge import (
     judge_style,
     judge_walk,
     mean_measures,
+    repetition_distance,
     share_closed,
     train_recogniser,
     warped_distance,
@@ -86,7 +87,7 @@ def other(take) -> Walk:
 
 def test_actor_differs_from_itself_by_nothing(take):
     found = judge_walk(take, take.actor)
-    for measure in ("distance", "trunk", "arms", "legs", "cycle", "warped", "end", "failed"):
+    for measure in ("distance", "turning", "trunk", "arms", "legs", "cycle", "warped", "end", "failed"):
         assert found[measure] < EXACT, measure
     for measure in ("speed", "contacts", "flicker", "skating", "turn rate"):
         assert found[measure] == pytest.approx(1.0, abs=EXACT), measure
@@ -191,6 +192,14 @@ def test_body_on_the_ground_is_about_the_worst_distance_away(take):
     assert WORST_DISTANCE < apart < 3 * WORST_DISTANCE
 
 
+def test_takes_of_one_style_repeat_each_other_more_closely_than_those_of_two(take):
+    again, proud = (middle(course(style, 6)) for style in ("old", "proud"))
+    again, proud = (make_driven_take(one, body(one.clip.skeleton)) for one in (again, proud))
+    own = repetition_distance([take, again])
+    assert 0.0 < own < OUT_OF_STEP < repetition_distance([take, proud])
+    assert np.isnan(repetition_distance([take]))
+
+
 def test_means_are_over_the_walks_that_have_a_measure():
     judged = [{"a": 1.0, "b": np.nan}, {"a": 3.0, "b": np.nan}, {"a": np.nan, "b": np.nan}]
     means = mean_measures(judged)
@@ -272,7 +281,9 @@ def test_shares_of_different_takes_are_refused():
 
 def test_real_take_is_recognised_in_the_clip_that_it_was_cut_from(mocap):
     """Cuts a take out of a real turning clip, and judges the whole clip and a slower one as walks along it."""
-    file = next(f for f in list_clips(mocap / "bandai-namco-2") if f.path.stem == "dataset-2_walk-turn-left_elderly_008")
+    file = next(
+        f for f in list_clips(mocap / "bandai-namco-2") if f.path.stem == "dataset-2_walk-turn-left_elderly_008"
+    )
     whole = load_labelled(file)
     part = slice(30, whole.clip.num_frames - 30)
     labels = cut_phase(whole.labels, part.start, part.stop)
