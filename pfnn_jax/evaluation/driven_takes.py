@@ -26,6 +26,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.actor_test import (
     LEAD_SECONDS,
     LEAST_HEIGHT,
+    LEAST_SPEED,
     MOST_HEIGHT,
     MOST_SECONDS,
     path_of,
@@ -44,8 +45,8 @@ from pfnn_jax.motion.skeleton import Roles, Skeleton, need_roles
 from pfnn_jax.motion.trajectory import Root, relative_to_root, root_motion
 from pfnn_jax.motion.world_motion import WorldMotion, world_motion
 
-DRIVEN_SECONDS = LEAD_SECONDS + 1.5 * MOST_SECONDS + 1.0
-"""Length of every walk: enough for the longest take at two thirds of its speed."""
+DRIVEN_SECONDS = LEAD_SECONDS + MOST_SECONDS / LEAST_SPEED + 1.0
+"""Length of every walk: enough for the longest take at the least speed that counts as following a command."""
 
 MARGIN_SECONDS = 1.0
 """Seconds of a walk that are kept before and after the take's part of the path: about a cycle, in which the pose of a
@@ -282,7 +283,7 @@ def _num_frames(layout: FrameLayout) -> int:
 def _commands(takes: Sequence[DrivenTake]) -> tuple[TimedPath, jax.Array, jax.Array]:
     """Returns the paths with speeds, their first points [N, 2] and their first yaws [N], N a multiple of
     `ROUND_UP_TAKES`."""
-    filled = [*takes, *takes[:1] * (-len(takes) % ROUND_UP_TAKES)]
+    filled = [*takes, *[takes[0]] * (-len(takes) % ROUND_UP_TAKES)]
     tracks = [make_timed_path(take.path, take.speed) for take in filled]
     points = jnp.asarray(np.stack([take.path.points[0] for take in filled]), jnp.float32)
     yaws = jnp.asarray([take.path.start_yaw for take in filled], jnp.float32)

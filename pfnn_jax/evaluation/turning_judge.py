@@ -34,6 +34,7 @@ from pfnn_jax.evaluation.style_classifier import (
 from pfnn_jax.evaluation.transfer_metrics import dynamic_time_warping, frame_distances
 from pfnn_jax.motion.body_poses import body_joints
 from pfnn_jax.motion.clip import MotionClip
+from pfnn_jax.motion.filters import moving_minimum
 from pfnn_jax.motion.ground import angle_between, wrap_angle
 from pfnn_jax.motion.labels.contacts import foot_joints
 from pfnn_jax.motion.labels.footsteps import NoGaitError
@@ -53,7 +54,8 @@ MEASURES = {
     "contacts": "share of frames and foot joints whose contact is the actor's, at the same phase and place",
     "flicker": "changes of contacts per second over the actor's, contacts found in the motion",
     "network flicker": "the same of the contacts that the network predicts",
-    "skating": "sliding of feet near the ground over the actor's (`metrics.foot_skating`)",
+    "sliding": "speed of feet over the ground where the actor's stand, over that of the actor's",
+    "skating": "the same of feet near their resting height (`metrics.foot_skating`), which also counts low swings",
     "turn rate": "mean turn rate over the actor's, at the places where the actor turns",
     "failed": "1 for a walk that is not finite, leaves the range of heights, does not get to the end or has no steps",
 }
@@ -86,11 +88,11 @@ WARPING_FPS = 30.0
 WARPING_SECONDS = 0.5
 """Seconds by which warped frames may differ from uniform timing: half a cycle."""
 
+STANDING_SECONDS = 0.05
+"""Seconds from the beginning and the end of a contact after and before which a foot stands: phases agree no better."""
+
 END_SECONDS = 0.5
 """Seconds over which the heading at the end is measured."""
-
-RESAMPLES = 2000
-"""Bootstrap samples of an interval."""
 
 DISTANCES = ("distance", "turning", "trunk", "arms", "legs", "cycle", "warped")
 """The measures of how far poses are apart."""
@@ -182,6 +184,7 @@ def judge_walk(take: DrivenTake, walk: Walk) -> Judged:
     match = match_frames(actor, walk, joints)
     if match is None:
         return _worst()
+    itself = Match(match.true, match.true.astype(float))
     apart, turning = _apart(actor, walk, match), turning_frames(actor, take.fps)[match.true]
     own = walk.contacts[np.round(match.walk).astype(int)]
     judged = {
@@ -195,6 +198,7 @@ def judge_walk(take: DrivenTake, walk: Walk) -> Judged:
         "contacts": float((own == actor.contacts[match.true]).mean()),
         "flicker": _flicker(walk.contacts[walk.part]) / _flicker(actor.contacts),
         "network flicker": np.nan,
+        "sliding": _sliding(take, walk, match) / _sliding(take, actor, itself),
         "skating": _skating(take, walk) / _skating(take, actor),
         "turn rate": _turn_rate(take, walk),
         "failed": 0.0,
@@ -304,6 +308,19 @@ def _flicker(contacts: np.ndarray) -> float:
     return max(np.count_nonzero(contacts[1:] != contacts[:-1]), 1e-9) / (len(contacts) - 1)
 
 
+def _sliding(take: DrivenTake, walk: Walk, match: Match) -> float:
+    """Returns the mean speed in metres per second of the walk's feet in frames in which the actor's feet stand.
+
+    Found in the walk itself, contacts would be those of feet that are slow, and heights above the ground depend on
+    where a foot lock holds the toes.
+    """
+    frames = 2 * round(STANDING_SECONDS * take.fps) + 1
+    stands = moving_minimum(take.actor.contacts.astype(float), frames)[match.true] > 0.5
+    feet = walk.joints[:, foot_joints(take.roles)][..., [0, 2]]
+    speed = np.linalg.norm(np.gradient(feet, axis=0), axis=-1) * take.fps
+    return float(speed[np.round(match.walk).astype(int)][stands].mean()) if stands.any() else np.nan
+
+
 def _skating(take: DrivenTake, walk: Walk) -> float:
     return skating_of_feet(walk.joints[walk.part][:, foot_joints(take.roles)], take.fps)
 
@@ -396,66 +413,3 @@ def _turning_poses(take: DrivenTake, walk: Walk) -> np.ndarray:
 def _windows(takes: Sequence[DrivenTake], walks: Sequence[Walk]) -> np.ndarray:
     pairs = zip(takes, walks, strict=True)
     return np.concatenate([motion_windows(w.joints[w.part], t.roles, t.fps, pad=True) for t, w in pairs])
-
-
-@dataclass(frozen=True)
-class Share:
-    """A share with its interval.
-
-    Attributes:
-        share: the estimate.
-        low, high: 95 % interval by bootstrap.
-    """
-
-    share: float
-    low: float
-    high: float
-
-
-def share_closed(
-    none: Mapping[str, np.ndarray],
-    full: Mapping[str, np.ndarray],
-    method: Mapping[str, np.ndarray],
-    *,
-    seed: int = 0,
-    resamples: int = RESAMPLES,
-) -> Share:
-    """Returns the share of the distance between two anchors that a method closes: 0 for `none`, 1 for `full`.
-
-    Distances are averaged over seeds and takes of each style, then over styles. The bootstrap draws takes within styles
-    and, independently, seeds; the same for the three, which are thus compared on the same takes.
-
-    Args:
-        none, full, method: by style, distances [takes] or [seeds, takes], of the same shapes.
-        seed: of the draws.
-        resamples: number of draws.
-
-    Raises:
-        ValueError: if styles or shapes differ.
-    """
-    stacked = _stacked(none, full, method)
-    rng = np.random.default_rng(seed)
-    drawn = np.zeros((3, resamples))
-    for values in stacked:  # [3, seeds, takes]
-        seeds, takes = (rng.integers(count, size=(resamples, count)) for count in values.shape[1:])
-        drawn += values[:, seeds[:, :, None], takes[:, None, :]].mean(axis=(2, 3)) / len(stacked)
-    means = np.mean([values.mean(axis=(1, 2)) for values in stacked], axis=0)
-    low, high = np.quantile(_closed(*drawn), [0.025, 0.975])
-    return Share(float(_closed(*means)), float(low), float(high))
-
-
-def _closed(none: np.ndarray, full: np.ndarray, method: np.ndarray) -> np.ndarray:
-    return (none - method) / (none - full)
-
-
-def _stacked(*methods: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-    """Returns the distances [methods, seeds, takes] of every style."""
-    if any(set(method) != set(methods[0]) for method in methods) or not methods[0]:
-        raise ValueError(f"all three must have the same styles, got {[sorted(method) for method in methods]}.")
-    stacked = []
-    for style in sorted(methods[0]):
-        values = [np.atleast_2d(np.asarray(method[style], float)) for method in methods]
-        if len({value.shape for value in values}) > 1:
-            raise ValueError(f"{style}: all three must have one shape, got {[value.shape for value in values]}.")
-        stacked.append(np.stack(values))
-    return stacked

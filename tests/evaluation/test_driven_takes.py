@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -82,11 +81,10 @@ def test_walk_along_a_take_does_not_depend_on_the_other_takes(run, takes, walks)
 def test_network_that_diverges_is_counted_and_raises_nothing(run, takes):
     style = jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), load_style(run, "old"))
     predictor = replace(make_predictor(run, "old"), style=style)
-    body = SimpleNamespace(layout=run.layout, skeleton=run.skeleton, normaliser=run.normaliser)
-    controller = assemble_controller(run.shared, {"old": style}, body, speeds={"old": 0.7})
+    controller = assemble_controller(run.shared, {"old": style}, run, speeds={"old": 0.7})
     for walks in (
         follow_takes(predictor, run, takes),
-        track_takes(controller, controller.style_weights(0), body, takes),
+        track_takes(controller, controller.style_weights(0), run, takes),
     ):
         assert [walk.faults for walk in walks] == [("not finite",)] * 2
         assert all(judge_walk(*pair)["failed"] == 1.0 for pair in zip(takes, walks, strict=True))

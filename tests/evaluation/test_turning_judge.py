@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ from pfnn_jax.evaluation.turning_judge import (
     judge_walk,
     mean_measures,
     repetition_distance,
-    share_closed,
     train_recogniser,
     warped_distance,
 )
@@ -48,7 +48,8 @@ RATE = 0.03  # of the turn rate, for the same reason
 OUT_OF_STEP = 1.5  # centimetres between two walks of one style that begin with different feet, in a turn
 
 
-def body(skeleton) -> SimpleNamespace:
+def body(skeleton) -> Any:
+    """Returns what a take needs to know of a network."""
     return SimpleNamespace(layout=mason2018(skeleton.num_joints), skeleton=skeleton)
 
 
@@ -89,7 +90,7 @@ def test_actor_differs_from_itself_by_nothing(take):
     found = judge_walk(take, take.actor)
     for measure in ("distance", "turning", "trunk", "arms", "legs", "cycle", "warped", "end", "failed"):
         assert found[measure] < EXACT, measure
-    for measure in ("speed", "contacts", "flicker", "skating", "turn rate"):
+    for measure in ("speed", "contacts", "flicker", "sliding", "skating", "turn rate"):
         assert found[measure] == pytest.approx(1.0, abs=EXACT), measure
     assert found["path"] < ENDS
 
@@ -166,6 +167,15 @@ def test_contacts_that_flicker_are_counted_against_the_actors(take):
     assert found["contacts"] == pytest.approx(1.0 - 5 / LENGTH)
 
 
+def test_feet_that_move_while_the_actors_stand_slide(take):
+    joints = take.actor.joints + np.linspace(0.0, 0.1, LENGTH)[:, None, None] * np.array([1.0, 0.0, 0.0])
+    assert judge_walk(take, replace(take.actor, joints=joints))["sliding"] > 1.0
+    still = take.actor.joints.copy()
+    feet = [*take.roles.left_foot, *take.roles.right_foot]
+    still[:, feet] = still[:1, feet]
+    assert judge_walk(take, replace(take.actor, joints=still))["sliding"] < EXACT
+
+
 def test_failed_walks_count_with_the_worst_distance(take):
     joints = joints_of(course().clip)
     diverged = joints.copy()
@@ -235,48 +245,6 @@ def test_recogniser_knows_the_styles_that_it_saw(take, other):
     own, wrong = (judge_style([take], [walk], "old", recogniser) for walk in (take.actor, other))
     assert own["recognised"] == 1.0 and wrong["recognised"] == 0.0
     assert own["frechet"] < EXACT < wrong["frechet"]
-
-
-def distances(mean: float, takes: int = 18, seeds: int = 1, seed: int = 0) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    return {style: mean + 0.3 * rng.normal(size=(seeds, takes)) for style in ("a", "b")}
-
-
-def test_anchors_close_nothing_and_everything():
-    none, full = distances(6.0), distances(3.0, seed=1)
-    for method, expected in ((none, 0.0), (full, 1.0)):
-        found = share_closed(none, full, method)
-        assert found.share == pytest.approx(expected) and found.low == found.high == pytest.approx(expected)
-
-
-def test_interval_contains_the_share_and_shrinks_with_more_takes():
-    widths = []
-    for takes in (6, 60):
-        found = share_closed(*(distances(mean, takes, 3, i) for i, mean in enumerate((6.0, 3.0, 4.0))))
-        assert found.low < found.share < found.high and found.share == pytest.approx(2 / 3, abs=0.1)
-        widths.append(found.high - found.low)
-    assert widths[1] < 0.5 * widths[0]
-
-
-def test_what_takes_have_in_common_does_not_widen_the_interval():
-    hard = {style: 2.0 * np.arange(18.0) for style in ("a", "b")}
-    shifted = [{style: mean + own for style, own in hard.items()} for mean in (6.0, 3.0, 4.0)]
-    found = share_closed(*shifted)
-    assert found.high - found.low < EXACT and found.share == pytest.approx(2 / 3)
-
-
-def test_styles_count_equally_whatever_their_number_of_takes():
-    none, full = ({"a": np.full(2, x), "b": np.full(20, x)} for x in (4.0, 2.0))
-    method = {"a": np.full(2, 2.0), "b": np.full(20, 4.0)}
-    assert share_closed(none, full, method).share == pytest.approx(0.5)
-
-
-def test_shares_of_different_takes_are_refused():
-    none, full = distances(6.0), distances(3.0)
-    with pytest.raises(ValueError, match="same styles"):
-        share_closed(none, full, {"a": none["a"]})
-    with pytest.raises(ValueError, match="shape"):
-        share_closed(none, full, distances(4.0, takes=5))
 
 
 def test_real_take_is_recognised_in_the_clip_that_it_was_cut_from(mocap):
