@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from experiments.common.markdown import markdown_table
-from pfnn_jax.control.controller import assemble_controller
+from pfnn_jax.control.controller import Embodiment, assemble_controller
 from pfnn_jax.evaluation.driven_takes import DrivenTake, Walk, follow_takes, make_driven_take, track_takes
 from pfnn_jax.evaluation.turning_judge import (
     MEASURES,
@@ -36,7 +36,7 @@ WAYS = ("loop", "controller")
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What a network was trained on; a `Run` is one too."""
+    """What a network was trained on: an `Embodiment` in memory."""
 
     layout: FrameLayout
     skeleton: Skeleton
@@ -56,7 +56,7 @@ class StyledNetwork:
 
     network: Network
     style: Style | None
-    body: Body
+    body: Embodiment
     speed: float
 
 
@@ -81,7 +81,7 @@ class JudgedWalks:
         return mean_measures(self.takes) | self.style
 
 
-def load_takes(files: Sequence[ClipFile], body: Body) -> list[DrivenTake]:
+def load_takes(files: Sequence[ClipFile], body: Embodiment) -> list[DrivenTake]:
     """Returns real takes as characters are driven along them."""
     return [make_driven_take(load_labelled(file, body.layout.fps), body) for file in files]
 

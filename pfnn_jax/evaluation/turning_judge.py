@@ -184,29 +184,44 @@ def judge_walk(take: DrivenTake, walk: Walk) -> Judged:
     match = match_frames(actor, walk, joints)
     if match is None:
         return _worst()
-    itself = Match(match.true, match.true.astype(float))
-    apart, turning = _apart(actor, walk, match), turning_frames(actor, take.fps)[match.true]
-    own = walk.contacts[np.round(match.walk).astype(int)]
     judged = {
+        **_pose_distances(take, walk, match, joints),
+        "path": _path(take, walk),
+        "end": _end(take, walk),
+        "speed": _speed(walk) / _speed(actor),
+        **_feet(take, walk, match),
+        "turn rate": _turn_rate(take, walk),
+        "failed": 0.0,
+    }
+    return {name: float(judged.get(name, np.nan)) for name in MEASURES}
+
+
+def _pose_distances(take: DrivenTake, walk: Walk, match: Match, joints: np.ndarray) -> Judged:
+    """Returns the `DISTANCES` in centimetres, at most `WORST_DISTANCE`."""
+    apart = _apart(take.actor, walk, match)
+    turning = turning_frames(take.actor, take.fps)[match.true]
+    found = {
         **by_part(apart.mean(axis=0), take.skeleton),
         "turning": 100 * float(apart[turning][:, joints].mean()) if turning.any() else np.nan,
         "cycle": _cycle(take, walk),
         "warped": _warped(take, walk, joints),
-        "path": _path(take, walk),
-        "end": _end(take, walk),
-        "speed": _speed(walk) / _speed(actor),
+    }
+    return {name: min(value, WORST_DISTANCE) for name, value in found.items()}
+
+
+def _feet(take: DrivenTake, walk: Walk, match: Match) -> Judged:
+    """Returns the measures of feet and contacts."""
+    actor, predicted = take.actor, walk.network_contacts
+    own = walk.contacts[np.round(match.walk).astype(int)]
+    itself = Match(match.true, match.true.astype(float))
+    flicker = _flicker(actor.contacts)
+    return {
         "contacts": float((own == actor.contacts[match.true]).mean()),
-        "flicker": _flicker(walk.contacts[walk.part]) / _flicker(actor.contacts),
-        "network flicker": np.nan,
+        "flicker": _flicker(walk.contacts[walk.part]) / flicker,
+        "network flicker": np.nan if predicted is None else _flicker(predicted[walk.part]) / flicker,
         "sliding": _sliding(take, walk, match) / _sliding(take, actor, itself),
         "skating": _skating(take, walk) / _skating(take, actor),
-        "turn rate": _turn_rate(take, walk),
-        "failed": 0.0,
     }
-    if walk.network_contacts is not None:
-        judged["network flicker"] = _flicker(walk.network_contacts[walk.part]) / _flicker(actor.contacts)
-    capped = {name: min(judged[name], WORST_DISTANCE) for name in DISTANCES if name in judged}
-    return {name: float((judged | capped).get(name, np.nan)) for name in MEASURES}
 
 
 def _worst() -> Judged:

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+from experiments.common.turning_judged import WAYS, StyledNetwork, judge_network, judged_table
 from pfnn_jax.control.controller import assemble_controller, make_controller
 from pfnn_jax.evaluation.driven_takes import MARGIN_SECONDS, DrivenTake, follow_takes, make_driven_take, track_takes
 from pfnn_jax.evaluation.turning_judge import judge_walk
@@ -88,3 +89,13 @@ def test_network_that_diverges_is_counted_and_raises_nothing(run, takes):
     ):
         assert [walk.faults for walk in walks] == [("not finite",)] * 2
         assert all(judge_walk(*pair)["failed"] == 1.0 for pair in zip(takes, walks, strict=True))
+
+
+def test_experiments_judge_a_style_in_both_ways(run, takes, walks):
+    styled = StyledNetwork(run.shared, load_style(run, "old"), run, 0.7)
+    judged = judge_network(styled, takes, "old", None)
+    expected = [judge_walk(*pair)["distance"] for pair in zip(takes, walks["loop", "old"], strict=True)]
+    np.testing.assert_allclose(judged["loop"].of_takes("distance"), expected, atol=100 * SAME)
+    for way in WAYS:
+        table = judged_table({"CP": judged}, way)
+        assert f"| {way} | CP |" in table and "| failed | 0 |" in table
