@@ -156,7 +156,7 @@ def track_path(
     seconds = path.length / max(speed, 1e-6) + STANDING_SECONDS if seconds is None else seconds
     num_frames = _num_frames(body, speed, seconds)
     state = replace(controller.start(path.points[0], path.start_yaw), style=style)
-    states = _track(controller.setup, controller.params, state, make_timed_path(path, speed), num_frames)
+    states = track_states(controller.setup, controller.params, state, make_timed_path(path, speed), num_frames)
     hips, rotations = (np.asarray(values, np.float64) for values in (states.pose.hips, states.pose.rotations))
     if not (np.isfinite(hips).all() and np.isfinite(rotations).all()):
         raise InputError(_source(body), "motion", "not finite", "choose another style: its rollout diverges")
@@ -167,7 +167,7 @@ def track_path(
 
 
 @partial(jax.jit, static_argnames=("setup", "num_frames"))
-def _track(
+def track_states(
     setup: ControllerSetup, params: ControllerParams, state: ControllerState, path: TimedPath, num_frames: int
 ) -> ControllerState:
     """Returns the states, leaves [T, ...], of a character that follows a path and stops at its end, if it has one."""
@@ -291,7 +291,22 @@ def walking_state(
         normaliser: of the network.
         speed: metres per second.
     """
-    x, phase = starting_row(layout, normaliser, speed)
+    row = starting_row(layout, normaliser, speed)
+    return walking_state_from(evaluate_fn, params, layout, *row, speed, config=config)
+
+
+def walking_state_from(
+    evaluate_fn: EvaluateFn,
+    params: Any,
+    layout: FrameLayout,
+    x: jax.Array,
+    phase: jax.Array,
+    speed: float | jax.Array,
+    *,
+    config: LoopConfig | None = None,
+) -> CharacterState:
+    """Returns a `walking_state` whose warm-up starts from a row of inputs x [Dx] and its gating input: arrays only,
+    for use under `jit`, where a normaliser would be compiled in."""
     state = initial_state(layout, x, phase, jnp.zeros(2, jnp.float32), jnp.zeros((), jnp.float32))
     ahead = jnp.asarray([0.0, 1.0], jnp.float32)
     return _warmed_up(evaluate_fn, params, layout, state, Command(velocity=speed * ahead, direction=ahead), config)

@@ -166,7 +166,7 @@ def path_of(world: WorldMotion) -> tuple[Path, float, float, float]:
         ValueError: for a take that stays in place.
     """
     root = world.positions[:, world.roles.hips][:, [0, 2]]
-    smooth = _without_sway(root, world.fps)
+    smooth = without_sway(root, world.fps)
     length = float(np.linalg.norm(np.diff(smooth, axis=0), axis=-1).sum())
     speed = length * world.fps / (len(smooth) - 1)
     if speed == 0:
@@ -177,12 +177,12 @@ def path_of(world: WorldMotion) -> tuple[Path, float, float, float]:
     return resample_path(points, False, PATH_POINTS), lead, lead + length, speed
 
 
-def progress_along(roots: np.ndarray, path: Path) -> np.ndarray:
+def progress_along(roots: np.ndarray, path: Path, start: int = 0) -> np.ndarray:
     """Returns the index [T] of the path's point that each root [T, 2] has got to: the nearest one, never going back.
 
-    Only points within `REACH` ahead are tried, so that a path may come near itself.
+    Only points within `REACH` ahead are tried, so that a path may come near itself. The search begins at point `start`.
     """
-    reach, current, found = max(round(REACH / path.spacing), 1), 0, []
+    reach, current, found = max(round(REACH / path.spacing), 1), start, []
     for root in roots:
         ahead = path.points[current : current + reach + 1]
         current += int(np.argmin(np.linalg.norm(ahead - root, axis=-1)))
@@ -190,7 +190,7 @@ def progress_along(roots: np.ndarray, path: Path) -> np.ndarray:
     return np.array(found)
 
 
-def _without_sway(root: np.ndarray, fps: float) -> np.ndarray:
+def without_sway(root: np.ndarray, fps: float) -> np.ndarray:
     """Returns positions [T, 2] smoothed over `SWAY_SECONDS`; both ends are continued, so that no length is lost."""
     pad = min(round(3 * SWAY_SECONDS * fps), len(root) - 1)
     longer = np.pad(root, ((pad, pad), (0, 0)), mode="reflect", reflect_type="odd")
@@ -304,8 +304,12 @@ def trunk_of(poses: np.ndarray, world: WorldMotion) -> np.ndarray:
 
 def skating_of(world: WorldMotion) -> float:
     """Returns how fast feet slide near the height at which they rest in the same motion, in cm/s (`foot_skating`)."""
-    feet = feet_of(world)
-    return 100 * foot_skating(feet, world.fps, planted_heights(feet))
+    return skating_of_feet(feet_of(world), world.fps)
+
+
+def skating_of_feet(feet: np.ndarray, fps: float) -> float:
+    """Returns how fast feet [T, 4, 3] slide near the height at which they rest in the same motion, in cm/s."""
+    return 100 * foot_skating(feet, fps, planted_heights(feet))
 
 
 def feet_of(world: WorldMotion) -> np.ndarray:

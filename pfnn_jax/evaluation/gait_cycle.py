@@ -34,18 +34,33 @@ def mean_cycle(world: WorldMotion, labels: PhaseLabels) -> np.ndarray:
     Raises:
         NoGaitError: if the labels cover less than a whole cycle.
     """
-    poses, step = root_poses(world), CYCLE / NUM_PHASES
+    return mean_cycle_of_poses(root_poses(world), labels.phase, labels.labelled, world.clip.source or "clip")
+
+
+def mean_cycle_of_poses(poses: np.ndarray, phase: np.ndarray, labelled: np.ndarray, source: str) -> np.ndarray:
+    """Returns the `mean_cycle` [P, J, 3] of poses [T, J, 3] relative to their roots.
+
+    Args:
+        poses: metres.
+        phase: [T] radians.
+        labelled: [T] bool, which frames have a phase.
+        source: of the poses, for messages.
+
+    Raises:
+        NoGaitError: if the labels cover less than a whole cycle.
+    """
+    step = CYCLE / NUM_PHASES
     sums, counts = np.zeros((NUM_PHASES, *poses.shape[1:])), np.zeros(NUM_PHASES, int)
-    for start, stop in runs_of(labels.labelled):
-        phase = np.unwrap(labels.phase[start:stop])
-        wanted = np.arange(np.ceil(phase[0] / step), np.floor(phase[-1] / step) + 1)
-        frames = np.interp(wanted * step, phase, np.arange(start, stop))
+    for start, stop in runs_of(labelled):
+        unwrapped = np.unwrap(phase[start:stop])
+        wanted = np.arange(np.ceil(unwrapped[0] / step), np.floor(unwrapped[-1] / step) + 1)
+        frames = np.interp(wanted * step, unwrapped, np.arange(start, stop))
         places = wanted.astype(int) % NUM_PHASES
-        np.add.at(sums, places, _at(poses, frames))
+        np.add.at(sums, places, poses_at(poses, frames))
         np.add.at(counts, places, 1)
     if not counts.all():
         found = f"{np.count_nonzero(counts)} of {NUM_PHASES} phases"
-        raise NoGaitError(world.clip.source or "clip", "phase", found, "must cover a whole gait cycle")
+        raise NoGaitError(source, "phase", found, "must cover a whole gait cycle")
     return sums / counts[:, None, None]
 
 
@@ -59,7 +74,7 @@ def cycle_distance(cycle: np.ndarray, other: np.ndarray, largest_shift: int = LA
     return min(found, key=np.mean)
 
 
-def _at(poses: np.ndarray, frames: np.ndarray) -> np.ndarray:
+def poses_at(poses: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """Returns poses [N, J, 3] at fractional frames [N], interpolated linearly."""
     before = np.clip(frames.astype(int), 0, len(poses) - 1)
     after = np.minimum(before + 1, len(poses) - 1)
