@@ -45,13 +45,37 @@ def heading_errors(commanded: np.ndarray, root: np.ndarray, lag: int = 0) -> np.
         NaN for commands to stand, and for those of the last `lag` frames.
     """
     steps = np.diff(root, axis=0)
-    steps = np.concatenate([steps[lag:], np.full((lag, 2), np.nan)])
-    commanded = commanded[: len(steps)]
-    errors = np.abs(np.rad2deg(angle_between(commanded, steps)))
-    return np.where(np.linalg.norm(commanded, axis=-1) > MOVING, errors, np.nan)
+    steps = np.concatenate([steps[lag:], np.full((min(lag, len(steps)), 2), np.nan)])
+    return angle_errors(commanded[: len(steps)], steps)
+
+
+def angle_errors(commanded: np.ndarray, reached: np.ndarray) -> np.ndarray:
+    """Returns the absolute angles [T] in degrees between two directions [T, 2]; NaN for commands to stand."""
+    errors = np.abs(np.rad2deg(angle_between(commanded, reached)))
+    return np.where(is_travel(commanded), errors, np.nan)
+
+
+def is_travel(commanded: np.ndarray) -> np.ndarray:
+    """Returns whether [T] commands [T, 2] are to move, not to stand."""
+    return np.linalg.norm(commanded, axis=-1) > MOVING
 
 
 def find_lag(commanded: np.ndarray, root: np.ndarray, longest: int) -> int:
     """Returns the lag in frames, from 0 to `longest`, for which the mean of `heading_errors` is least."""
     means = [np.nanmean(heading_errors(commanded, root, lag)) for lag in range(longest + 1)]
     return int(np.argmin(means))
+
+
+def seconds_since_change(commanded: np.ndarray, fps: float, tolerance: float = 1.0) -> np.ndarray:
+    """Returns the time [T] in seconds since the commanded heading changed, or the walk began; NaN for standing.
+
+    Args:
+        commanded: [T, 2] (x, z) of any length.
+        fps: frames per second.
+        tolerance: degrees from one frame to the next that are no change.
+    """
+    moving, frames = is_travel(commanded), np.arange(len(commanded))
+    same = np.abs(np.rad2deg(angle_between(commanded[:-1], commanded[1:]))) <= tolerance
+    changed = np.concatenate([[True], ~(same & moving[:-1] & moving[1:])])
+    since = frames - np.maximum.accumulate(np.where(changed, frames, 0))
+    return np.where(moving, since / fps, np.nan)
