@@ -27,7 +27,7 @@ import jax
 import numpy as np
 import tyro
 
-from experiments.common.drive_test_report import Example, cause_table, draw, summary_table
+from experiments.common.drive_test_report import cause_table, draw, summary_table
 from pfnn_jax.control.controller import make_controller
 from pfnn_jax.control.tracking import TrackingConfig
 from pfnn_jax.errors import InputError
@@ -75,18 +75,22 @@ def main(config: Config) -> dict[str, Any]:
         raise InputError(config.out, "runs", "none", "pass at least one run with --runs")
     rows, drives = [], []
     for path in config.runs:
-        run = load_run(path)
-        found, driven = drive_run(run, preset, config)
+        found, driven = drive_run(load_run(path), preset, config)
         rows += found
         drives.append(driven)
-    result = {"points": ideal_points(preset), "rows": rows}
+    result = {"points": ideal_points(preset), "rows": rows, "example": example_of(rows, drives[0])}
     config.out.mkdir(parents=True, exist_ok=True)
     write_json(config.out / "drive_test.json", result)
-    text = f"{summary_table(result)}\n{cause_table(rows)}"
-    write_whole(config.out / "drive_test.md", text)
-    save_figure(draw(rows, preset, example_of(rows, drives[0])), config.out / "drive_test.png")
-    print(text)
+    report(result, preset, config.out)
     return result
+
+
+def report(result: dict[str, Any], preset: DrivePreset, out: Path) -> None:
+    """Writes the tables and the figure of the results in drive_test.json."""
+    text = f"{summary_table(result)}\n{cause_table(result['rows'])}"
+    write_whole(out / "drive_test.md", text)
+    save_figure(draw(result, preset), out / "drive_test.png")
+    print(text)
 
 
 def drive_run(run: Run, preset: DrivePreset, config: Config) -> tuple[list[dict[str, Any]], dict[str, Drive]]:
@@ -102,19 +106,23 @@ def drive_run(run: Run, preset: DrivePreset, config: Config) -> tuple[list[dict[
             drives[kind] = driven
             for index, name in enumerate(names):
                 one = jax.tree.map(lambda leaf, index=index: leaf[index], driven)
-                row = {"run": run.path.name, "style": name, "learned": name not in run.config.styles, "controller": kind}
-                finite = bool(np.isfinite(one.hips).all() and np.isfinite(one.toes).all())
+                row = {
+                    "run": run.path.name,
+                    "style": name,
+                    "learned": name not in run.config.styles,
+                    "controller": kind,
+                    "fps": run.layout.fps,
+                    "finite": bool(np.isfinite(one.hips).all() and np.isfinite(one.toes).all()),
+                }
                 arguments = preset, float(speeds[index]), run.layout.fps, CONTROLLERS[kind][1]
-                rows.append(row | {"finite": finite} | (measure_drive(one, *arguments) if finite else {}))
+                rows.append(row | (measure_drive(one, *arguments) if row["finite"] else {}))
     return rows, drives
 
 
 def _some(names: Sequence[str], count: int) -> list[str]:
     """Returns `count` of the names, evenly spaced; all of them for 0."""
-    if not count or not names:
-        return list(names)
-    spread = np.unique(np.linspace(0, len(names) - 1, count).round().astype(int))
-    return [names[index] for index in spread]
+    spread = np.linspace(0, len(names) - 1, count or len(names)).round().astype(int)
+    return [names[index] for index in dict.fromkeys(spread.tolist())]
 
 
 def ideal_points(preset: DrivePreset) -> dict[str, dict[str, float]]:
@@ -127,13 +135,20 @@ def ideal_points(preset: DrivePreset) -> dict[str, dict[str, float]]:
     return {name: measure_headings(walk, direction, preset, PRESET_FPS) for name, walk in walks.items()}
 
 
-def example_of(rows: Sequence[dict[str, Any]], drives: dict[str, Drive]) -> Example:
-    """Returns the paths of the style of the first run whose error with tracking is the median."""
+def example_of(rows: Sequence[dict[str, Any]], drives: dict[str, Drive]) -> dict[str, Any]:
+    """Returns the way of the style of the first run whose error with tracking is the median.
+
+    Returns:
+        `style`, its name, and `paths`, controller -> positions of the hips in metres, at the preset's rate.
+    """
     own = [row for row in rows if row["run"] == rows[0]["run"] and row["controller"] == next(iter(CONTROLLERS))]
     order = np.argsort([row.get("error", np.inf) for row in own])
     index = int(order[(len(order) - 1) // 2])
-    kinds = {kind.split(",")[0]: np.asarray(drives[kind].hips[index])[:, [0, 2]] for kind in CONTROLLERS}
-    return Example(own[index]["style"], kinds)
+    paths = {}
+    for kind, driven in drives.items():
+        hips = driven.hips[index, :: round(own[index]["fps"] / PRESET_FPS)]
+        paths[kind.split(",")[0]] = hips[:, [0, 2]].round(4).tolist()
+    return {"style": own[index]["style"], "paths": paths}
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,19 +43,6 @@ CAUSES = {
     **{f"facing {name}": f"facing: {name}" for name in PARTS},
 }
 """Measures of the second table, in degrees."""
-
-
-@dataclass(frozen=True, eq=False)
-class Example:
-    """What one style did.
-
-    Attributes:
-        style: name.
-        paths: controller -> positions of the hips [T, 2] in metres, at any multiple of the preset's rate.
-    """
-
-    style: str
-    paths: Mapping[str, np.ndarray]
 
 
 def summary_table(result: Mapping[str, Any]) -> str:
@@ -107,46 +93,52 @@ def _number(value: float | None, digits: int) -> str | None:
     return None if value is None else f"{value:.{digits}f}"
 
 
-def draw(rows: Sequence[Mapping[str, Any]], preset: DrivePreset, example: Example) -> Figure:
-    """Returns the figure: commanded and walked way, commanded and walked heading, and the errors by style."""
-    figure = Figure(figsize=(11.0, 7.6), layout="constrained")
-    (ground, errors), (heading, ratios) = figure.subplots(2, 2, width_ratios=(1.0, 1.1))
-    _draw_ground(ground, preset, example)
-    _draw_heading(heading, preset, example)
-    _draw_errors(errors, rows, "error", "mean angle between commanded and walked heading, °")
-    _draw_errors(ratios, rows, "published error", "trajectory error by CAMDM's formula, °", PUBLISHED_ERROR)
-    for axes in (ground, heading, errors, ratios):
-        axes.tick_params(colors=MUTED, labelsize=8)
-        axes.spines[["top", "right"]].set_visible(False)
+def draw(result: Mapping[str, Any], preset: DrivePreset) -> Figure:
+    """Returns the figure: the commanded and the walked heading and way of one style, and the errors of all."""
+    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
+    axes = figure.subplot_mosaic([["heading"] * 3, ["way", "angle", "published"]], height_ratios=(1.0, 1.15))
+    example = result["example"]["style"], {kind: np.array(p) for kind, p in result["example"]["paths"].items()}
+    _draw_heading(axes["heading"], preset, *example)
+    _draw_way(axes["way"], preset, *example)
+    _draw_errors(axes["angle"], result["rows"], "error", "Angle between headings, °")
+    _draw_errors(axes["published"], result["rows"], "published error", "Error by CAMDM's formula, °", PUBLISHED_ERROR)
+    for axis in axes.values():
+        axis.tick_params(colors=MUTED, labelsize=8)
+        axis.spines[["top", "right"]].set_visible(False)
+    handles, labels = axes["angle"].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     return figure
 
 
-def _draw_ground(axes: Axes, preset: DrivePreset, example: Example) -> None:
-    wanted = preset_commands(preset, PRESET_FPS)[0].astype(float)
-    length = np.linalg.norm(np.diff(next(iter(example.paths.values())), axis=0), axis=-1).sum()
-    wanted = np.cumsum(wanted, axis=0) * length / np.linalg.norm(wanted, axis=-1).sum()
-    axes.plot(-wanted[:, 0], wanted[:, 1], color=INK, linewidth=1.2, linestyle=":", label="commanded")
-    for number, (name, path) in enumerate(example.paths.items()):
-        axes.plot(-path[:, 0], path[:, 1], color=SERIES[number], linewidth=1.2, label=name)
-    axes.set_aspect("equal")
-    axes.set_title(f"The way of {example.style}, from above, m", loc="left", fontsize=10, color=INK)
-    axes.legend(frameon=False, fontsize=8)
-
-
-def _draw_heading(axes: Axes, preset: DrivePreset, example: Example) -> None:
+def _draw_heading(axes: Axes, preset: DrivePreset, style: str, paths: Mapping[str, np.ndarray]) -> None:
     wanted, direction = preset_commands(preset, PRESET_FPS)
     seconds = np.arange(len(wanted)) / PRESET_FPS
-    angle = np.where(is_travel(wanted), np.rad2deg(yaw_of(wanted)), np.nan)
-    axes.plot(seconds, _gaps(np.rad2deg(yaw_of(direction))), color=MUTED, linewidth=0.9, label="facing, commanded")
-    axes.plot(seconds, _gaps(angle), color=INK, linewidth=1.6, linestyle=":", label="heading, commanded")
-    for number, (name, path) in enumerate(example.paths.items()):
-        fps = len(path) / preset.seconds
-        steps = np.diff(gaussian_filter(path, SWAY_SECONDS * fps), axis=0)
-        time = np.arange(len(steps)) / fps
-        axes.plot(time, _gaps(np.rad2deg(yaw_of(steps))), color=SERIES[number], linewidth=1.0, label=f"heading, {name}")
-    axes.set(yticks=(-180, -90, 0, 90, 180), xlabel="seconds")
-    axes.set_title("Angle from the first facing, °", loc="left", fontsize=10, color=INK)
-    axes.legend(frameon=False, fontsize=7, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.16))
+    heading = np.where(is_travel(wanted), np.rad2deg(yaw_of(wanted)), np.nan)
+    axes.plot(seconds, _gaps(np.rad2deg(yaw_of(direction))), color=MUTED, linewidth=0.9, label="commanded facing")
+    axes.plot(seconds, _gaps(heading), color=INK, linewidth=2.0, linestyle=":", label="commanded heading")
+    for number, (name, path) in enumerate(paths.items()):
+        steps = np.diff(gaussian_filter(path, SWAY_SECONDS * PRESET_FPS), axis=0)
+        walked = _gaps(np.rad2deg(yaw_of(steps)))
+        axes.plot(seconds[: len(walked)], walked, color=SERIES[number], linewidth=1.2, label=f"walked, {name}")
+    axes.set(yticks=(-180, -90, 0, 90, 180), xlim=(0, preset.seconds))
+    axes.set_xlabel("seconds", color=MUTED, fontsize=8)
+    axes.set_title(f"{style}: heading, ° from the first facing, left is positive", loc="left", fontsize=10, color=INK)
+    axes.legend(frameon=False, fontsize=8, ncols=4, loc="upper left", bbox_to_anchor=(0.35, 1.14))
+
+
+def _draw_way(axes: Axes, preset: DrivePreset, style: str, paths: Mapping[str, np.ndarray]) -> None:
+    """Draws the ways from above; the commanded one is as long as that of the first controller."""
+    wanted = np.cumsum(preset_commands(preset, PRESET_FPS)[0].astype(float), axis=0)
+    first = next(iter(paths.values()))
+    length, commanded = (np.linalg.norm(np.diff(path, axis=0), axis=-1).sum() for path in (first, wanted))
+    wanted *= length / commanded
+    axes.plot(-wanted[:, 0], wanted[:, 1], color=INK, linewidth=2.0, linestyle=":")
+    for number, path in enumerate(paths.values()):
+        axes.plot(-path[:, 0], path[:, 1], color=SERIES[number], linewidth=1.2)
+    shown = np.concatenate([wanted, first]) * [-1.0, 1.0]
+    (left, low), (right, high) = shown.min(axis=0) - 1.0, shown.max(axis=0) + 1.0
+    axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
+    axes.set_title(f"{style}: way from above, m", loc="left", fontsize=10, color=INK)
 
 
 def _gaps(angle: np.ndarray) -> np.ndarray:
@@ -157,28 +149,27 @@ def _gaps(angle: np.ndarray) -> np.ndarray:
 def _draw_errors(
     axes: Axes, rows: Sequence[Mapping[str, Any]], key: str, title: str, published: float | None = None
 ) -> None:
-    """Draws the values of all styles of each run and controller, sorted."""
-    number, runs = 0, list(dict.fromkeys(title for title, _, _ in groups(rows)))
-    for name, kind, own in groups(rows):
-        if "locked" in kind or not own:
-            continue
-        values, published_loop = np.sort([row[key] for row in own]), "published" in kind
-        colour, share = SERIES[runs.index(name) % len(SERIES)], (np.arange(len(values)) + 0.5) / len(values)
-        axes.plot(
-            100 * share,
-            values,
-            "." if len(values) > 1 else "o",
-            markersize=4,
-            linestyle="--" if published_loop else "-",
-            linewidth=0.9,
-            color=colour,
-            markerfacecolor="none" if published_loop else colour,
-            label=f"{name}, {kind.split(',')[0]}",
-        )
-        number += 1
+    """Draws the values of all styles of each run, sorted; those of the published loop as open markers."""
+    shown = [(name, kind, own) for name, kind, own in groups(rows) if "locked" not in kind and own]
+    runs = list(dict.fromkeys(name for name, _, _ in shown))
+    for name, kind, own in shown:
+        values, loop, colour = np.sort([row[key] for row in own]), "published" in kind, SERIES[runs.index(name) + 2]
+        place = 100 * (np.arange(len(values)) + 0.5) / len(values)
+        face = "none" if loop else colour
+        label = f"{name}, {kind.split(',')[0]}"
+        axes.plot(place, values, "o", markersize=3, color=colour, markerfacecolor=face, label=label)
     if published is not None:
-        axes.axhline(published, color=MUTED, linewidth=0.9, linestyle=":")
-        axes.annotate("CAMDM, published", (0, published), fontsize=7, color=MUTED, va="bottom")
-    axes.set(xlabel="styles, sorted, %", ylim=(0, None))
+        axes.axhline(published, color=INK, linewidth=0.9, linestyle=":")
+        axes.text(
+            1.0,
+            published,
+            "CAMDM, published",
+            fontsize=8,
+            color=INK,
+            ha="right",
+            va="bottom",
+            transform=axes.get_yaxis_transform(),
+        )
+    axes.set(ylim=(0, None))
+    axes.set_xlabel("share of styles, %", color=MUTED, fontsize=8)
     axes.set_title(title, loc="left", fontsize=10, color=INK)
-    axes.legend(frameon=False, fontsize=7)

@@ -26,6 +26,7 @@ from pfnn_jax.evaluation.heading_metrics import (
     angle_errors,
     find_lag,
     heading_errors,
+    mean_of_numbers,
     published_trajectory_error,
     seconds_since_change,
 )
@@ -172,21 +173,15 @@ def measure_headings(root: np.ndarray, facing: np.ndarray, preset: DrivePreset, 
     found = {
         "published error": published_trajectory_error(wanted, root),
         "turned": published_trajectory_error(turn(wanted, np.pi / 2), turn(root, np.pi / 2)),
-        "error": _mean(heading_errors(wanted, root)),
-        "without sway": _mean(heading),
+        "error": mean_of_numbers(heading_errors(wanted, root)),
+        "without sway": mean_of_numbers(heading),
         "lag": lag / PRESET_FPS,
-        "without lag": _mean(heading_errors(wanted, smooth, lag)),
-        "changing": _mean(heading[since < SETTLED]),
-        "settled": _mean(heading[settled]),
-        "facing": _mean(faced),
+        "without lag": mean_of_numbers(heading_errors(wanted, smooth, lag)),
+        "changing": mean_of_numbers(heading[since < SETTLED]),
+        "settled": mean_of_numbers(heading[settled]),
+        "facing": mean_of_numbers(faced),
     }
     for name, (least, most) in PARTS.items():
         part = settled & (apart >= least) & (apart < most)
-        found |= {name: _mean(heading[part]), f"facing {name}": _mean(faced[part])}
+        found |= {name: mean_of_numbers(heading[part]), f"facing {name}": mean_of_numbers(faced[part])}
     return found
-
-
-def _mean(values: np.ndarray) -> float:
-    """Returns the mean of those values that are numbers, NaN if there are none."""
-    values = values[np.isfinite(values)]
-    return float(values.mean()) if len(values) else float("nan")

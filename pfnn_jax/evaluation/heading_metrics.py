@@ -29,7 +29,8 @@ def published_trajectory_error(commanded: np.ndarray, root: np.ndarray) -> float
     Source: code of CAMDM (Chen et al. 2024), `traj_error` of its evaluation, in the coordinates of this package.
     """
     steps = np.diff(root, axis=0)
-    angles = [np.rad2deg(np.arctan2(v[:, 1], -v[:, 0])) for v in (commanded[: len(steps)], steps)]
+    # Adding 0 makes a zero positive, as it is in the file: the angle of (-0, 0) is 180 degrees, that of (0, 0) is 0.
+    angles = [np.rad2deg(np.arctan2(v[:, 1] + 0.0, 0.0 - v[:, 0])) for v in (commanded[: len(steps)], steps)]
     return float(abs(np.mean(angles[0] - angles[1])))
 
 
@@ -61,9 +62,12 @@ def is_travel(commanded: np.ndarray) -> np.ndarray:
 
 
 def find_lag(commanded: np.ndarray, root: np.ndarray, longest: int) -> int:
-    """Returns the lag in frames, from 0 to `longest`, for which the mean of `heading_errors` is least."""
-    means = [np.nanmean(heading_errors(commanded, root, lag)) for lag in range(longest + 1)]
-    return int(np.argmin(means))
+    """Returns the lag in frames, from 0 to `longest`, for which the mean of `heading_errors` is least.
+
+    Lags of more than half of the frames, of which too few would be left, are not tried.
+    """
+    lags = range(min(longest, len(root) // 2) + 1)
+    return int(np.argmin([mean_of_numbers(heading_errors(commanded, root, lag)) for lag in lags]))
 
 
 def seconds_since_change(commanded: np.ndarray, fps: float, tolerance: float = 1.0) -> np.ndarray:
@@ -79,3 +83,9 @@ def seconds_since_change(commanded: np.ndarray, fps: float, tolerance: float = 1
     changed = np.concatenate([[True], ~(same & moving[:-1] & moving[1:])])
     since = frames - np.maximum.accumulate(np.where(changed, frames, 0))
     return np.where(moving, since / fps, np.nan)
+
+
+def mean_of_numbers(values: np.ndarray) -> float:
+    """Returns the mean of those values that are not NaN; NaN if there are none."""
+    values = values[~np.isnan(values)]
+    return float(values.mean()) if len(values) else float("nan")
