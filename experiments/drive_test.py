@@ -39,11 +39,11 @@ from pfnn_jax.run_config import list_styles
 from pfnn_jax.viewer.draw.drawing import save_figure
 
 CONTROLLERS = {
-    "tracked, feet locked": (TrackingConfig(), False),
-    "tracked, feet free": (TrackingConfig(), True),
-    "published loop, feet free": (None, True),
+    "tracked, feet locked": (True, False),
+    "tracked, feet free": (True, True),
+    "published loop, feet free": (False, True),
 }
-"""Command tracking, and whether the toes are taken before they are locked."""
+"""Whether commands are tracked, and whether the toes are taken before they are locked."""
 
 SWAY, SWAY_RATE = 0.025, 1.0
 """Metres and hertz by which the hips of a walking body move from side to side."""
@@ -59,6 +59,7 @@ class Config:
         out: folder of results.
         styles: number of a run's styles, evenly spaced; 0 for all.
         chunk: characters simulated at once.
+        tracking: constants of command tracking.
     """
 
     runs: tuple[Path, ...]
@@ -66,6 +67,7 @@ class Config:
     out: Path
     styles: int = 0
     chunk: int = 128
+    tracking: TrackingConfig = TrackingConfig()
 
 
 def main(config: Config) -> dict[str, Any]:
@@ -99,10 +101,10 @@ def drive_run(run: Run, preset: DrivePreset, config: Config) -> tuple[list[dict[
     if not names:
         raise InputError(run.path, "styles", "none", "must have a style to be driven")
     rows, drives = [], {}
-    for tracking in dict.fromkeys(tracking for tracking, _ in CONTROLLERS.values()):
-        controller = make_controller(run, names, tracking=tracking)
+    for tracked in (True, False):
+        controller = make_controller(run, names, tracking=config.tracking if tracked else None)
         driven, speeds = drive(controller, preset, config.chunk), np.asarray(controller.params.speeds)
-        for kind in [kind for kind, (used, _) in CONTROLLERS.items() if used == tracking]:
+        for kind in [kind for kind, (used, _) in CONTROLLERS.items() if used == tracked]:
             drives[kind] = driven
             for index, name in enumerate(names):
                 one = jax.tree.map(lambda leaf, index=index: leaf[index], driven)
@@ -122,7 +124,7 @@ def drive_run(run: Run, preset: DrivePreset, config: Config) -> tuple[list[dict[
 def _some(names: Sequence[str], count: int) -> list[str]:
     """Returns `count` of the names, evenly spaced; all of them for 0."""
     spread = np.linspace(0, len(names) - 1, count or len(names)).round().astype(int)
-    return [names[index] for index in dict.fromkeys(spread.tolist())]
+    return [names[int(index)] for index in np.unique(spread)]
 
 
 def ideal_points(preset: DrivePreset) -> dict[str, dict[str, float]]:
