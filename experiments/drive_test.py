@@ -12,7 +12,7 @@ Measure   CAMDM's foot sliding and trajectory error by its own formulas, the lat
           contact; the mean absolute angle between commanded and walked heading, without the sway of the hips, without
           lag, in the second after a change of the commanded heading, and later, where the command is to walk ahead,
           sideways or backward. Two points that follow the commands exactly show what the formula itself adds.
-Expect    see docs/results_appendix.md. About 20 minutes on 2 cores for 100 styles.
+Expect    see docs/results_appendix.md. 11 minutes of processor time for the 123 styles there.
 Run       python -m experiments.drive_test --runs RUN [RUN ...] --preset preset.txt --out OUT
 """
 
