@@ -41,11 +41,12 @@ class FootLockConfig:
         release_threshold: contact below which it is released.
         lock_time: seconds until a toe that is held decides where its foot is.
         release_time: seconds after which 5 % of a released offset are left.
-        heel_limit, toe_limit: a joint further than this from its predicted position is released.
-        heel_rise: weight in that distance of the height by which a heel is predicted above where it is held: heels rise
-            before the contact ends, and must not be kept down.
+        heel_limit, toe_limit: a joint further than this from its predicted position is released; one that is predicted
+            below the ground is not released for that.
+        heel_rise: weight of a heel's height in that distance: heels rise before the contact ends, and must not be kept
+            down.
         max_lock_offset: a joint is held again only when its offset is below this.
-        floor: metres, lower bound of the height of all foot joints, and where they rest if the skeleton does not know.
+        floor: metres, lower bound of the height of all foot joints.
         max_drop: how far the hips may be lowered so that the feet reach their targets.
         fps: steps per second.
     """
@@ -181,8 +182,8 @@ def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, c
 
 def _resting_heights(rig: Rig, config: FootLockConfig) -> np.ndarray:
     """Returns the heights [4] in metres below which no joint is held."""
-    resting = config.floor if rig.resting_heights is None else np.ravel(rig.resting_heights)
-    return np.full(len(rig.feet), np.maximum(resting, config.floor))
+    floor = np.full(len(rig.feet), config.floor)
+    return floor if rig.resting_heights is None else np.maximum(np.ravel(rig.resting_heights), floor)
 
 
 def _held_places(
@@ -206,8 +207,8 @@ def _held_places(
 def _near(rig: Rig, gap: jax.Array, config: FootLockConfig) -> jax.Array:
     """Returns which joints [4] may be held, by the gaps [4, 3] from the predicted joints to where they are held."""
     limits = np.array([config.heel_limit, config.toe_limit] * 2) * rig.leg_length
-    rise = np.array([[1.0, config.heel_rise, 1.0], [1.0, 1.0, 1.0]] * 2)  # heels leave the ground before toes
-    return _squared(gap * jnp.where(gap < 0.0, rise, 1.0)) < limits**2
+    rise = jnp.maximum(-gap[:, 1], 0.0) * np.array([config.heel_rise, 1.0] * 2)  # heels leave the ground before toes
+    return _squared(gap.at[:, 1].set(rise)) < limits**2
 
 
 def critically_damped_step(
