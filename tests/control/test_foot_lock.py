@@ -91,7 +91,9 @@ def test_held_feet_come_down_to_where_they_rest_and_stay(first, lowest):
     np.testing.assert_allclose(above[:begins], np.repeat(lift[:begins, None], 4, axis=1), atol=FLOAT32)
     assert above.min() > min(first, 0.0) - FLOAT32  # never below the rest, but where the contact began there
     np.testing.assert_allclose(above[low + 20 :], max(lowest, 0.0), atol=RESTS)
-    assert (np.sign(first) * np.diff(above[begins:], axis=0)).max() < FLOAT32  # it does not rise with the predicted foot
+    assert (
+        np.sign(first) * np.diff(above[begins:], axis=0)
+    ).max() < FLOAT32  # it does not rise with the predicted foot
     assert np.abs(np.diff(feet[begins:, :, [0, 2]], axis=0)).max() < STILL
 
 
