@@ -5,9 +5,9 @@ Question  how much less do feet slide during the contacts predicted by the netwo
           rest, and do accelerations and jitter increase?
 Data      the given runs, whose styles walk along a figure-eight.
 Expect    toes slide, before and after, in m/s: 0.209 and 0.012 (Bandai-Namco-2, PFNN with CP), 0.246 and 0.021 (base
-          network), 0.372 and 0.058 (the authors' PFNN), 0.413 and 0.108 (their LPN, 8 styles). Planted toes are at the
-          height at which they rest. Accelerations of toes fall by 4 to 12 %; those of knees rise by 9 to 27 %, jitter by
-          9 to 16 %. Bones keep their lengths; in the networks' predictions they are wrong by 2 to 6 mm.
+          network), 0.372 and 0.058 (the authors' PFNN), 0.413 and 0.108 (their LPN, 8 styles). Planted toes are
+          where the data's rest. Accelerations of toes fall by 4 to 12 %; those of knees rise by 9 to 27 %, jitter by 9
+          to 16 %. Bones keep their lengths; in the networks' predictions they are wrong by 2 to 6 mm.
 Run       python -m experiments.foot_ik --runs RUN [RUN ...] --out runs/foot_ik
 """
 

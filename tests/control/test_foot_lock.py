@@ -1,4 +1,4 @@
-"""Laws of foot locking: identity without contact, no sliding in contact, rest on the ground, smoothness, equivariance."""
+"""Laws of foot locking: identity without contact, no sliding and rest in contact, smoothness, equivariance."""
 
 from __future__ import annotations
 

@@ -181,7 +181,7 @@ def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, c
 
 
 def _resting_heights(rig: Rig, config: FootLockConfig) -> np.ndarray:
-    """Returns the heights [4] in metres below which no joint is held."""
+    """Returns the heights [4] in metres to which held joints come down at the lowest."""
     floor = np.full(len(rig.feet), config.floor)
     return floor if rig.resting_heights is None else np.maximum(np.ravel(rig.resting_heights), floor)
 
@@ -189,7 +189,7 @@ def _resting_heights(rig: Rig, config: FootLockConfig) -> np.ndarray:
 def _held_places(
     heights: jax.Array, rest: np.ndarray, locks: FootLocks, config: FootLockConfig
 ) -> tuple[jax.Array, jax.Array]:
-    """Returns where joints are held in this frame [4, 3], and the rest of `FootLocks.settling` [4, 2].
+    """Returns where joints are held in this frame [4, 3], and what is left of `FootLocks.settling` [4, 2].
 
     Args:
         heights: [4] metres, predicted.
@@ -200,6 +200,7 @@ def _held_places(
     before = locks.positions[:, 1]
     lowest = jnp.maximum(jnp.minimum(before - locks.settling[:, 0], heights), rest)
     left, speed = critically_damped_step(locks.settling[:, 0], locks.settling[:, 1], config)
+    # Not below the rest, but where the contact began there.
     left = jnp.maximum(left, jnp.minimum(before, rest) - lowest)
     return locks.positions.at[:, 1].set(lowest + left), jnp.stack([left, speed], axis=1)
 
