@@ -1,4 +1,4 @@
-"""Laws of foot locking: identity without contact, no sliding in contact, smoothness, equivariance."""
+"""Laws of foot locking: identity without contact, no sliding and rest in contact, smoothness, equivariance."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from tests.motion.skeletons import body_clip
 
 FLOAT32 = 1e-4  # metres after some hundred frames
 STILL = 1e-3  # metres that a held toe may move
+RESTS = 1e-3  # metres from its height of rest: 5 % of an offset of 2 cm are left after the time of release
 FRAMES, CYCLE = 240, 60
 
 
@@ -61,10 +62,49 @@ def test_held_toes_do_not_move_and_heels_slide_less(walked):
     for _ in range(4):  # frames in which a toe takes the lead of its foot
         settled[1:] &= settled[:-1]
     both = settled[1:] & settled[:-1]
-    moved = np.linalg.norm(np.diff(after, axis=0), axis=-1)
+    moved = np.linalg.norm(np.diff(after[..., [0, 2]], axis=0), axis=-1)
     assert moved[:, [1, 3]][both[:, [1, 3]]].max() < STILL
     assert contact_sliding(before, contacts > 0.5, 60.0) > 0.2
     assert contact_sliding(after, contacts > 0.5, 60.0) < 0.25 * contact_sliding(before, contacts > 0.5, 60.0)
+
+
+def stand(heights: np.ndarray) -> tuple[MotionClip, np.ndarray]:
+    """Returns bent legs whose feet are at heights [T] above their rest, and the heights [4] of rest."""
+    clip, _ = walk()
+    clip = replace(clip, rotations=np.repeat(clip.rotations[:1], len(heights), axis=0))
+    hips = np.array([[0.0, 0.95, 0.0]]) + heights[:, None] * [0.0, 1.0, 0.0]
+    feet = list(make_rig(clip.skeleton).feet)
+    rest = joints(replace(clip, root_positions=hips))[0, feet, 1] - heights[0]
+    skeleton = replace(clip.skeleton, resting_heights=rest.reshape(2, 2))
+    return replace(clip, skeleton=skeleton, root_positions=hips), rest
+
+
+@pytest.mark.parametrize(("first", "lowest"), [(0.03, 0.0), (0.03, -0.01), (0.03, 0.01), (-0.02, -0.02)])
+def test_held_feet_come_down_to_where_they_rest_and_stay(first, lowest):
+    """The contact begins while the feet are above or below their rest, where the network may leave them by a little."""
+    begins, low, rises = 5, 30, 60
+    lift = np.interp(np.arange(90), [0, low, rises, rises + 10], [first, lowest, lowest, lowest + 0.01])
+    clip, rest = stand(lift)
+    contacts = np.repeat((np.arange(90) >= begins)[:, None], 4, axis=1).astype(float)
+    feet = joints(fix_feet(clip, contacts))[:, list(make_rig(clip.skeleton).feet)]
+    above = feet[..., 1] - rest
+    np.testing.assert_allclose(above[:begins], np.repeat(lift[:begins, None], 4, axis=1), atol=FLOAT32)
+    assert above.min() > min(first, 0.0) - FLOAT32  # never below the rest, but where the contact began there
+    np.testing.assert_allclose(above[low + 20 :], max(lowest, 0.0), atol=RESTS)
+    assert (
+        np.sign(first) * np.diff(above[begins:], axis=0)
+    ).max() < FLOAT32  # it does not rise with the predicted foot
+    assert np.abs(np.diff(feet[begins:, :, [0, 2]], axis=0)).max() < STILL
+
+
+def test_held_feet_come_down_without_a_jump():
+    """No change of velocity is larger than the predicted foot's, which the ground takes away where the foot rests."""
+    heights = 0.03 * np.cos(np.pi * np.clip(np.arange(90) / 40.0, 0.0, 1.0))  # ends 3 cm below the rest
+    clip, rest = stand(heights)
+    contacts = np.repeat((np.arange(90) >= 5)[:, None], 4, axis=1).astype(float)
+    contacts[70:] = 0.0
+    above = joints(fix_feet(clip, contacts))[:, list(make_rig(clip.skeleton).feet), 1] - rest
+    assert np.abs(np.diff(above, 2, axis=0)).max() < np.abs(np.diff(heights)).max() + FLOAT32
 
 
 def test_only_legs_and_the_height_of_the_hips_change_and_bones_keep_their_lengths(walked):

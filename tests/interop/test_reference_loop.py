@@ -23,6 +23,7 @@ from pfnn_jax.motion.kinematics import quat_from_axis_angle, quat_multiply
 
 FRAMES = 300
 SAME = 1e-4  # metres between formats, and between float64 NumPy and float32 JAX; measured: 3e-5
+KNEES = 5e-4  # metres: the knee of a stretched leg moves with the square root of the rounding of its ends
 ALL_KINDS = (
     ("pfnn2017", "cp"),
     *(("mason2018", kind) for kind in ("cp", "diagonal", "full", "one_hot", "bias", "dense")),
@@ -63,7 +64,9 @@ def test_the_character_walks_as_the_controller_does(runs, tmp_path, name, kind):
         )[1]
     found = walk(character, stop=True)
     assert np.ptp(found, axis=0).max() > 100 * SAME
-    np.testing.assert_allclose(found, states.joints, atol=SAME)
+    knees = character.body.legs[:, 1]
+    np.testing.assert_allclose(np.delete(found, knees, 1), np.delete(states.joints, knees, 1), atol=SAME)
+    np.testing.assert_allclose(found[:, knees], states.joints[:, knees], atol=KNEES)
     same = np.abs(np.sum(character.rotations * np.asarray(states.world_rotations[-1]), axis=-1))
     np.testing.assert_allclose(same, 1.0, atol=SAME)
 

@@ -1,9 +1,10 @@
 """Foot locking: heels and toes are held in place during contact and released smoothly.
 
-A foot joint is held where the corrected body has it when its contact begins. While it is held, its offset from the
-predicted motion keeps it there; when it is released, the offset decays like a critically damped spring that starts with
-the offset's velocity, so neither position nor velocity jumps. Heel and toe of a foot are one rigid piece: the one that
-is not held is drawn to the offset of the other.
+A foot joint is held on the ground where the corrected body has it when its contact begins. A contact begins while the
+foot still comes down: the height of a held joint follows the predicted one down, as far as the joint rests in the data,
+and does not follow it up. When a joint is released, its offset from the predicted motion decays like a critically
+damped spring that starts with the offset's velocity, so neither position nor velocity jumps. Heel and toe of a foot are
+one rigid piece: the one that is not held is drawn to the offset of the other.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ class FootLockConfig:
         release_threshold: contact below which it is released.
         lock_time: seconds until a toe that is held decides where its foot is.
         release_time: seconds after which 5 % of a released offset are left.
-        heel_limit, toe_limit: a joint further than this from its predicted position is released.
+        heel_limit, toe_limit: a joint further than this from its predicted position is released; one that is predicted
+            below the ground is not released for that.
         heel_rise: weight of a heel's height in that distance: heels rise before the contact ends, and must not be kept
             down.
         max_lock_offset: a joint is held again only when its offset is below this.
@@ -77,6 +79,8 @@ class FootLocks:
     Attributes:
         positions: [4, 3] metres, where each joint is held, or was held last.
         held: [4] bool.
+        settling: [4, 2] metres by which a held joint is above the height that it comes down to, and its velocity in
+            metres per second.
         strength: [4] in [0, 1]: rises to 1 while a joint is held, and falls to 0 after its release.
         offsets: [4, 3] metres from the predicted to the corrected joint.
         velocities: [4, 3] metres per second, of the offsets.
@@ -85,6 +89,7 @@ class FootLocks:
 
     positions: jax.Array
     held: jax.Array
+    settling: jax.Array
     strength: jax.Array
     offsets: jax.Array
     velocities: jax.Array
@@ -95,7 +100,13 @@ def initial_locks(rig: Rig, dtype: Any = jnp.float32) -> FootLocks:
     """Returns locks of a rig that hold nothing."""
     zero, none = jnp.zeros((len(rig.feet), 3), dtype), jnp.zeros(len(rig.feet), dtype)
     return FootLocks(
-        positions=zero, held=none > 0.0, strength=none, offsets=zero, velocities=zero, drop=jnp.zeros(2, dtype)
+        positions=zero,
+        held=none > 0.0,
+        settling=zero[:, :2],
+        strength=none,
+        offsets=zero,
+        velocities=zero,
+        drop=zero[0, :2],
     )
 
 
@@ -142,10 +153,10 @@ def plan_feet(
 
 def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, config: FootLockConfig) -> FootLocks:
     """Returns the locks of this frame: offsets [4, 3] that hold, follow the held partner, or decay."""
-    limits = np.array([config.heel_limit, config.toe_limit] * 2) * rig.leg_length
-    gap = locks.positions - feet
-    rise = np.array([[1.0, config.heel_rise, 1.0], [1.0, 1.0, 1.0]] * 2)  # heels leave the ground before toes
-    kept = locks.held & (contacts >= config.release_threshold) & (_squared(gap * rise) < limits**2)
+    rest = _resting_heights(rig, config)
+    places, settling = _held_places(feet[:, 1], rest, locks, config)
+    gap = places - feet
+    kept = locks.held & (contacts >= config.release_threshold) & _near(rig, gap, config)
     # The offset of a joint that is not held decays towards the offset of its held partner, which moves itself.
     leads = kept[np.array(PARTNER), None]
     goal, before, speed = (
@@ -153,20 +164,52 @@ def _advance(rig: Rig, feet: jax.Array, contacts: jax.Array, locks: FootLocks, c
     )
     away, away_velocity = critically_damped_step(locks.offsets - before, locks.velocities - speed, config)
     free, near = goal + away, _squared(away) < (config.max_lock_offset * rig.leg_length) ** 2
-    starting = ~locks.held & (contacts >= config.lock_threshold) & near
-    held = kept | starting
-    offsets = jnp.where(kept[:, None], gap, free)
     moving = away_velocity + jnp.where(leads, (goal - before) * config.fps, 0.0)
+    starting = ~locks.held & (contacts >= config.lock_threshold) & near
+    begun = jnp.stack([free[:, 1] - jnp.maximum(rest - feet[:, 1], 0.0), moving[:, 1]], axis=1)
+    held, offsets = kept | starting, jnp.where(kept[:, None], gap, free)
+    rate = jnp.where(held, 1.0 / config.lock_time, -1.0 / config.release_time) / config.fps
     return replace(
         locks,
-        positions=jnp.where(starting[:, None], feet + free, locks.positions),
+        positions=jnp.where(starting[:, None], feet + free, places),
         held=held,
-        strength=jnp.clip(
-            locks.strength + jnp.where(held, 1.0 / config.lock_time, -1.0 / config.release_time) / config.fps, 0.0, 1.0
-        ),
+        settling=jnp.where(starting[:, None], begun, settling),
+        strength=jnp.clip(locks.strength + rate, 0.0, 1.0),
         offsets=offsets,
         velocities=jnp.where(kept[:, None], (offsets - locks.offsets) * config.fps, moving),
     )
+
+
+def _resting_heights(rig: Rig, config: FootLockConfig) -> np.ndarray:
+    """Returns the heights [4] in metres to which held joints come down at the lowest."""
+    floor = np.full(len(rig.feet), config.floor)
+    return floor if rig.resting_heights is None else np.maximum(np.ravel(rig.resting_heights), floor)
+
+
+def _held_places(
+    heights: jax.Array, rest: np.ndarray, locks: FootLocks, config: FootLockConfig
+) -> tuple[jax.Array, jax.Array]:
+    """Returns where joints are held in this frame [4, 3], and what is left of `FootLocks.settling` [4, 2].
+
+    Args:
+        heights: [4] metres, predicted.
+        rest: [4] metres at which the joints rest.
+        locks: of the previous frame.
+        config: constants.
+    """
+    before = locks.positions[:, 1]
+    lowest = jnp.maximum(jnp.minimum(before - locks.settling[:, 0], heights), rest)
+    left, speed = critically_damped_step(locks.settling[:, 0], locks.settling[:, 1], config)
+    # Not below the rest, but where the contact began there.
+    left = jnp.maximum(left, jnp.minimum(before, rest) - lowest)
+    return locks.positions.at[:, 1].set(lowest + left), jnp.stack([left, speed], axis=1)
+
+
+def _near(rig: Rig, gap: jax.Array, config: FootLockConfig) -> jax.Array:
+    """Returns which joints [4] may be held, by the gaps [4, 3] from the predicted joints to where they are held."""
+    limits = np.array([config.heel_limit, config.toe_limit] * 2) * rig.leg_length
+    rise = jnp.maximum(-gap[:, 1], 0.0) * np.array([config.heel_rise, 1.0] * 2)  # heels leave the ground before toes
+    return _squared(gap.at[:, 1].set(rise)) < limits**2
 
 
 def critically_damped_step(

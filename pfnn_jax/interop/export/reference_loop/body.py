@@ -18,12 +18,14 @@ class Body:
         legs: (hip, knee, heel, toe) of the left and of the right leg.
         arms: joints of the left and of the right arm from shoulder to hand, or none.
         chest: the last joint above both arms, or None.
+        resting_heights: [2, 2] metres of heel and toe of both feet above the floor while they stand flat, or None.
     """
 
     def __init__(self, skeleton, legs, arms, chest):
         self.parents, self.offsets = skeleton["parents"], np.array(skeleton["offsets"])
         self.legs, self.arms, self.chest = np.array(legs), arms, chest
         self.feet = self.legs[:, 2:].ravel()  # left heel, left toe, right heel, right toe
+        self.resting_heights = skeleton["resting_heights"]
         depth = [0]
         for parent in self.parents[1:]:
             depth.append(depth[parent] + 1)
