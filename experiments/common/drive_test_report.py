@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.common.markdown import markdown_table
+from pfnn_jax.evaluation.actor_test import SWAY_SECONDS
 from pfnn_jax.evaluation.drive_preset import PRESET_FPS, DrivePreset, preset_commands
-from pfnn_jax.evaluation.drive_test import PARTS, SWAY_SECONDS
+from pfnn_jax.evaluation.drive_test import PARTS
 from pfnn_jax.evaluation.heading_metrics import is_travel
 from pfnn_jax.motion.filters import gaussian_filter
 from pfnn_jax.motion.ground import yaw_of

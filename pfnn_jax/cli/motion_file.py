@@ -95,7 +95,7 @@ class MotionFile:
             raise InputError("command line", "onto", onto, "a .vrma file fits every VRM character: leave it out")
         if kind == ".vrm" and onto.suffix.lower() != ".vrm":
             raise InputError(out, "suffix", kind, "must be .glb: only a VRM character becomes a VRM file")
-        with self._naming_options():  # what is no humanoid is refused before anything long begins
+        with self._naming_options():  # a character that is not a humanoid is refused before anything slow begins
             read_any_skeleton(onto, ReadOptions(unit=self.onto_unit), self.onto_roles)
 
     def _content(self, out: Path, clips: Mapping[str, MotionClip]) -> bytes:

@@ -157,13 +157,22 @@ def track_path(
     num_frames = _num_frames(body, speed, seconds)
     state = replace(controller.start(path.points[0], path.start_yaw), style=style)
     states = track_states(controller.setup, controller.params, state, make_timed_path(path, speed), num_frames)
-    hips, rotations = (np.asarray(values, np.float64) for values in (states.pose.hips, states.pose.rotations))
-    if not (np.isfinite(hips).all() and np.isfinite(rotations).all()):
-        raise InputError(_source(body), "motion", "not finite", "choose another style: its rollout diverges")
-    rotations = quat_normalise(rotations)  # of unit length in single precision only
-    clip = MotionClip(body.skeleton, body.layout.fps, hips, rotations, content="generated", source=_source(body))
+    clip = replace(clip_of_states(states, body, "motion"), content="generated", source=_source(body))
     phase, contacts, joints = (np.asarray(x) for x in (states.motion.phase, states.contacts, states.joints))
     return GeneratedWalk(clip, phase, contacts, joints)
+
+
+def clip_of_states(states: ControllerState, body: Embodiment, name: str) -> MotionClip:
+    """Returns the drawn body of a controlled character, leaves [T, ...], as a clip whose content is `name`.
+
+    Raises:
+        InputError: naming it, if a value is not finite.
+    """
+    hips, rotations = (np.asarray(values, np.float64) for values in (states.pose.hips, states.pose.rotations))
+    if not (np.isfinite(hips).all() and np.isfinite(rotations).all()):
+        raise InputError(_source(body), name, "not finite", "choose another style: its rollout diverges")
+    rotations = quat_normalise(rotations)  # of unit length in single precision only
+    return MotionClip(body.skeleton, body.layout.fps, hips, rotations, content=name)
 
 
 @partial(jax.jit, static_argnames=("setup", "num_frames"))

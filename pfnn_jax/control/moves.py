@@ -14,6 +14,7 @@ import numpy as np
 from pfnn_jax.control.abilities import facing_error, keeps_facing
 from pfnn_jax.control.controller import Controller, Embodiment, rollout_commands
 from pfnn_jax.control.controller_state import ControllerState, style_speed
+from pfnn_jax.control.generation import clip_of_states
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.control.standing import StandingConfig
 from pfnn_jax.control.tracking import TrackingConfig
@@ -21,7 +22,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.motion.clip import MotionClip, cut, move_clip
 from pfnn_jax.motion.cycles import GAIT_SECONDS, MAX_TURN, cut_cycle
 from pfnn_jax.motion.ground import facing_of, yaw_of
-from pfnn_jax.motion.kinematics import quat_from_yaw, quat_normalise, quat_rotate
+from pfnn_jax.motion.kinematics import quat_from_yaw, quat_rotate
 from pfnn_jax.motion.trajectory import root_motion
 from pfnn_jax.motion.world_motion import world_motion
 
@@ -115,7 +116,7 @@ def make_moves(controller: Controller, weights: np.ndarray, body: Embodiment) ->
     for number, (name, move) in enumerate(MOVES.items()):
         own = jax.tree.map(itemgetter(number), states)
         try:
-            clip = _clip(own, name, body)
+            clip = clip_of_states(own, body, name)
             _check(move, _late(own), _late(commands[number]), fps, tracking)
             shown = cut(clip, round(WARM_UP_SECONDS * fps), clip.num_frames)
             clips[name] = at_origin(cut_cycle(shown, seconds=move.seconds), move)
@@ -168,20 +169,6 @@ def _check(move: Move, states: ControllerState, command: Command, fps: float, tr
     commanded = float(np.linalg.norm(command.velocity, axis=-1).mean())
     if speed < MIN_SPEED_SHARE * commanded:
         raise InputError("style", "speed", f"it moves at {speed:.2f} of {commanded:.2f} m/s", "must move")
-
-
-def _clip(states: ControllerState, name: str, body: Embodiment) -> MotionClip:
-    """Returns the clip of states, leaves [T, ...], whose quaternions are of unit length in single precision only.
-
-    Raises:
-        InputError: if a value is not finite.
-    """
-    hips, rotations = np.asarray(states.pose.hips, np.float64), np.asarray(states.pose.rotations, np.float64)
-    if not (np.isfinite(hips).all() and np.isfinite(rotations).all()):
-        raise InputError(
-            getattr(body, "path", "memory"), name, "not finite", "choose another style: its rollout diverges"
-        )
-    return MotionClip(body.skeleton, body.layout.fps, hips, quat_normalise(rotations), content=name)
 
 
 def at_origin(cycle: MotionClip, move: Move) -> MotionClip:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io.text_rows import read_lines
 
 PRESET_FPS = 30.0
 """Lines per second."""
@@ -47,12 +48,7 @@ def read_preset(path: Path) -> DrivePreset:
         InputError: naming the first line that is not six finite numbers with commas between them, whose stick leaves
             [-1, 1], or whose facing has no direction; for a file that cannot be read or has no lines.
     """
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, "file", error, "must be a readable text file") from error
-    while lines and not lines[-1].strip():
-        lines.pop()
+    lines = read_lines(path)
     if not lines:
         raise InputError(path, "lines", 0, "must be at least 1")
     rows = np.array([_read_line(path, number, line) for number, line in enumerate(lines, 1)])
@@ -88,8 +84,8 @@ def preset_commands(preset: DrivePreset, fps: float) -> tuple[np.ndarray, np.nda
     """Returns velocities [T, 2], as multiples of a style's natural speed, and directions [T, 2] at `fps`.
 
     Every line holds until the next, as the stick of a game is read. A stick of length 1 commands the natural speed: a
-    speed in metres per second would be a walk for one style and a sprint for another. The corners of a keyboard's
-    square, of length 1.41, are no faster, as in the demo that recorded the preset, which normalises the stick.
+    speed in metres per second would be a walk for one style and a sprint for another. A stick in a
+    corner, of length 1.41, commands the same speed: the demo that recorded the preset normalises it too.
     """
     frames = round(preset.seconds * fps)
     lines = np.minimum(np.arange(frames) * PRESET_FPS / fps, len(preset.stick) - 1).astype(int)

@@ -21,6 +21,7 @@ from pfnn_jax.control.controller_state import (
 )
 from pfnn_jax.control.ik.pose import forward_kinematics
 from pfnn_jax.control.loop.step import Command
+from pfnn_jax.evaluation.actor_test import SWAY_SECONDS
 from pfnn_jax.evaluation.drive_preset import PRESET_FPS, DrivePreset, preset_commands
 from pfnn_jax.evaluation.heading_metrics import (
     angle_errors,
@@ -36,9 +37,6 @@ from pfnn_jax.motion.ground import turn, yaw_of
 
 LOW_TOE = 0.01
 """Metres above the lowest toe of a motion below which CAMDM counts a toe."""
-
-SWAY_SECONDS = 0.3
-"""Standard deviation of the filter that takes the sway of the hips out of a walked path."""
 
 LONGEST_LAG = 2.0
 """Seconds within which a lag is looked for."""

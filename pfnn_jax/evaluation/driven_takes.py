@@ -259,7 +259,7 @@ def _places(roots: np.ndarray, path: Path, begin: float = 0.0) -> np.ndarray:
 
 
 def _found_phase(take: DrivenTake, joints: np.ndarray) -> np.ndarray:
-    """Returns the phase [T] of joints, found as in real clips; NaN without a label, or where there are no steps."""
+    """Returns the phase [T] of joints, labelled as that of real clips is; NaN without a label, or without steps."""
     rotations = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*joints.shape[:2], 4))  # labels read positions alone
     clip = MotionClip(take.skeleton, take.fps, joints[:, 0], rotations)
     try:

@@ -13,6 +13,9 @@ from pfnn_jax.motion.ground import angle_between
 MOVING = 1e-6
 """Length below which a commanded velocity is the command to stand."""
 
+SAME_HEADING = 1.0
+"""Largest difference in degrees between the commanded headings of two frames that does not count as a change."""
+
 
 def published_trajectory_error(commanded: np.ndarray, root: np.ndarray) -> float:
     """Returns CAMDM's trajectory error in degrees: |mean(commanded angle - walked angle)|, both in (-180, 180].
@@ -70,16 +73,15 @@ def find_lag(commanded: np.ndarray, root: np.ndarray, longest: int) -> int:
     return int(np.argmin([mean_of_numbers(heading_errors(commanded, root, lag)) for lag in lags]))
 
 
-def seconds_since_change(commanded: np.ndarray, fps: float, tolerance: float = 1.0) -> np.ndarray:
+def seconds_since_change(commanded: np.ndarray, fps: float) -> np.ndarray:
     """Returns the time [T] in seconds since the commanded heading changed, or the walk began; NaN for standing.
 
     Args:
         commanded: [T, 2] (x, z) of any length.
         fps: frames per second.
-        tolerance: degrees from one frame to the next that are no change.
     """
     moving, frames = is_travel(commanded), np.arange(len(commanded))
-    same = np.abs(np.rad2deg(angle_between(commanded[:-1], commanded[1:]))) <= tolerance
+    same = np.abs(np.rad2deg(angle_between(commanded[:-1], commanded[1:]))) <= SAME_HEADING
     changed = np.concatenate([[True], ~(same & moving[:-1] & moving[1:])])
     since = frames - np.maximum.accumulate(np.where(changed, frames, 0))
     return np.where(moving, since / fps, np.nan)

@@ -31,7 +31,6 @@ def share_closed(
     method: Mapping[str, np.ndarray],
     *,
     seed: int = 0,
-    resamples: int = RESAMPLES,
 ) -> Share:
     """Returns the share of the distance between two anchors that a method closes: 0 for `none`, 1 for `full`.
 
@@ -41,16 +40,15 @@ def share_closed(
     Args:
         none, full, method: by style, distances [takes] or [seeds, takes], of the same shapes.
         seed: of the draws.
-        resamples: number of draws.
 
     Raises:
         ValueError: if styles or shapes differ.
     """
     stacked = _stacked(none, full, method)
     rng = np.random.default_rng(seed)
-    drawn = np.zeros((3, resamples))
+    drawn = np.zeros((3, RESAMPLES))
     for values in stacked:  # [3, seeds, takes]
-        seeds, takes = (rng.integers(count, size=(resamples, count)) for count in values.shape[1:])
+        seeds, takes = (rng.integers(count, size=(RESAMPLES, count)) for count in values.shape[1:])
         drawn += values[:, seeds[:, :, None], takes[:, None, :]].mean(axis=(2, 3)) / len(stacked)
     means = np.mean([values.mean(axis=(1, 2)) for values in stacked], axis=0)
     low, high = np.quantile(_closed(*drawn), [0.025, 0.975])

@@ -9,6 +9,21 @@ import numpy as np
 from pfnn_jax.errors import InputError
 
 
+def read_lines(path: Path) -> list[str]:
+    """Reads the lines of a text file, without empty ones at its end.
+
+    Raises:
+        InputError: for a file that cannot be read.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, "file", error, "must be a readable text file") from error
+    while lines and not lines[-1].strip():
+        lines.pop()
+    return lines
+
+
 def read_rows(path: Path, columns: int, num_frames: int | None = None) -> np.ndarray:
     """Reads numbers in [0, 1] from a text file, one line for each frame.
 
@@ -23,12 +38,7 @@ def read_rows(path: Path, columns: int, num_frames: int | None = None) -> np.nda
     Raises:
         InputError: naming the first bad line, value, or the number of lines.
     """
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, "file", error, "must be a readable text file") from error
-    while lines and not lines[-1].strip():
-        lines.pop()
+    lines = read_lines(path)
     expected = "at least 1" if num_frames is None else f"{num_frames}, one for each frame of the BVH file"
     if not lines or (num_frames is not None and len(lines) != num_frames):
         raise InputError(path, "lines", len(lines), f"must be {expected}")

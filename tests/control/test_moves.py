@@ -104,7 +104,7 @@ def test_turns_on_the_spot_turn_to_their_side_and_stay(moves: MoveClips):
 
 
 def test_a_move_that_turns_too_little_is_left_out(run: Run, controller: Controller, monkeypatch: pytest.MonkeyPatch):
-    """A whirl of five turns a second is no command that a network follows."""
+    """No network follows a command to turn five times a second."""
     monkeypatch.setattr("pfnn_jax.control.moves.MOVES", {"idle": MOVES["idle"], "whirl": Move(turn_rate=10 * np.pi)})
     made = make_moves(controller, controller.style_weights("neutral"), run)
     assert [*made.clips] == ["idle"]

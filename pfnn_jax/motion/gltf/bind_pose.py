@@ -58,7 +58,7 @@ def read_skins(document: Document) -> list[Skin]:
     """Returns the skins of a file.
 
     Raises:
-        InputError: if a joint is no node, an inverse bind matrix is missing, singular or not finite, or for too many
+        InputError: if a joint is not a node, an inverse bind matrix is missing, singular or not finite, or for too many
             skins or joints.
     """
     found: list[Skin] = []

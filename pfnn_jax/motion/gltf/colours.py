@@ -153,7 +153,7 @@ def _transform(texture: dict[str, Any]) -> dict[str, Any]:
 
 
 def _transformed(uv: np.ndarray, transform: dict[str, Any]) -> np.ndarray:
-    """Returns texture coordinates [V, 2] scaled, turned and moved; values that are no numbers change nothing."""
+    """Returns texture coordinates [V, 2] scaled, turned and moved; values that are not numbers are ignored."""
     angle, scale, offset = (
         _numbers(value, size)
         for value, size in (([transform.get("rotation")], 1), (transform.get("scale"), 2), (transform.get("offset"), 2))

@@ -14,7 +14,7 @@ def humanoid_nodes(document: Document) -> dict[str, int]:
     """Returns bone -> node of the humanoid map of a VRM file, with the bones' names in VRM; empty for other files.
 
     Raises:
-        InputError: for a map that is malformed, or a bone that is no node.
+        InputError: for a map that is malformed, or a bone that is not a node.
     """
     extensions = document.json.get("extensions")
     for name in ("VRMC_vrm", "VRMC_vrm_animation", "VRM"):

@@ -88,9 +88,8 @@ class FootLocks:
     def _near(self, gap):
         """Returns which joints [4] are near enough to where they are held, by the gaps [4, 3] to there."""
         k, away = self.constants, gap.copy()
-        away[:, 1] = np.maximum(-gap[:, 1], 0.0) * np.array(
-            [k["heel_rise"], 1.0] * 2
-        )  # heels leave the ground before toes
+        rise = np.array([k["heel_rise"], 1.0] * 2)  # heels leave the ground before toes
+        away[:, 1] = np.maximum(-gap[:, 1], 0.0) * rise
         limits = np.array([k["heel_limit"], k["toe_limit"]] * 2) * self.leg_length
         return (away**2).sum(-1) < limits**2
 
