@@ -138,7 +138,7 @@ def ideal_points(preset: DrivePreset) -> dict[str, dict[str, float]]:
 
 
 def example_of(rows: Sequence[dict[str, Any]], drives: dict[str, Drive]) -> dict[str, Any]:
-    """Returns the way of the style of the first run whose error with tracking is the median.
+    """Returns the path of the style of the first run whose error with tracking is the median.
 
     Returns:
         `style`, its name, and `paths`, controller -> positions of the hips in metres, at the preset's rate.

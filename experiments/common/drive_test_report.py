@@ -63,7 +63,7 @@ def cause_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Returns the table of what the angle between commanded and walked heading is made of."""
     lines = []
     for title, kind, own in groups(rows):
-        if "locked" not in kind:  # the lock of the feet does not change the way
+        if "locked" not in kind:  # the lock of the feet does not change the path
             lines.append([title, kind.split(",")[0], *(_cell(own, key, 2 if key == "lag" else 1) for key in CAUSES)])
     return markdown_table(["run (styles)", "controller", *CAUSES.values()], lines)
 
@@ -95,12 +95,12 @@ def _number(value: float | None, digits: int) -> str | None:
 
 
 def draw(result: Mapping[str, Any], preset: DrivePreset) -> Figure:
-    """Returns the figure: the commanded and the walked heading and way of one style, and the errors of all."""
+    """Returns the figure: the commanded and the walked heading and path of one style, and the errors of all."""
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
-    axes = figure.subplot_mosaic([["heading"] * 3, ["way", "angle", "published"]], height_ratios=(1.0, 1.15))
+    axes = figure.subplot_mosaic([["heading"] * 3, ["paths", "angle", "published"]], height_ratios=(1.0, 1.15))
     example = result["example"]["style"], {kind: np.array(p) for kind, p in result["example"]["paths"].items()}
     _draw_heading(axes["heading"], preset, *example)
-    _draw_way(axes["way"], preset, *example)
+    _draw_paths(axes["paths"], preset, *example)
     _draw_errors(axes["angle"], result["rows"], "error", "Angle between headings, °")
     _draw_errors(axes["published"], result["rows"], "published error", "Error by CAMDM's formula, °", PUBLISHED_ERROR)
     for axis in axes.values():
@@ -127,8 +127,8 @@ def _draw_heading(axes: Axes, preset: DrivePreset, style: str, paths: Mapping[st
     axes.legend(frameon=False, fontsize=8, ncols=4, loc="upper left", bbox_to_anchor=(0.35, 1.14))
 
 
-def _draw_way(axes: Axes, preset: DrivePreset, style: str, paths: Mapping[str, np.ndarray]) -> None:
-    """Draws the ways from above; the commanded one is as long as that of the first controller."""
+def _draw_paths(axes: Axes, preset: DrivePreset, style: str, paths: Mapping[str, np.ndarray]) -> None:
+    """Draws the paths from above; the commanded one is as long as that of the first controller."""
     wanted = np.cumsum(preset_commands(preset, PRESET_FPS)[0].astype(float), axis=0)
     first = next(iter(paths.values()))
     length, commanded = (np.linalg.norm(np.diff(path, axis=0), axis=-1).sum() for path in (first, wanted))
@@ -139,7 +139,7 @@ def _draw_way(axes: Axes, preset: DrivePreset, style: str, paths: Mapping[str, n
     shown = np.concatenate([wanted, first]) * [-1.0, 1.0]
     (left, low), (right, high) = shown.min(axis=0) - 1.0, shown.max(axis=0) + 1.0
     axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
-    axes.set_title(f"{style}: way from above, m", loc="left", fontsize=10, color=INK)
+    axes.set_title(f"{style}: path from above, m", loc="left", fontsize=10, color=INK)
 
 
 def _gaps(angle: np.ndarray) -> np.ndarray:
