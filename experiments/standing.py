@@ -96,7 +96,7 @@ def stops(controller: Controller, chunk: int, resting: np.ndarray | None) -> dic
             jnp.asarray(weights[[s for s, _, _ in part]]),
         )
         for i in range(min(chunk, len(cases) - first)):
-            walk = (np.asarray(values[i]) for values in (joints, facing, contacts))
+            walk = (np.asarray(joints[i]), np.asarray(facing[i]), np.asarray(contacts[i]))
             measured = _measure(controller, *walk, WALK + APART * part[i][2])
             for name, value in measured.items():
                 found.setdefault(name, []).append(value)
