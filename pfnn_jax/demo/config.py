@@ -13,7 +13,7 @@ class DemoConfig:
         seconds_per_style: seconds of motion of each of the 8 pretraining styles, before mirroring.
         clip_seconds: seconds of straight walking from which the ninth style is learned.
         hidden: H.
-        steps, batch_size, learning_rate, dropout, pose_noise: settings of pretraining.
+        steps, batch_size, learning_rate: settings of pretraining.
         walk_seconds: seconds of generated motion along the figure-eight.
         seed: seed of the data and of training.
     """
@@ -24,7 +24,5 @@ class DemoConfig:
     steps: int = 2500
     batch_size: int = 128
     learning_rate: float = 1e-3
-    dropout: float = 0.1
-    pose_noise: float = 0.3
     walk_seconds: float = 21.0
     seed: int = 0

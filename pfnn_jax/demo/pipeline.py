@@ -106,7 +106,7 @@ def demo(
 
 def pretraining(config: DemoConfig) -> PretrainConfig:
     """Returns how the demo's network is trained."""
-    names = ("hidden", "steps", "batch_size", "learning_rate", "dropout", "pose_noise", "seed")
+    names = ("hidden", "steps", "batch_size", "learning_rate", "seed")
     return PretrainConfig(**{name: getattr(config, name) for name in names})
 
 
