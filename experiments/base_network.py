@@ -233,7 +233,7 @@ def train(config: Config) -> Run:
 
 
 def ship(run: Run, config: Config) -> Path:
-    """Writes what is shipped of a run: its network, the styles with names, differences of procedural styles, and a card.
+    """Writes what is shipped of a run: network, styles with names, differences of procedural styles, a card.
 
     Returns the folder. No row of 100STYLE is in it.
     """
