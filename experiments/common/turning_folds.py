@@ -10,8 +10,8 @@ experiment resumes where it stopped, experiments share them, and tables are made
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -30,7 +30,7 @@ from experiments.common.style_takes import (
 )
 from experiments.common.turning_judged import Body, JudgedWalks, StyledNetwork, judge_network, recogniser_of
 from experiments.common.turning_judged import load_takes as load_driven_takes
-from experiments.common.turning_table import Results, load_judged, save_judged
+from experiments.common.turning_table import Results, load_judged, save_judged, write_tables
 from pfnn_jax.evaluation.driven_takes import DrivenTake
 from pfnn_jax.evaluation.turning_judge import StyleRecogniser
 from pfnn_jax.io.checkpoint import load_record, save_record
@@ -108,6 +108,22 @@ class NetworkKind:
 
 WITHOUT, FULL = NetworkKind(), NetworkKind(full=True)
 """The networks without the held-out style and with it, pretrained as in the paper."""
+
+NOISY = NetworkKind(pose_noise=0.05)
+"""The network without the held-out style, pretrained with the default noise on poses."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method of learning a style.
+
+    Attributes:
+        learn: returns the parameters of the style for a fold and a kind of network, which it does not change.
+        kind: of the network.
+    """
+
+    learn: Callable[[Fold, NetworkKind], Style]
+    kind: NetworkKind = NOISY
 
 
 class TurningFolds:
@@ -225,43 +241,32 @@ class Fold:
 
     def _settings(self, kind: NetworkKind) -> PretrainConfig:
         config = self.everything.config
-        settings = PretrainConfig(
+        return PretrainConfig(
             hidden=config.hidden,
             steps=config.steps,
             batch_size=config.batch_size,
             learning_rate=config.learning_rate,
             dropout=kind.dropout,
+            pose_noise=kind.pose_noise,
             seed=self.seed,
         )
-        return replace(settings, pose_noise=kind.pose_noise) if kind.pose_noise else settings
 
-    def own_style(self) -> Style:
-        """Returns the held-out style of the network that knows it."""
-        return style_of(self.network(FULL), self.known_styles(FULL).index(self.style))
-
-    def judge(
-        self,
-        name: str,
-        learn: Callable[[], Any],
-        kind: NetworkKind = WITHOUT,
-    ) -> None:
+    def judge(self, name: str, method: Method) -> None:
         """Learns the held-out style and judges it along the test takes, unless that was done before.
 
         Args:
             name: of the method.
-            learn: returns the parameters of the style, or (network, style) where the network changes too.
-            kind: of the network.
+            method: how the style is learned.
         """
         file = judged_file(self.everything.config, self.style, self.seed, name)
         if file.exists():  # before networks and the recogniser are trained for nothing
             return
-        network = self.network(kind)
+        network = self.network(method.kind)
 
         def styled() -> StyledNetwork:
-            learned = learn()
-            shared, style = learned if isinstance(learned, tuple) else (network.shared, learned)
+            style = jax.tree.map(np.asarray, method.learn(self, method.kind))
             body = Body(self.layout, self.everything.skeleton, network.normaliser)
-            return StyledNetwork(shared, jax.tree.map(np.asarray, style), body, self.speed)
+            return StyledNetwork(network.shared, style, body, self.speed)
 
         judge_once(file, styled, self.driven_takes, self.style, self.everything.recogniser)
 
@@ -303,6 +308,16 @@ def no_style(network: TrainedNetwork) -> Style:
     return jax.tree.map(lambda leaf: np.zeros_like(leaf[0]), network.bank)
 
 
+def learn_nothing(fold: Fold, kind: NetworkKind) -> Style:
+    """Returns a style that changes nothing, as a method."""
+    return no_style(fold.network(kind))
+
+
+def own_style(fold: Fold, kind: NetworkKind) -> Style:
+    """Returns the held-out style of a network that knows it, as a method."""
+    return style_of(fold.network(kind), fold.known_styles(kind).index(fold.style))
+
+
 def save_network(folder: Path, network: TrainedNetwork) -> None:
     """Writes the parameters and the normaliser of a network into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -337,3 +352,18 @@ def load_results(config: FoldConfig, methods: Sequence[str]) -> Results:
 def judged_file(config: FoldConfig, style: str, seed: int, method: str) -> Path:
     """Returns where the measures of a method on a fold are kept."""
     return config.out / "judged" / f"{style}_{seed}" / f"{method}.json"
+
+
+def run_methods(config: FoldConfig, name: str, methods: Mapping[str, Method], others: Sequence[str] = ()) -> None:
+    """Judges the methods of an experiment on all folds, and writes their tables as `NAME.md`.
+
+    Args:
+        config: the folds.
+        name: of the experiment.
+        methods: by name.
+        others: methods of other experiments that the tables show too, where they were judged.
+    """
+    for fold in TurningFolds(config).folds():
+        for method, how in methods.items():
+            fold.judge(method, how)
+    write_tables(config.out, name, load_results(config, [*others, *methods]))

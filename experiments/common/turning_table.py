@@ -105,7 +105,7 @@ def distance_table(results: Results, ends: Sequence[str] = (FULL_DATA, OWN_TURNS
     rows = []
     for method, found in results.items():
         cells = [_distances(found[fold]) if fold in found else None for fold in folds]
-        mean = _pair([np.mean([walks[way].means()["distance"] for walks in found.values()]) for way in _ways()])
+        mean = _pair([float(np.mean([walks[way].means()["distance"] for walks in found.values()])) for way in _ways()])
         shares = [_share(closed(results, method, way, end=end)) for end in ends if end in results for way in _ways()]
         rows.append([method, *cells, mean if len(found) == len(folds) else None, *shares])
     return markdown_table(["cm, controller / loop", *names, "mean", *headings], rows)
