@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,7 @@ from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import load_normaliser, save_normaliser
 from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.pretraining import POSE_NOISE
 
 NOTE = "network.json"
 
@@ -109,8 +110,8 @@ class NetworkKind:
 WITHOUT, FULL = NetworkKind(), NetworkKind(full=True)
 """The networks without the held-out style and with it, pretrained as in the paper."""
 
-NOISY = NetworkKind(pose_noise=0.05)
-"""The network without the held-out style, pretrained with the default noise on poses."""
+NOISY, FULL_NOISY = NetworkKind(pose_noise=POSE_NOISE), NetworkKind(full=True, pose_noise=POSE_NOISE)
+"""The same, pretrained with noise on poses, as is the default."""
 
 
 @dataclass(frozen=True)
@@ -251,22 +252,33 @@ class Fold:
             seed=self.seed,
         )
 
-    def judge(self, name: str, method: Method) -> None:
+    def own_style(self, kind: NetworkKind = FULL) -> Style:
+        """Returns the held-out style of a network that knows it."""
+        return style_of(self.network(kind), self.known_styles(kind).index(self.style))
+
+    def judge(
+        self,
+        name: str,
+        learn: Callable[[], Any],
+        kind: NetworkKind = WITHOUT,
+    ) -> None:
         """Learns the held-out style and judges it along the test takes, unless that was done before.
 
         Args:
             name: of the method.
-            method: how the style is learned.
+            learn: returns the parameters of the style, or (network, style) where the network changes too.
+            kind: of the network.
         """
         file = judged_file(self.everything.config, self.style, self.seed, name)
         if file.exists():  # before networks and the recogniser are trained for nothing
             return
-        network = self.network(method.kind)
+        network = self.network(kind)
 
         def styled() -> StyledNetwork:
-            style = jax.tree.map(np.asarray, method.learn(self, method.kind))
+            learned = learn()
+            shared, style = learned if isinstance(learned, tuple) else (network.shared, learned)
             body = Body(self.layout, self.everything.skeleton, network.normaliser)
-            return StyledNetwork(network.shared, style, body, self.speed)
+            return StyledNetwork(shared, jax.tree.map(np.asarray, style), body, self.speed)
 
         judge_once(file, styled, self.driven_takes, self.style, self.everything.recogniser)
 
@@ -306,16 +318,6 @@ def style_of(network: TrainedNetwork, number: int) -> Style:
 def no_style(network: TrainedNetwork) -> Style:
     """Returns a style that changes nothing, of the form of the bank's."""
     return jax.tree.map(lambda leaf: np.zeros_like(leaf[0]), network.bank)
-
-
-def learn_nothing(fold: Fold, kind: NetworkKind) -> Style:
-    """Returns a style that changes nothing, as a method."""
-    return no_style(fold.network(kind))
-
-
-def own_style(fold: Fold, kind: NetworkKind) -> Style:
-    """Returns the held-out style of a network that knows it, as a method."""
-    return style_of(fold.network(kind), fold.known_styles(kind).index(fold.style))
 
 
 def save_network(folder: Path, network: TrainedNetwork) -> None:
@@ -365,5 +367,5 @@ def run_methods(config: FoldConfig, name: str, methods: Mapping[str, Method], ot
     """
     for fold in TurningFolds(config).folds():
         for method, how in methods.items():
-            fold.judge(method, how)
+            fold.judge(method, partial(how.learn, fold, how.kind), how.kind)
     write_tables(config.out, name, load_results(config, [*others, *methods]))

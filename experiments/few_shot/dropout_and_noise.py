@@ -2,7 +2,7 @@
 
 Question  which dropout, and which noise on the pose inputs while the adapter is learned, makes walks that do not
           diverge and stay near the actor's?
-Method    restyled turns with dropout of 0, .1, .3 (the default) and .5 before the shared layers, with .3 before the
+Method    restyled rows with dropout of 0, .1, .3 (the default) and .5 before the shared layers, with .3 before the
           adapter too, and with Gaussian noise of .02, .05 and .1 on the normalised pose inputs instead of dropout (a
           standard deviation of them is .1); the clip alone with noise.
 Run       python -m experiments.few_shot.dropout_and_noise --data FOLDER --out runs/few_shot
@@ -15,9 +15,9 @@ from functools import partial
 import tyro
 
 from experiments.common.few_shot_recipes import Learning, clip_rows, learn_rows
-from experiments.common.restyled_turns import RESTYLED, learn_restyled
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
 from experiments.common.turning_table import PAPER
+from experiments.common.varied_restyling import BASE, learn_base
 from pfnn_jax.models.style import Style
 
 VARIANTS = {
@@ -42,10 +42,10 @@ def learn_noisy_clip(fold: Fold, kind: NetworkKind) -> Style:
     return learn_rows(fold, network, clip_rows(fold, network), CLIP_NOISE)
 
 
-METHODS = {name: Method(partial(learn_restyled, learning=learning)) for name, learning in VARIANTS.items()} | {
+METHODS = {name: Method(partial(learn_base, learning=learning)) for name, learning in VARIANTS.items()} | {
     "clip alone, noise .2": Method(learn_noisy_clip)
 }
 
 
 if __name__ == "__main__":
-    run_methods(tyro.cli(FoldConfig, description=__doc__), "dropout_and_noise", METHODS, (PAPER, RESTYLED))
+    run_methods(tyro.cli(FoldConfig, description=__doc__), "dropout_and_noise", METHODS, (PAPER, BASE))

@@ -13,17 +13,17 @@ from dataclasses import replace
 import tyro
 
 from experiments.common.few_shot_recipes import learn_paper
-from experiments.common.restyled_turns import RESTYLED, learn_restyled
 from experiments.common.turning_folds import NOISY, FoldConfig, Method, run_methods
 from experiments.common.turning_table import PAPER
+from experiments.common.varied_restyling import BASE, learn_base
 
 KINDS = {number: replace(NOISY, num_known=number) for number in (2, 4)}
 """Networks that know some of the other styles, next to the one that knows all."""
 
 METHODS = {f"{number} styles, {PAPER}": Method(learn_paper, kind) for number, kind in KINDS.items()} | {
-    f"{number} styles, {RESTYLED}": Method(learn_restyled, kind) for number, kind in KINDS.items()
+    f"{number} styles, {BASE}": Method(learn_base, kind) for number, kind in KINDS.items()
 }
 
 
 if __name__ == "__main__":
-    run_methods(tyro.cli(FoldConfig, description=__doc__), "known_styles", METHODS, (PAPER, RESTYLED))
+    run_methods(tyro.cli(FoldConfig, description=__doc__), "known_styles", METHODS, (PAPER, BASE))

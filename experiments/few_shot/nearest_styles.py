@@ -1,8 +1,8 @@
 """Do the known styles that are nearest to the clip help more than all of them?
 
 Question  is it better to begin with the adapter of the nearest known style, or to restyle turns of the nearest alone?
-Method    the known styles are ranked by the error of their adapters on the clip; restyled turns, begun with the first
-          style's adapter; and restyled turns of the first three styles alone.
+Method    the known styles are ranked by the error of their adapters on the clip; restyled rows, begun with the first
+          style's adapter; and restyled rows of the first three styles alone.
 Run       python -m experiments.few_shot.nearest_styles --data FOLDER --out runs/few_shot
 """
 
@@ -12,15 +12,15 @@ import numpy as np
 import tyro
 
 from experiments.common.few_shot_recipes import clip_rows, join_batches, learn_rows
-from experiments.common.restyled_turns import (
-    RESTYLED,
+from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods, style_of
+from experiments.common.turning_table import PAPER
+from experiments.common.varied_restyling import (
+    BASE,
     draw_rows,
-    learn_restyled,
+    learn_base,
     restyle_turns,
     straight_and_turning,
 )
-from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods, style_of
-from experiments.common.turning_table import PAPER
 from pfnn_jax.models.style import Style
 from pfnn_jax.training.few_shot_learning import row_errors
 from pfnn_jax.training.restyling import COUNT
@@ -37,8 +37,8 @@ def ranking(fold: Fold, kind: NetworkKind) -> list[int]:
 
 
 def learn_from_nearest_start(fold: Fold, kind: NetworkKind) -> Style:
-    """Returns the style that is learned from restyled turns, begun with the nearest style's adapter."""
-    return learn_restyled(fold, kind, start=style_of(fold.network(kind), ranking(fold, kind)[0]))
+    """Returns the style that is learned from restyled rows, begun with the nearest style's adapter."""
+    return learn_base(fold, kind, start=style_of(fold.network(kind), ranking(fold, kind)[0]))
 
 
 def learn_from_nearest_turns(fold: Fold, kind: NetworkKind) -> Style:
@@ -57,4 +57,4 @@ METHODS = {
 
 
 if __name__ == "__main__":
-    run_methods(tyro.cli(FoldConfig, description=__doc__), "nearest_styles", METHODS, (PAPER, RESTYLED))
+    run_methods(tyro.cli(FoldConfig, description=__doc__), "nearest_styles", METHODS, (PAPER, BASE))

@@ -18,9 +18,9 @@ import numpy as np
 import tyro
 
 from experiments.common.few_shot_recipes import clip_rows, join_batches, learn_rows
-from experiments.common.restyled_turns import RESTYLED, draw_rows, restyle_turns, straight_and_turning
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
 from experiments.common.turning_table import PAPER
+from experiments.common.varied_restyling import BASE, draw_rows, restyle_turns, straight_and_turning
 from pfnn_jax.control.generation import starting_row
 from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, advance, network_input, steer
@@ -79,7 +79,7 @@ def rollout_rows(fold: Fold, kind: NetworkKind) -> dict[str, tuple[Features, Fea
 
 
 def learn_from_rollouts(fold: Fold, kind: NetworkKind) -> Style:
-    """Returns the style that is learned from the clip and restyled turns of rollouts."""
+    """Returns the style that is learned from the clip and restyled rows of rollouts."""
     network, parts = fold.network(kind), rollout_rows(fold, kind)
     restyled = restyle_turns(fold, network, parts, draw_rows(parts, COUNT, fold.seed))
     return learn_rows(fold, network, join_batches([clip_rows(fold, network), restyled]))
@@ -89,4 +89,4 @@ METHODS = {"turns of own rollouts": Method(learn_from_rollouts)}
 
 
 if __name__ == "__main__":
-    run_methods(tyro.cli(FoldConfig, description=__doc__), "own_rollouts", METHODS, (PAPER, RESTYLED))
+    run_methods(tyro.cli(FoldConfig, description=__doc__), "own_rollouts", METHODS, (PAPER, BASE))

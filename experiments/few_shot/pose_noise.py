@@ -12,21 +12,28 @@ from __future__ import annotations
 import tyro
 
 from experiments.common.few_shot_recipes import learn_paper
-from experiments.common.restyled_turns import RESTYLED, learn_restyled
-from experiments.common.turning_folds import FoldConfig, Method, NetworkKind, learn_nothing, run_methods
+from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, no_style, run_methods
 from experiments.common.turning_table import NONE, PAPER
+from experiments.common.varied_restyling import BASE, learn_base
+from pfnn_jax.models.style import Style
 
 KINDS = {
     f"noise {noise:g}, dropout {dropout:g}": NetworkKind(pose_noise=noise, dropout=dropout)
     for noise, dropout in ((0.0, 0.3), (0.05, 0.3), (0.1, 0.2), (0.3, 0.1))
 }
 
+
+def learn_nothing(fold: Fold, kind: NetworkKind) -> Style:
+    """Returns a style that changes nothing."""
+    return no_style(fold.network(kind))
+
+
 METHODS = {
     f"{name}, {method}": Method(learn, kind)
     for name, kind in KINDS.items()
-    for method, learn in ((NONE, learn_nothing), (PAPER, learn_paper), (RESTYLED, learn_restyled))
+    for method, learn in ((NONE, learn_nothing), (PAPER, learn_paper), (BASE, learn_base))
 }
 
 
 if __name__ == "__main__":
-    run_methods(tyro.cli(FoldConfig, description=__doc__), "pose_noise", METHODS, (NONE, PAPER, RESTYLED))
+    run_methods(tyro.cli(FoldConfig, description=__doc__), "pose_noise", METHODS, (NONE, PAPER, BASE))

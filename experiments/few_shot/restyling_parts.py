@@ -1,8 +1,10 @@
 """Which parts of restyling are needed?
 
-Question  how many restyled rows are enough, and do scaling by the walking speed and by the joints' shares help?
-Method    restyled turns with 300 and 4,800 rows next to `restyling.COUNT`; without scaling differences by speed;
-          without the joints' shares; without restyled rows, from the clip alone in the same steps.
+Question  how many restyled rows are enough, which of the known styles' rows are needed, and do scaling by the walking
+          speed and by the joints' shares help?
+Method    the default's rows, of all takes of the known styles; rows of their turning takes alone, as many, 300 and
+          4,800; turning takes without scaling differences by speed, and without the joints' shares; no restyled rows.
+          All are learned in the same loop.
 Run       python -m experiments.few_shot.restyling_parts --data FOLDER --out runs/few_shot
 """
 
@@ -13,9 +15,9 @@ from functools import partial
 import tyro
 
 from experiments.common.few_shot_recipes import clip_rows, join_batches, learn_rows
-from experiments.common.restyled_turns import RESTYLED, draw_rows, restyle_turns, straight_and_turning
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
 from experiments.common.turning_table import PAPER
+from experiments.common.varied_restyling import BASE, draw_rows, learn_base, restyle_turns, straight_and_turning
 from pfnn_jax.models.style import Style
 from pfnn_jax.training.restyling import COUNT
 
@@ -26,7 +28,7 @@ COUNTS = (300, 4800)
 def learn_with(
     fold: Fold, kind: NetworkKind, count: int = COUNT, by_speed: bool = True, by_joint: bool = True
 ) -> Style:
-    """Returns the style that is learned from the clip and restyled turns, of which parts are left out."""
+    """Returns the style that is learned from the clip and restyled rows, of which parts are left out."""
     network, parts = fold.network(kind), straight_and_turning(fold.known_takes(kind))
     turns = draw_rows(parts, count, fold.seed)
     restyled = restyle_turns(fold, network, parts, turns, by_speed=by_speed, by_joint=by_joint)
@@ -40,6 +42,8 @@ def learn_clip(fold: Fold, kind: NetworkKind) -> Style:
 
 
 METHODS = {
+    BASE: Method(learn_base),
+    "turning takes alone": Method(learn_with),
     **{f"{count} rows": Method(partial(learn_with, count=count)) for count in COUNTS},
     "not scaled by speed": Method(partial(learn_with, by_speed=False)),
     "without joints' shares": Method(partial(learn_with, by_joint=False)),
@@ -48,4 +52,4 @@ METHODS = {
 
 
 if __name__ == "__main__":
-    run_methods(tyro.cli(FoldConfig, description=__doc__), "restyling_parts", METHODS, (PAPER, RESTYLED))
+    run_methods(tyro.cli(FoldConfig, description=__doc__), "restyling_parts", METHODS, (PAPER,))

@@ -2,7 +2,7 @@
 
 Question  do walks come nearer to the actor's when the adapter is trained on sequences, in which the network reads the
           poses that it predicted itself, instead of on single frames?
-Method    after restyled turns were learned, 150 steps of 32 sequences of 8 frames, and of 16 of 16 frames, with the
+Method    after restyled rows were learned, 150 steps of 32 sequences of 8 frames, and of 16 of 16 frames, with the
           gradient through all of them. Trajectory and phase stay those of the rows; the first pose has noise of .1.
           Sequences are the clip's, and consecutive frames of the known styles' turns, restyled.
 Run       python -m experiments.few_shot.unrolled --data FOLDER --out runs/few_shot
@@ -26,10 +26,10 @@ from experiments.common.few_shot_recipes import (
     learning_data,
     minimise,
 )
-from experiments.common.restyled_turns import RESTYLED, restyle_turns, straight_and_turning
 from experiments.common.style_takes import Take
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
 from experiments.common.turning_table import PAPER
+from experiments.common.varied_restyling import BASE, restyle_turns, straight_and_turning
 from pfnn_jax.models.network import coefficients, forward
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.encode import Features, join_rows, select_rows
@@ -130,4 +130,4 @@ METHODS = {
 
 
 if __name__ == "__main__":
-    run_methods(tyro.cli(FoldConfig, description=__doc__), "unrolled", METHODS, (PAPER, RESTYLED))
+    run_methods(tyro.cli(FoldConfig, description=__doc__), "unrolled", METHODS, (PAPER, BASE))

@@ -1,4 +1,4 @@
-"""Turns of known styles, restyled: the parts of `pfnn_jax.training.restyling`, so that experiments can vary them."""
+"""Restyled rows of known styles, learned in a loop whose parts experiments can vary."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from experiments.common.few_shot_recipes import Learning, clip_rows, join_batches, learn_rows
+from experiments.common.few_shot_recipes import Learning, clip_rows, join_batches, known_differences, learn_rows
 from experiments.common.style_takes import Take, TrainedNetwork, rows_of
 from experiments.common.turning_folds import Fold, NetworkKind
 from pfnn_jax.evaluation.style_test import is_turning
@@ -15,7 +15,6 @@ from pfnn_jax.motion.features.decode import median_speed, root_steps
 from pfnn_jax.motion.features.encode import Features, select_rows
 from pfnn_jax.training.data import Batch, to_batch
 from pfnn_jax.training.restyling import (
-    COUNT,
     StyleDifferences,
     fit_mean_row,
     joint_scale,
@@ -25,8 +24,8 @@ from pfnn_jax.training.restyling import (
     speed_scale,
 )
 
-RESTYLED = "restyled turns"
-"""Name of the method with all parts, which the experiments on parts are compared with."""
+BASE = "restyled rows, plain loop"
+"""Name of the method that experiments vary: the rows of the default, learned by `few_shot_recipes.minimise`."""
 
 
 def straight_and_turning(takes: Mapping[str, list[Take]]) -> dict[str, tuple[Features, Features]]:
@@ -93,18 +92,18 @@ def _to_the_left(fold: Fold, rows: Features) -> Features:
 
 
 def default_rows(fold: Fold, kind: NetworkKind) -> Batch:
-    """Returns the restyled turns of all known styles, with all parts of the method."""
-    parts = straight_and_turning(fold.known_takes(kind))
-    return restyle_turns(fold, fold.network(kind), parts, draw_rows(parts, COUNT, fold.seed))
+    """Returns the restyled rows that `few-shot` learns from by default."""
+    network = fold.network(kind)
+    return restyle(known_differences(fold, kind), clip_rows(fold, network), fold.layout, network.normaliser)
 
 
-def learn_restyled(
+def learn_base(
     fold: Fold,
     kind: NetworkKind,
     learning: Learning = Learning(),  # noqa: B008 - frozen
     **options,
 ) -> Style:
-    """Returns the adapter that is learned from the clip and restyled turns; `options` are those of `learn_rows`."""
+    """Returns the adapter that is learned from the clip and restyled rows; `options` are those of `learn_rows`."""
     network = fold.network(kind)
     rows = join_batches([clip_rows(fold, network), default_rows(fold, kind)])
     return learn_rows(fold, network, rows, learning, **options)
