@@ -190,8 +190,13 @@ def learn_restyled(fold: Fold, kind: NetworkKind, differences: StyleDifferences)
     return fit_style(network.shared, rows, RESTYLED_FEW_SHOT, **options).style
 
 
-def learn_own_turns(fold: Fold, kind: NetworkKind = WITHOUT, learning: Learning = Learning()) -> Style:  # noqa: B008
+def learn_own_turns(
+    fold: Fold,
+    kind: NetworkKind = WITHOUT,
+    learning: Learning = Learning(),  # noqa: B008 - frozen
+    **options,
+) -> Style:
     """Returns an adapter of the clip and of the style's own turns but those it is tested on: a bound for all others."""
     network = fold.network(kind)
     turns = to_batch([rows_of(fold.other_turns)], network.normaliser)
-    return learn_rows(fold, network, join_batches([clip_rows(fold, network), turns]), learning)
+    return learn_rows(fold, network, join_batches([clip_rows(fold, network), turns]), learning, **options)
