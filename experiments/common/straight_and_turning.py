@@ -73,7 +73,7 @@ def straight_frames(travel: Travel, seconds: float) -> np.ndarray:
 
 
 def turns_of(travel: Travel, learned: np.ndarray) -> list[tuple[int, int]]:
-    """Returns the first frame, and the one after the last, of a part for every turn to one side by `LEAST_TURN` or more.
+    """Returns a part for every turn to one side by `LEAST_TURN` or more: its first frame, and the one after its last.
 
     `MARGIN_SECONDS` before and after a turn belong to its part, as far as they were not learned.
 
