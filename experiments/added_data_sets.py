@@ -27,8 +27,9 @@ import numpy as np
 import tyro
 
 from experiments.common.markdown import markdown_table
+from experiments.common.style_takes import Take, load_takes
 from experiments.leave_one_style_out import Config as Folds
-from experiments.leave_one_style_out import Take, load_takes, make_fold, pretrained
+from experiments.leave_one_style_out import make_fold, pretrained
 from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, GRIDS, compare_methods
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.motion.datasets.clip_rows import labelled_features, load_for_layout, match_skeleton
@@ -134,16 +135,16 @@ def run_fold(takes, added, mix: str, held_out: str, layout, skeleton, config: Co
     started = time.perf_counter()
     alone, rows = (training_rows(takes, added, sets, held_out) for sets in ((), MIXES[mix]))
     std = fit_normaliser([p.x for p in alone.values()], [p.y for p in alone.values()], layout, True).outputs.std
-    shared, normaliser, loss = pretrained(rows, layout, config.folds(), config.seed)
+    network = pretrained(rows, layout, config.folds(), config.seed)
     fold = make_fold(takes, held_out, config.seed, layout, skeleton, std, config.folds())
     grids = {"CP": GRIDS["CP"]}
-    found = compare_methods(shared, normaliser, fold.clip, fold.test, grids=grids, seed=config.seed)
+    found = compare_methods(network.shared, network.normaliser, fold.clip, fold.test, grids=grids, seed=config.seed)
     return {
         "mix": mix,
         "style": held_out,
         "styles": len(rows),
         "frames": sum(len(part.x) for part in rows.values()),
-        "pretrain_loss": loss,
+        "pretrain_loss": network.loss,
         "seconds": time.perf_counter() - started,
         "rows": {name: found[name]["measures"] for name in ROWS},
     }
@@ -168,7 +169,7 @@ def summary(folds: Sequence[Mapping[str, Any]]) -> str:
 def main(config: Config) -> None:
     """Runs the missing folds, and writes the table of all folds."""
     config.out.mkdir(parents=True, exist_ok=True)
-    takes, layout, skeleton = load_takes(config.folds())
+    takes, layout, skeleton = load_takes(config.folds().data, config.takes)
     added = added_rows(config, layout, skeleton)
     for style in config.styles:
         for number, mix in enumerate(MIXES):

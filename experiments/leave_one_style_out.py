@@ -23,27 +23,21 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import tyro
 
 from experiments.common.leave_one_style_out_table import write_summary
+from experiments.common.style_takes import Take, TrainedNetwork, adaptation_clip, balanced, load_takes, pretrain_on
 from pfnn_jax.control.stability import predictor_of
 from pfnn_jax.evaluation.style_methods import GRIDS, compare_methods
 from pfnn_jax.evaluation.style_test import StyleTest, join_takes
 from pfnn_jax.io.files import write_whole
-from pfnn_jax.motion.clip import mirror_clip
-from pfnn_jax.motion.datasets.labelled import load_labelled
-from pfnn_jax.motion.datasets.sources import list_clips
-from pfnn_jax.motion.features.encode import Features, clip_features, join_rows, select_rows
-from pfnn_jax.motion.features.layout import FrameLayout, mason2018
-from pfnn_jax.motion.features.normaliser import Normaliser, fit_normaliser
-from pfnn_jax.motion.labels.phase import mirror_phase
-from pfnn_jax.motion.skeleton import Skeleton
+from pfnn_jax.motion.features.encode import Features
+from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.training.config import FewShotConfig, PretrainConfig
-from pfnn_jax.training.data import Rows, to_batch
+from pfnn_jax.training.data import to_batch
 from pfnn_jax.training.few_shot_learning import train_grid
-from pfnn_jax.training.pretraining import pretrain
 
 
 @dataclass(frozen=True)
@@ -82,17 +76,6 @@ class Config:
 
 
 @dataclass(frozen=True, eq=False)
-class Take:
-    """The rows of one take and of its mirror image."""
-
-    style: str
-    content: str
-    name: str
-    rows: Features
-    mirrored: Features
-
-
-@dataclass(frozen=True, eq=False)
 class Fold:
     """The data that all methods share for one held-out style and seed."""
 
@@ -101,37 +84,8 @@ class Fold:
     turns: tuple[Take, ...]
 
 
-def load_takes(config: Config) -> tuple[list[Take], FrameLayout, Skeleton]:
-    """Returns all takes of the folder as rows of `mason2018`, with their layout and skeleton."""
-    takes, counts, layout, skeleton = [], {}, None, None
-    for clip_file in list_clips(config.data):
-        key = (clip_file.style, clip_file.content)
-        counts[key] = counts.get(key, 0) + 1
-        if config.takes and counts[key] > config.takes:
-            continue
-        found = load_labelled(clip_file)
-        skeleton = skeleton or found.clip.skeleton
-        layout = layout or mason2018(skeleton.num_joints)
-        mirrored = clip_features(mirror_clip(found.clip), layout, mirror_phase(found.labels))
-        rows = clip_features(found.clip, layout, found.labels)
-        takes.append(Take(*key, clip_file.path.stem, rows, mirrored))
-    assert layout is not None and skeleton is not None  # list_clips refuses an empty folder
-    return takes, layout, skeleton
-
-
-def balanced(takes: Sequence[Take], styles: Sequence[str], seed: int) -> dict[str, Features]:
-    """Returns equal numbers of random rows of each style, mirror images included."""
-    rng = np.random.default_rng(seed)
-    rows = {s: join_rows([p for t in takes if t.style == s for p in (t.rows, t.mirrored)]) for s in styles}
-    count = min(len(part.x) for part in rows.values())
-    picks = {style: rng.permutation(len(part.x))[:count] for style, part in rows.items()}
-    return {style: select_rows(part, picks[style]) for style, part in rows.items()}
-
-
-def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, seed: int):
-    """Pretrains on the rows of some styles; returns the shared network, its normaliser and its last mean loss."""
-    normaliser = fit_normaliser([p.x for p in parts.values()], [p.y for p in parts.values()], layout, grouped=True)
-    data = Rows.from_features({style: [part] for style, part in parts.items()}, layout, normaliser)
+def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, seed: int) -> TrainedNetwork:
+    """Pretrains a network on the rows of some styles."""
     settings = PretrainConfig(
         hidden=config.hidden,
         steps=config.steps,
@@ -139,9 +93,7 @@ def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, 
         learning_rate=config.learning_rate,
         seed=seed,
     )
-    losses = []
-    state = pretrain(data, settings, progress_callback=lambda progress: losses.append(progress.loss))
-    return jax.tree.map(np.asarray, state.params.shared), normaliser, losses[-1]
+    return pretrain_on(parts, layout, settings)
 
 
 def make_fold(takes: Sequence[Take], style: str, seed: int, layout, skeleton, std, config: Config) -> Fold:
@@ -149,13 +101,13 @@ def make_fold(takes: Sequence[Take], style: str, seed: int, layout, skeleton, st
     own = [take for take in takes if take.style == style]
     walks = [take for take in own if take.content == "walk"]
     turns = [take for take in own if "turn" in take.content]
-    clip, count = walks[seed % len(walks)], round(config.seconds * layout.fps)
-    others = [take for take in walks if take is not clip]
-    rows = select_rows(clip.rows, slice(0, count))
+    walk = walks[seed % len(walks)]
+    others = [take for take in walks if take is not walk]
+    clip = adaptation_clip(walk, round(config.seconds * layout.fps))
     straight = join_takes([take.rows for take in others], [take.name for take in others])
     turning = join_takes([take.rows for take in turns], [take.name for take in turns])
-    test = StyleTest(layout, skeleton, rows, straight, turning, std, config.circle_seconds)
-    return Fold(clip=(rows, select_rows(clip.mirrored, slice(0, count))), test=test, turns=tuple(turns))
+    test = StyleTest(layout, skeleton, clip[0], straight, turning, std, config.circle_seconds)
+    return Fold(clip=clip, test=test, turns=tuple(turns))
 
 
 def bound(shared, normaliser: Normaliser, fold: Fold, config: Config, seed: int) -> dict[str, Any]:
@@ -192,16 +144,15 @@ def run_fold(takes, style: str, seed: int, layout, skeleton, neutral, config: Co
     """Returns all rows of one held-out style and seed."""
     started = time.perf_counter()
     styles = sorted({take.style for take in takes} - {style})
-    shared, normaliser, loss = pretrained(balanced(takes, styles, seed), layout, config, seed)
+    network = pretrained(balanced(takes, styles, seed), layout, config, seed)
+    shared, normaliser = network.shared, network.normaliser
     pretrain_seconds = time.perf_counter() - started
     fold = make_fold(takes, style, seed, layout, skeleton, normaliser.outputs.std, config)
     rows = compare_methods(shared, normaliser, fold.clip, fold.test, epochs=config.epochs, seed=seed)
     if neutral is not None and style != config.neutral:
         grids = {"CP": GRIDS["CP"]}
-        other, statistics = neutral
-        one_style = compare_methods(
-            other, statistics, fold.clip, fold.test, grids=grids, epochs=config.epochs, seed=seed
-        )
+        options = {"grids": grids, "epochs": config.epochs, "seed": seed}
+        one_style = compare_methods(neutral.shared, neutral.normaliser, fold.clip, fold.test, **options)
         rows["CP, pretrained on one style"] = one_style["CP"]
     rows["CP on its own turns (bound)"] = {"measures": bound(shared, normaliser, fold, config, seed)}
     seconds = time.perf_counter() - started
@@ -209,7 +160,7 @@ def run_fold(takes, style: str, seed: int, layout, skeleton, neutral, config: Co
         "style": style,
         "seed": seed,
         "frames": len(fold.test.clip.x),
-        "pretrain_loss": loss,
+        "pretrain_loss": network.loss,
         "pretrain_seconds": pretrain_seconds,
         "seconds": seconds,
         "rows": rows,
@@ -219,7 +170,7 @@ def run_fold(takes, style: str, seed: int, layout, skeleton, neutral, config: Co
 def main(config: Config) -> None:
     """Runs the missing folds, and writes the tables and plots of all folds."""
     config.out.mkdir(parents=True, exist_ok=True)
-    takes, layout, skeleton = load_takes(config)
+    takes, layout, skeleton = load_takes(config.data, config.takes)
     styles = config.styles or tuple(sorted({take.style for take in takes}))
     for seed in range(config.seeds):
         neutral = None
@@ -228,7 +179,7 @@ def main(config: Config) -> None:
             if file.exists():
                 continue
             if neutral is None:
-                neutral = pretrained(balanced(takes, [config.neutral], seed), layout, config, seed)[:2]
+                neutral = pretrained(balanced(takes, [config.neutral], seed), layout, config, seed)
             fold = run_fold(takes, style, seed, layout, skeleton, neutral, config)
             write_whole(file, json.dumps(fold, indent=1))
             error = fold["rows"]["CP"]["measures"]["turning"]["pose_velocity"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.added_data_sets import ADDED, MIXES, ROWS, summary, training_rows
-from experiments.leave_one_style_out import Take
+from experiments.common.style_takes import Take
 from pfnn_jax.motion.features.encode import Features
 
 

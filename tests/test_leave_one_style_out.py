@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from experiments.common.leave_one_style_out_table import COLUMNS, compare_takes, pooled_choice
-from experiments.leave_one_style_out import Config, load_takes, main, make_fold
+from experiments.common.style_takes import load_takes
+from experiments.leave_one_style_out import Config, main, make_fold
 from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, GRIDS
 
 STYLES = ("elderly", "normal", "youthful")
@@ -35,7 +36,7 @@ def config(mocap, tmp_path_factory) -> Config:
 
 
 def test_adaptation_clip_and_test_takes_are_disjoint(config):
-    takes, layout, skeleton = load_takes(config)
+    takes, layout, skeleton = load_takes(config.data)
     fold = make_fold(takes, "elderly", 1, layout, skeleton, np.ones(layout.output_size), config)
     names = (*fold.test.straight.names, *fold.test.turning.names)
     walks = [take.name for take in takes if take.style == "elderly" and take.content == "walk"]
