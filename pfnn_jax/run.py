@@ -3,6 +3,8 @@
 RUN/config.json     sizes, adapter, layout, skeleton, styles, settings, versions: enough to rebuild the run
 RUN/normaliser/     statistics of the pretraining data, reused by every later style
 RUN/shared/         style-agnostic parameters, with shared.json (their fingerprint)
+RUN/differences/    what the styles of pretraining do but walk straight, with differences.json (number of rows), from
+                    which later styles learn to turn; see `pfnn_jax.training.restyling`
 RUN/generator/      the FiLM generator, where styles come from one, with generator.json
 RUN/styles/NAME/    one style's parameters, with style.json (fingerprint of the shared parameters it was trained for,
                     form of the style, source clip, settings, metrics)

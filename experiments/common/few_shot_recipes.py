@@ -23,11 +23,14 @@ from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.style import Style, init_style
-from pfnn_jax.training.config import MASON2018_FEW_SHOT
+from pfnn_jax.motion.features.encode import Features, select_rows
+from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT
 from pfnn_jax.training.data import Batch, Rows, to_batch
 from pfnn_jax.training.few_shot_learning import fit_style
 from pfnn_jax.training.losses import l1_penalty
+from pfnn_jax.training.restyling import COUNT, StyleDifferences, find_differences
 from pfnn_jax.training.steps import descend, predict_batch
+from pfnn_jax.workflows.pretrain import DIFFERENCE_ROWS
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,40 @@ def learn_paper(fold: Fold, kind: NetworkKind = WITHOUT) -> Style:
     network = fold.network(kind)
     rows = Rows.from_features({fold.style: list(fold.clip)}, fold.layout, network.normaliser)
     return fit_style(network.shared, rows, MASON2018_FEW_SHOT, key=jax.random.key(fold.seed)).style
+
+
+def known_differences(
+    fold: Fold, kind: NetworkKind = WITHOUT, contents: Sequence[str] = (), count: int = COUNT
+) -> StyleDifferences:
+    """Returns the differences of the styles that a network knows, as a run keeps them.
+
+    Args:
+        fold: whose known takes are read.
+        kind: of the network.
+        contents: beginnings of the contents that are used besides straight walks; all by default.
+        count: number of differences.
+    """
+    known = {
+        style: [t for t in takes if not contents or t.content.startswith(("walk", *contents))]
+        for style, takes in fold.known_takes(kind).items()
+    }
+    rows = {style: evenly(rows_of(takes), DIFFERENCE_ROWS) for style, takes in known.items()}
+    found = find_differences(rows, fold.layout, fold.network(kind).normaliser, count=count, seed=fold.seed)
+    assert found is not None  # all styles have straight walks and turns
+    return found
+
+
+def evenly(rows: Features, count: int) -> Features:
+    """Returns at most `count` rows, evenly spaced."""
+    return select_rows(rows, np.unique(np.linspace(0, len(rows.x) - 1, count).round().astype(int)))
+
+
+def learn_restyled(fold: Fold, kind: NetworkKind, differences: StyleDifferences) -> Style:
+    """Returns the style that `few-shot` learns by default from the clip and the known styles' differences."""
+    network = fold.network(kind)
+    rows = Rows.from_features({fold.style: list(fold.clip)}, fold.layout, network.normaliser)
+    options = {"key": jax.random.key(fold.seed), "differences": differences}
+    return fit_style(network.shared, rows, RESTYLED_FEW_SHOT, **options).style
 
 
 def learn_own_turns(fold: Fold, kind: NetworkKind = WITHOUT, learning: Learning = Learning()) -> Style:  # noqa: B008

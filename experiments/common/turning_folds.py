@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -43,6 +43,7 @@ from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import load_normaliser, save_normaliser
 from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.pretraining import POSE_NOISE
 
 NOTE = "network.json"
 
@@ -108,6 +109,9 @@ class NetworkKind:
 
 WITHOUT, FULL = NetworkKind(), NetworkKind(full=True)
 """The networks without the held-out style and with it, pretrained as in the paper."""
+
+NOISY, FULL_NOISY = NetworkKind(pose_noise=POSE_NOISE), NetworkKind(full=True, pose_noise=POSE_NOISE)
+"""The same, pretrained with noise on poses, as is the default."""
 
 
 class TurningFolds:
@@ -225,19 +229,19 @@ class Fold:
 
     def _settings(self, kind: NetworkKind) -> PretrainConfig:
         config = self.everything.config
-        settings = PretrainConfig(
+        return PretrainConfig(
             hidden=config.hidden,
             steps=config.steps,
             batch_size=config.batch_size,
             learning_rate=config.learning_rate,
             dropout=kind.dropout,
+            pose_noise=kind.pose_noise,
             seed=self.seed,
         )
-        return replace(settings, pose_noise=kind.pose_noise) if kind.pose_noise else settings
 
-    def own_style(self) -> Style:
-        """Returns the held-out style of the network that knows it."""
-        return style_of(self.network(FULL), self.known_styles(FULL).index(self.style))
+    def own_style(self, kind: NetworkKind = FULL) -> Style:
+        """Returns the held-out style of a network that knows it."""
+        return style_of(self.network(kind), self.known_styles(kind).index(self.style))
 
     def judge(
         self,

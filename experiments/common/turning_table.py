@@ -15,7 +15,10 @@ from pfnn_jax.evaluation.turning_judge import mean_measures
 from pfnn_jax.io.files import read_json, write_json, write_whole
 
 NONE, PAPER, FULL_DATA, OWN_TURNS = "no adapter", "paper's recipe", "full data", "own turns"
-"""Names of the methods that others are compared with."""
+"""Names of the methods that others are compared with; the full-data network is pretrained with noise on poses."""
+
+FULL_PAPER = "full data, paper's network"
+"""The full-data network without that noise: in the loop it drifts from its walk on some styles."""
 
 COLUMNS = {
     "turning": "turning, cm",
@@ -105,7 +108,7 @@ def distance_table(results: Results, ends: Sequence[str] = (FULL_DATA, OWN_TURNS
     rows = []
     for method, found in results.items():
         cells = [_distances(found[fold]) if fold in found else None for fold in folds]
-        mean = _pair([np.mean([walks[way].means()["distance"] for walks in found.values()]) for way in _ways()])
+        mean = _pair([float(np.mean([w[way].means()["distance"] for w in found.values()])) for way in _ways()])
         shares = [_share(closed(results, method, way, end=end)) for end in ends if end in results for way in _ways()]
         rows.append([method, *cells, mean if len(found) == len(folds) else None, *shares])
     return markdown_table(["cm, controller / loop", *names, "mean", *headings], rows)

@@ -50,6 +50,9 @@ class PretrainConfig:
         batch_size: frames of one minibatch, all of one style.
         learning_rate: of Adam (1e-4 in the authors' code).
         dropout: drop probability before every layer and adapter, and in the gating network and the generator.
+        pose_noise: standard deviation of noise on the normalised joint inputs, of which each frame takes a random
+            share: a network that has seen disturbed poses returns to its walk instead of leaving it. By default 0.05,
+            half of the inputs' own deviation under grouped statistics, or 0 where the layout has local phases.
         l1: λ of Mason 2018 Eq. 3; by default 0.01, or 0 with the layouts of 2022.
         l1_norm: mean of |W| over each array, as the authors' code, or sum, as the paper writes it.
         bone_length: weight of the bone-length loss; by default 0, or 1 with the layouts of 2022.
@@ -73,6 +76,7 @@ class PretrainConfig:
     batch_size: int = 32
     learning_rate: float = 1e-4
     dropout: float = 0.3
+    pose_noise: float | None = None
     l1: float | None = None
     l1_norm: PenaltyNorm = "mean"
     bone_length: float | None = None
@@ -85,7 +89,7 @@ class PretrainConfig:
         check_at_least(self, "epochs", "batch_size", "steps_per_dispatch", "save_every", "clips_per_batch", "steps")
         check_probability(self, "dropout")
         check_positive(self, "learning_rate")
-        check_not_negative(self, "l1", "bone_length", "seed")
+        check_not_negative(self, "pose_noise", "l1", "bone_length", "seed")
         check_one_of(self, "l1_norm", get_args(PenaltyNorm))
         # Sizes that no layout could have; `network` and `generator` check those for one layout by the same rules.
         NetworkConfig(1, 1, self.hidden, self._points(1), self.rank, phase_size=1, gating_hidden=self.gating_hidden)
@@ -154,6 +158,8 @@ class FewShotConfig:
         main_dropouts: drop probabilities before the shared layers to try.
         adapter_dropouts: drop probabilities before the adapter to try (the variable dropout of §7.2).
         eval_epochs: numbers of epochs after which candidates are kept, increasing; training ends after the last.
+        decay: whether the learning rates fall to zero along half a cosine; takes one number of epochs.
+        restyled: whether to learn also from rows of the known styles, restyled (`pfnn_jax.training.restyling`).
         batch_size: frames of a minibatch.
         l1: λ of Eq. 3 on what is trained; FiLM parameters are not penalised: their identity is scale 1, not 0.
         bone_length: weight of the bone-length loss, where the rows' bones are known.
@@ -170,6 +176,8 @@ class FewShotConfig:
     main_dropouts: tuple[float, ...] = (0.0, 0.3)
     adapter_dropouts: tuple[float, ...] = (0.3,)
     eval_epochs: tuple[int, ...] = (5, 10, 25, 50, 100)
+    decay: bool = False
+    restyled: bool = False
     batch_size: int = 32
     l1: float = 0.01
     bone_length: float = 1.0
@@ -181,6 +189,8 @@ class FewShotConfig:
         check_one_of(self, "method", METHODS)
         check_at_least(self, "rank", "batch_size")
         check_field(self, "eval_epochs", "be increasing whole numbers from 1", _are_increasing)
+        if self.decay:
+            check_field(self, "eval_epochs", "be one number where the rates decay", lambda epochs: len(epochs) == 1)
         check_field(self, "held_out", "lie between 0 and 1", lambda share: 0 < share < 1)
         check_not_negative(self, "tolerance", "l1", "bone_length")
         for name in ("main_dropouts", "adapter_dropouts"):
@@ -192,6 +202,18 @@ MASON2018_FEW_SHOT = FewShotConfig(
     learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.3, 0.5, 0.7), eval_epochs=(100,)
 )
 """Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid over the authors' rates of adapter dropout alone."""
+
+RESTYLED_FEW_SHOT = FewShotConfig(
+    learning_rates=(5e-3,),
+    main_dropouts=(0.3,),
+    adapter_dropouts=(0.0,),
+    eval_epochs=(35,),
+    decay=True,
+    restyled=True,
+    batch_size=128,
+    tolerance=0.0,
+)
+"""The clip and the known styles' turns in the new style: about 600 steps (docs/research/few_shot.md)."""
 
 FILM_FEW_SHOT = FewShotConfig("film", learning_rates=(1e-4, 1e-3, 3e-3), main_dropouts=(0.0,))
 """For a network trained with FiLM: the 4H parameters of a FiLM style, at rates that move them in a few epochs."""

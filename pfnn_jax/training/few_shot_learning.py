@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ from pfnn_jax.training.config import FewShotConfig
 from pfnn_jax.training.data import Batch, Rows
 from pfnn_jax.training.loop import TrainState, chunks, no_progress, train_steps
 from pfnn_jax.training.losses import Bones, Objective
+from pfnn_jax.training.restyling import StyleDifferences, restyle
 from pfnn_jax.training.steps import descend, predict_batch
 
 ROWS = 512
@@ -71,6 +73,7 @@ def few_shot(
     *,
     key: jax.Array | None = None,
     start: Style | None = None,
+    differences: StyleDifferences | None = None,
     is_stable: Callable[[Any], bool] | None = None,
     progress_callback: Callable[[float, str], Any] = no_progress,
 ) -> Any:
@@ -80,7 +83,7 @@ def few_shot(
         The style, or a whole network for the methods `fine_tune` and `scratch`.
     """
     options = {"key": key, "start": start, "is_stable": is_stable, "progress_callback": progress_callback}
-    return fit_style(network, rows, config, **options).style
+    return fit_style(network, rows, config, differences=differences, **options).style
 
 
 def fit_style(
@@ -90,6 +93,7 @@ def fit_style(
     *,
     key: jax.Array | None = None,
     start: Style | None = None,
+    differences: StyleDifferences | None = None,
     is_stable: Callable[[Any], bool] | None = None,
     progress_callback: Callable[[float, str], Any] = no_progress,
 ) -> FewShotResult:
@@ -101,18 +105,20 @@ def fit_style(
         config: the grid of settings; `FewShotConfig()` by default.
         key: of initialisation, shuffling and dropout; by default from `config.seed`.
         start: style to begin with, see `initial_parameters`.
+        differences: of the styles that the network knows, for a config that is `restyled`.
         is_stable: judges trained parameters, e.g. by rollouts on paths that turn; None accepts all.
         progress_callback: called with the share that is done, 0 to 1, and what is being done.
 
     Raises:
         InputError: if the clip is too short to hold out a part.
-        ValueError: if fewer frames than a minibatch remain to learn from.
+        ValueError: if fewer frames than a minibatch remain to learn from, or `differences` are needed and absent.
     """
     config = FewShotConfig() if config is None else config
     key = jax.random.key(config.seed) if key is None else key
     has_bones = rows.layout.next_frame and rows.parents is not None and rows.normaliser is not None
     options = {"key": key, "start": start, "bones": rows.bones() if has_bones else None}
     learn, held = rows.hold_out(config.held_out)
+    learn = _with_restyled(learn, rows, config, differences)
     trying = _part_of(progress_callback, 0.03, 0.5, config.eval_epochs[-1], "trying settings")
     candidates = train_grid(network, learn, held, config, progress_callback=trying, **options)
     judged = itertools.count()
@@ -124,10 +130,20 @@ def fit_style(
     error = error_without_style(network, held, start)
     chosen = choose(candidates, config.tolerance, judge, without=error)
     learning = _part_of(progress_callback, 0.6, 0.95, chosen.choice.epochs, "learning")
-    everything = rows.in_memory().parts[0]
+    everything = _with_restyled(rows.in_memory().parts[0], rows, config, differences)
     style = refit(network, everything, chosen.choice, config, progress_callback=learning, **options)
     ranking = tuple(candidate.choice for candidate in candidates)
     return FewShotResult(style, chosen.choice, ranking, None if is_stable is None else is_stable(style), error)
+
+
+def _with_restyled(clip: Batch, rows: Rows, config: FewShotConfig, differences: StyleDifferences | None) -> Batch:
+    """Returns the frames of a clip and, for a config that is `restyled`, the restyled rows of the known styles."""
+    if not config.restyled:
+        return clip
+    if differences is None or rows.normaliser is None:
+        raise ValueError("`differences`, and rows with a `normaliser`, are needed where `config.restyled` is set.")
+    restyled = restyle(differences, clip, rows.layout, rows.normaliser)
+    return Batch(*(np.concatenate([getattr(part, name) for part in (clip, restyled)]) for name in ("x", "y", "phase")))
 
 
 def error_without_style(network: Network, held_out: Batch, start: Style | None = None) -> float:
@@ -283,6 +299,11 @@ class Setting:
     adapter_dropout: jax.Array  # []
 
 
+def decayed(setting: Setting, done: jax.Array) -> Setting:
+    """Returns a setting whose learning rate has fallen along half a cosine: all of it at `done` 0, none at 1."""
+    return replace(setting, learning_rate=setting.learning_rate * (1 + jnp.cos(jnp.pi * done)) / 2)
+
+
 def settings_grid(config: FewShotConfig) -> Setting:
     """Returns all combinations of the configured rates; leaves [G]."""
     rows = list(itertools.product(config.learning_rates, config.main_dropouts, config.adapter_dropouts))
@@ -343,11 +364,13 @@ class EpochTrainer:
     ) -> None:
         axis = 1 if per_style else 0
         self._count = jax.tree.leaves(data)[0].shape[axis]
+        self._epochs = config.eval_epochs[-1]
         self._inputs = _commit((shared, pad_rows(data, axis, math.lcm(ROWS, config.batch_size)), bones))
         self._key = key
         self._options = {
             "batch_size": config.batch_size,
             "objective": Objective(l1=config.l1, bone_length=config.bone_length),
+            "decay": config.decay,
             "per_style": per_style,
             "sorts": sorts_of(self._count),
         }
@@ -363,7 +386,7 @@ class EpochTrainer:
         states, settings = _commit((states, settings))
 
         def scan(states: TrainState, first: int, count: int) -> tuple[TrainState, None]:
-            counts = np.asarray([first, first + count, self._count], np.int32)
+            counts = np.asarray([first, first + count, self._epochs, self._count], np.int32)
             return _train_many(states, settings, *self._inputs, counts, self._key, **self._options), None
 
         return train_steps(states, scan, chunks(*epochs, EPOCHS), lambda _, done, __: progress_callback(done))
@@ -407,10 +430,14 @@ def padded_permutation(size: int, count: jax.Array, sorts: int, *, key: jax.Arra
     return order
 
 
-@partial(jax.jit, static_argnames=("batch_size", "objective", "per_style", "sorts"), donate_argnums=0)
-def _train_many(states, settings, shared, data, bones, counts, key, *, batch_size, objective, per_style, sorts):
-    """Trains a leading axis of states; counts [3]: first epoch, the epoch before which to end, number of frames."""
-    size, (first, last, num_frames) = data.phase.shape[1 if per_style else 0], counts
+@partial(jax.jit, static_argnames=("batch_size", "objective", "decay", "per_style", "sorts"), donate_argnums=0)
+def _train_many(states, settings, shared, data, bones, counts, key, *, batch_size, objective, decay, per_style, sorts):
+    """Trains a leading axis of states.
+
+    counts [4]: first epoch, the epoch before which to end, epochs in all (for `decay`), number of frames.
+    """
+    size, (first, last, epochs, num_frames) = data.phase.shape[1 if per_style else 0], counts
+    num_steps = epochs * (num_frames // batch_size)
 
     def train(state: TrainState, setting: Setting, data: Batch) -> TrainState:
         def one_epoch(epoch, state):
@@ -421,7 +448,8 @@ def _train_many(states, settings, shared, data, bones, counts, key, *, batch_siz
             def one_step(index, state):
                 frames = jax.lax.dynamic_slice(order, (index * batch_size,), (batch_size,))
                 batch = jax.tree.map(lambda leaf: leaf[frames], data)
-                return few_shot_step(state, setting, shared, batch, objective, bones, key=keys[index])
+                now = decayed(setting, state.step / num_steps) if decay else setting
+                return few_shot_step(state, now, shared, batch, objective, bones, key=keys[index])
 
             # Loops of traced length, so that clips of other lengths and other numbers of epochs share a compilation.
             return jax.lax.fori_loop(0, num_frames // batch_size, one_step, state)

@@ -18,7 +18,10 @@ from pfnn_jax.training.film_styles import mean_styles
 from pfnn_jax.training.loop import Progress, RowTraining, TrainState, no_progress
 from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import StepOrder, order_of
-from pfnn_jax.training.steps import Frozen, equal_dropout, init_train_state, make_pretrain_step
+from pfnn_jax.training.steps import Frozen, equal_dropout, init_train_state, make_pretrain_step, with_pose_noise
+
+POSE_NOISE = 0.05
+"""Default noise on the poses of layouts with a global phase (docs/research/few_shot.md)."""
 
 
 def pretrain(
@@ -56,6 +59,9 @@ def pretrain(
     order = order_of(rows, config.batch_size, config.seed, config.num_clips)
     objective = Objective.for_layout(rows.layout, config.l1, config.l1_norm, config.bone_length)
     step = make_pretrain_step(optax.adam(config.learning_rate), objective, equal_dropout(config.dropout))
+    noise = pose_noise(config, rows.layout)
+    if noise:
+        step = with_pose_noise(step, noise, rows.layout)
     frozen = Frozen(jax.random.fold_in(key, 1), rows.bones() if objective.bone_length else None)
     state = init_state(config, rows.layout, len(rows.styles), key=key) if state is None else state
     steps = total_steps(config, order)
@@ -66,6 +72,13 @@ def pretrain(
         progress_callback(progress)
 
     return training.run(state, int(state.step), frozen, callback)[0]
+
+
+def pose_noise(config: PretrainConfig, layout: FrameLayout) -> float:
+    """Returns the noise on poses: that of the config, or the default of a layout."""
+    if config.pose_noise is not None:
+        return config.pose_noise
+    return 0.0 if layout.phase_size else POSE_NOISE
 
 
 def init_state(

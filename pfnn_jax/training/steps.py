@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from flax import struct
 
@@ -17,7 +18,8 @@ from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import Network, coefficients, forward
 from pfnn_jax.models.style import Style
-from pfnn_jax.training.data import Batch
+from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.training.data import Array, Batch
 from pfnn_jax.training.loop import TrainState
 from pfnn_jax.training.losses import Bones, Objective
 
@@ -179,6 +181,37 @@ def make_pretrain_step(
         return one(state, batch, frozen)
 
     return step
+
+
+def with_pose_noise(step: Step, noise: float, layout: FrameLayout) -> Step:
+    """Returns a step that sees poses with noise; what it is to predict stays as it is.
+
+    Args:
+        step: as `make_pretrain_step` returns it.
+        noise: as `disturb_poses` takes it.
+        layout: of the batches.
+    """
+    columns = np.array([name.startswith("joint_") for name in layout.input_names])
+
+    def noisy(state: TrainState, batch: Batch, frozen: Frozen):
+        key = jax.random.fold_in(jax.random.fold_in(frozen.key, state.step), 1)
+        return step(state, replace(batch, x=disturb_poses(batch.x, noise, columns, key=key)), frozen)
+
+    return noisy
+
+
+def disturb_poses(x: Array, noise: float, columns: np.ndarray, *, key: jax.Array) -> Array:
+    """Returns inputs [B, Dx] with Gaussian noise in some columns.
+
+    Args:
+        x: normalised inputs.
+        noise: largest standard deviation; each row takes a uniformly drawn share of it.
+        columns: [Dx] mask of the columns that are disturbed.
+        key: of the noise.
+    """
+    share_key, noise_key = jax.random.split(key)
+    size = noise * jax.random.uniform(share_key, (x.shape[0], 1))
+    return x + jnp.where(columns, size * jax.random.normal(noise_key, x.shape), 0.0)
 
 
 def descend(tx: optax.GradientTransformation, gradient: Any, opt_state: Any, params: Any) -> tuple[Any, Any]:

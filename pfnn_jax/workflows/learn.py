@@ -15,6 +15,7 @@ from pfnn_jax.control.run_settings import loop_config
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
+from pfnn_jax.io.files import locate
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import (
     labelled_features,
@@ -26,11 +27,18 @@ from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.run import Run, load_generator, load_run, save_style
 from pfnn_jax.run_config import check_adapter, check_new_style
-from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig, TuningConfig
+from pfnn_jax.training.config import (
+    FILM_FEW_SHOT,
+    MASON2018_FEW_SHOT,
+    RESTYLED_FEW_SHOT,
+    FewShotConfig,
+    TuningConfig,
+)
 from pfnn_jax.training.data import Rows, hold_out
 from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style, row_errors
 from pfnn_jax.training.loop import Progress as TrainingProgress
 from pfnn_jax.training.loop import no_progress
+from pfnn_jax.training.restyling import load_differences
 from pfnn_jax.training.tuning import Tuned, tune_generator
 from pfnn_jax.workflows.clip_report import (
     ClipReport,
@@ -165,11 +173,16 @@ def tune_style(
 
 
 def default_config(run: Run) -> FewShotConfig:
-    """Returns the few-shot settings that fit a run's styles: FiLM for FiLM runs, else CP adapters of the run's rank."""
+    """Returns the few-shot settings that fit a run: FiLM for FiLM runs, else CP adapters of the run's rank.
+
+    A style is learned from the clip and restyled rows where the run keeps differences of its styles, and else by the
+    paper's recipe.
+    """
     adapter = run.config.adapter
     if adapter.kind == "film":
         return FILM_FEW_SHOT
-    return FewShotConfig(rank=adapter.rank) if adapter.kind == "cp" else FewShotConfig()
+    config = MASON2018_FEW_SHOT if load_differences(run.path, run.layout) is None else RESTYLED_FEW_SHOT
+    return replace(config, rank=adapter.rank) if adapter.kind == "cp" else config
 
 
 def precompile(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
@@ -214,10 +227,11 @@ def _fit(
     run: Run, parts: list[Features], config: FewShotConfig, progress_callback: Progress = no_progress
 ) -> FewShotResult:
     """Learns a style from the rows of its clip and its mirror image; nothing is saved."""
+    differences = load_differences(run.path, run.layout) if config.restyled else None
     # FiLM starts from the mean of the run's styles: the identity FiLM is far from every style.
     start = load_choice(run, None) if config.method == "film" else None
     options: Any = {"start": start, "is_stable": _stability_check(run, parts), "progress_callback": progress_callback}
-    return fit_style(run.shared, _rows(run, parts), config, **options)
+    return fit_style(run.shared, _rows(run, parts), config, differences=differences, **options)
 
 
 def _stability_check(run: Run, parts: list[Features]) -> Callable[[Any], bool]:
@@ -271,6 +285,9 @@ def _check_method(run: Run, config: FewShotConfig) -> None:
     if config.method in ("fine_tune", "scratch"):
         rule = "must be an adapter, a one-hot shift or FiLM parameters: a run has one whole network"
         raise InputError(run.path, "method", config.method, rule)
+    if config.restyled and locate(run.path / "differences") is None:
+        rule = "must be a run that keeps differences of its styles: pretrain it again, or use --recipe mason2018"
+        raise InputError(run.path, "differences", "absent", rule)
     check_adapter(run.config, AdapterConfig(config.method, config.rank), run.path)
 
 

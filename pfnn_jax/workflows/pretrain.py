@@ -16,6 +16,7 @@ from pfnn_jax.models.network import Network
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset
 from pfnn_jax.motion.features.decode import median_speed
+from pfnn_jax.motion.features.encode import Features
 from pfnn_jax.motion.skeleton import skeleton_to_json
 from pfnn_jax.run import (
     Run,
@@ -34,12 +35,16 @@ from pfnn_jax.training.few_shot_learning import row_errors
 from pfnn_jax.training.log import append_metrics, rewind_metrics
 from pfnn_jax.training.loop import Progress, TrainState, no_progress
 from pfnn_jax.training.pretraining import init_state, pretrain, styles_of
+from pfnn_jax.training.restyling import StyleDifferences, find_differences, save_differences
 
 LENGTHS = ("epochs", "steps")
 """Settings that may change when a run is resumed: it can be trained longer."""
 
 ERROR_ROWS = 1024
 """Rows on which the error of each style is measured at the end, evenly spaced."""
+
+DIFFERENCE_ROWS = 8000
+"""Rows of each style, evenly spaced, among which differences are sought."""
 
 
 def pretrain_run(
@@ -59,7 +64,8 @@ def pretrain_run(
     The training state is saved every `config.save_every` steps; the shared parameters and the styles are written
     once, at the end. A run killed before resumes from its last complete state and repeats the rest bit for bit. A
     finished run is trained longer by resuming it with more steps or epochs; styles that were learned few-shot for its
-    earlier network do not fit the new one and are refused by name.
+    earlier network do not fit the new one and are refused by name. Where the layout has a global phase and styles do
+    more than walk straight, the run also keeps their differences, from which later styles learn to turn.
 
     Args:
         dataset: prepared motion of all styles, or its folder.
@@ -95,7 +101,22 @@ def pretrain_run(
 
     state = pretrain(rows, config, state=state, progress_callback=progress_callback, state_callback=save)
     _save_result(out, state, dataset, styles_of(state, rows))
+    differences = dataset_differences(dataset, config.seed)
+    if differences is not None:
+        save_differences(out, differences)
     return load_run(out)
+
+
+def dataset_differences(dataset: Dataset, seed: int) -> StyleDifferences | None:
+    """Returns what the styles of a dataset do but walk straight, from evenly spaced rows; see `find_differences`."""
+    if dataset.layout.phase_size:
+        return None
+    styles = {}
+    for name in dataset.styles:
+        x, y, phase = dataset.arrays(name)
+        chosen = np.unique(np.linspace(0, len(x) - 1, DIFFERENCE_ROWS).round().astype(int))
+        styles[name] = Features(x[chosen], y[chosen], phase[chosen], chosen)
+    return find_differences(styles, dataset.layout, dataset.normaliser, seed=seed)
 
 
 def style_error(shared: Network, style: Style, dataset: Dataset, name: str) -> tuple[float, str]:
