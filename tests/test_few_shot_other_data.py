@@ -113,7 +113,7 @@ def measured(distance: float, takes: int = 2) -> JudgedWalks:
 
 def test_table_has_the_mean_of_the_cases_that_are_judged_alike():
     def found(none: float, paper: float):
-        return {name: dict.fromkeys(WAYS, measured(value)) for name, value in ((NONE, none), (PAPER, paper))}
+        return {name: {str(way): measured(value) for way in WAYS} for name, value in ((NONE, none), (PAPER, paper))}
 
     lines = table({"a, turns": found(4.0, 3.0), "b, turns": found(6.0, 3.5), "c, walk": found(9.0, 9.0)}).splitlines()
     assert lines[-1].startswith("| mean, turns | 5.00 / 5.00 | 3.25 / 3.25 | –")

@@ -10,7 +10,7 @@ Method    two networks of all styles of Bandai-Namco-2, trained once: one as in 
           - 100STYLE, `Angry_FW`, put onto the network's skeleton. No 5 s of this take are straight: its straightest 5 s
             turn by 100 degrees. Learned are its first 5 s of straight frames (`straight_frames`: 6 pieces) and, as a
             user may do it, its first 5 s as they are, which turn; judged on its other turns.
-          Driven and judged are no adapter and the paper's recipe on the plain network, no adapter and the default on
+          Driven and judged are no adapter and the paper's recipe on both networks, and the default, restyled rows on
           the noisy one; on 100STYLE also, as a bound, an adapter of the straight frames and of the other half of the
           turns, in both directions.
 Run       python -m experiments.few_shot.other_data --mocap FOLDER --out runs/other_data
@@ -26,12 +26,14 @@ import jax
 import numpy as np
 import tyro
 
+from experiments.common.few_shot_recipes import evenly
 from experiments.common.markdown import markdown_table
 from experiments.common.straight_and_turning import cut_parts, straight_frames, travel_of, turns_of
 from experiments.common.style_takes import Take, TrainedNetwork, balanced, load_takes, pretrain_on, rows_of
 from experiments.common.turning_folds import load_network, no_style, save_network
 from experiments.common.turning_judged import WAYS, Body, JudgedWalks, StyledNetwork, drive, judge_walks
-from experiments.common.turning_table import NONE, PAPER, load_judged, save_judged
+from experiments.common.turning_table import NONE, OWN_TURNS, PAPER, load_judged, save_judged
+from experiments.few_shot.restyled_turns import DEFAULT, NOISY_NONE, NOISY_PAPER
 from pfnn_jax.evaluation.driven_takes import DrivenTake, make_driven_take
 from pfnn_jax.evaluation.turning_judge import mean_measures
 from pfnn_jax.io.files import locate, write_whole
@@ -46,18 +48,17 @@ from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT, FewShotConfig, PretrainConfig
 from pfnn_jax.training.data import Rows
 from pfnn_jax.training.few_shot_learning import fit_style
+from pfnn_jax.training.pretraining import POSE_NOISE
 from pfnn_jax.training.restyling import StyleDifferences, find_differences
+from pfnn_jax.workflows.pretrain import DIFFERENCE_ROWS
 
 PRETRAINING, SAME_SKELETON, OTHER_SKELETON = "bandai-namco-2", "bandai-namco-1", "100style"
 """Folders of the data sets."""
 
-NOISY_NONE, DEFAULT, OWN_TURNS = "no adapter, pose noise", "default", "own turns"
-"""Names of methods."""
-
 STRAIGHT, SIDE_STEPS, TURNS = "another walk", "side steps", "turns"
 """What a style is judged on."""
 
-METHODS = (NONE, PAPER, NOISY_NONE, DEFAULT, OWN_TURNS)
+METHODS = (NONE, PAPER, NOISY_NONE, NOISY_PAPER, DEFAULT, OWN_TURNS)
 """Methods in the order of the tables."""
 
 SHOWN = ("distance", "turning", "path", "turn rate", "speed", "contacts", "flicker", "sliding", "failed")
@@ -74,7 +75,6 @@ class Config:
     Attributes:
         mocap: folder of the data sets.
         out: folder of networks, judged walks and tables.
-        pose_noise, dropout: of the pretraining that belongs to the default.
         hidden, steps, batch_size, learning_rate: of all pretraining, as in the other experiments of this folder.
         seconds: that are learned.
         seed: of networks and learning.
@@ -84,8 +84,6 @@ class Config:
 
     mocap: Path
     out: Path
-    pose_noise: float = 0.1
-    dropout: float = 0.2
     hidden: int = 512
     steps: int = 2000
     batch_size: int = 256
@@ -138,28 +136,25 @@ def load_networks(config: Config) -> Networks:
     """Returns both networks: those that were kept, or pretrained and kept now."""
     takes, layout, skeleton = load_takes(config.mocap / PRETRAINING, config.limit)
     styles = sorted({take.style for take in takes})
-    plain = _network(config, "plain", takes, layout, _pretraining(config))
-    settings = replace(_pretraining(config), pose_noise=config.pose_noise, dropout=config.dropout)
-    noisy = _network(config, f"noise{config.pose_noise:g}_dropout{config.dropout:g}", takes, layout, settings)
-    rows = {style: rows_of([take for take in takes if take.style == style]) for style in styles}
+    plain = _network(config, "plain", takes, layout, 0.0)
+    noisy = _network(config, f"noise{POSE_NOISE:g}", takes, layout, POSE_NOISE)
+    rows = {s: evenly(rows_of([take for take in takes if take.style == s]), DIFFERENCE_ROWS) for s in styles}
     differences = find_differences(rows, layout, noisy.normaliser, seed=config.seed)
     assert differences is not None  # these styles turn
     return Networks(layout, skeleton, plain, noisy, differences)
 
 
-def _pretraining(config: Config) -> PretrainConfig:
-    return PretrainConfig(
+def _network(
+    config: Config, name: str, takes: Sequence[Take], layout: FrameLayout, pose_noise: float
+) -> TrainedNetwork:
+    settings = PretrainConfig(
         hidden=config.hidden,
         steps=config.steps,
         batch_size=config.batch_size,
         learning_rate=config.learning_rate,
+        pose_noise=pose_noise,
         seed=config.seed,
     )
-
-
-def _network(
-    config: Config, name: str, takes: Sequence[Take], layout: FrameLayout, settings: PretrainConfig
-) -> TrainedNetwork:
     folder, styles = config.out / "networks" / name, sorted({take.style for take in takes})
     if locate(folder / "parameters") is None:
         save_network(folder, pretrain_on(balanced(takes, styles, config.seed), layout, settings))
@@ -216,11 +211,16 @@ def _driven(clips: Sequence[LabelledClip], networks: Networks) -> list[DrivenTak
 def judge_trial(trial: Trial, networks: Networks, config: Config) -> None:
     """Learns and judges all methods of a trial that were not judged before."""
     plain, noisy = networks.plain, networks.noisy
+
+    def learned(network: TrainedNetwork, recipe: FewShotConfig) -> Judged:
+        return judge(trial, network, learn(trial.clip, network, networks, recipe, config), networks)
+
     methods: dict[str, Callable[[], Judged]] = {
         NONE: lambda: judge(trial, plain, no_style(plain), networks),
-        PAPER: lambda: judge(trial, plain, learn(trial.clip, plain, networks, MASON2018_FEW_SHOT, config), networks),
+        PAPER: lambda: learned(plain, MASON2018_FEW_SHOT),
         NOISY_NONE: lambda: judge(trial, noisy, no_style(noisy), networks),
-        DEFAULT: lambda: judge(trial, noisy, learn(trial.clip, noisy, networks, RESTYLED_FEW_SHOT, config), networks),
+        NOISY_PAPER: lambda: learned(noisy, MASON2018_FEW_SHOT),
+        DEFAULT: lambda: learned(noisy, RESTYLED_FEW_SHOT),
     }
     if trial.turns:
         methods[OWN_TURNS] = lambda: judge_own_turns(trial, noisy, networks, config)
@@ -261,8 +261,8 @@ def judge_own_turns(trial: Trial, network: TrainedNetwork, networks: Networks, c
     recipe = replace(RESTYLED_FEW_SHOT, restyled=False)
     for half in (0, 1):
         tested = np.concatenate([rows.frames for rows in trial.turns[half::2]])
-        turns = [select_rows(rows, ~np.isin(rows.frames, tested)) for rows in trial.turns[1 - half :: 2]]
-        style = learn([*trial.clip, *turns], network, networks, recipe, config)
+        turns = join_rows([select_rows(rows, ~np.isin(rows.frames, tested)) for rows in trial.turns[1 - half :: 2]])
+        style = learn([*trial.clip, turns], network, networks, recipe, config)
         halves.append(judge(replace(trial, judged={TURNS: takes[half::2]}), network, style, networks)[TURNS])
     return {TURNS: {way: _joined([half[way] for half in halves]) for way in WAYS}}
 

@@ -14,16 +14,24 @@ Run       python -m experiments.few_shot.walk_to_run --data FOLDER --out runs/fe
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax
 import numpy as np
 import tyro
 
-from experiments.common.few_shot_recipes import clip_rows, join_batches, learn_paper, learn_rows
+from experiments.common.few_shot_recipes import (
+    clip_rows,
+    join_batches,
+    known_differences,
+    learn_paper,
+    learn_restyled,
+    learn_rows,
+)
 from experiments.common.markdown import markdown_table
 from experiments.common.style_takes import Take, rows_of
 from experiments.common.turning_folds import (
+    NOISY,
     WITHOUT,
     Fold,
     FoldConfig,
@@ -37,18 +45,15 @@ from experiments.common.turning_folds import (
 from experiments.common.turning_judged import WAYS, Body, StyledNetwork
 from experiments.common.turning_judged import load_takes as load_driven_takes
 from experiments.common.turning_table import NONE, PAPER, Results, distance_table
+from experiments.few_shot.restyled_turns import NOISY_NONE, NOISY_PAPER
 from pfnn_jax.evaluation.turning_judge import mean_measures
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.style import Style
-from pfnn_jax.training.config import RESTYLED_FEW_SHOT
-from pfnn_jax.training.data import Rows, to_batch
-from pfnn_jax.training.few_shot_learning import fit_style
-from pfnn_jax.training.restyling import find_differences
+from pfnn_jax.training.data import to_batch
 
 RUN = "run"
 """Content of the takes that are judged."""
 
-NOISY_NONE, NOISY_PAPER = f"{NONE}, pose noise", f"{PAPER}, pose noise"
 TURNS, DEFAULT, OWN_RUNS = "restyled turns", "restyled turns and runs", "own runs"
 METHODS = (NONE, PAPER, NOISY_NONE, NOISY_PAPER, TURNS, DEFAULT, OWN_RUNS)
 """Methods in the order of the tables."""
@@ -57,21 +62,9 @@ SHOWN = ("legs", "arms", "trunk", "speed", "airborne", "contacts", "sliding", "r
 """Measures of the second table."""
 
 
-@dataclass(frozen=True)
-class Config(FoldConfig):
-    """The experiment.
-
-    Attributes:
-        pose_noise, dropout: of the pretraining that belongs to the default.
-    """
-
-    pose_noise: float = 0.1
-    dropout: float = 0.2
-
-    @property
-    def judged(self) -> FoldConfig:
-        """The folder of the judged runs, in that of the results."""
-        return replace(self, out=self.out / "runs")
+def runs_config(config: FoldConfig) -> FoldConfig:
+    """Returns the settings with the folder in which judged runs are kept."""
+    return replace(config, out=config.out / "runs")
 
 
 def runs_of(fold: Fold) -> tuple[list[Take], list[Take]]:
@@ -80,19 +73,18 @@ def runs_of(fold: Fold) -> tuple[list[Take], list[Take]]:
     return runs[0::2], runs[1::2]
 
 
-def judge_runs(fold: Fold, config: Config) -> None:
+def judge_runs(fold: Fold, config: FoldConfig) -> None:
     """Judges all methods on the runs of one fold."""
-    plain, noisy = WITHOUT, NetworkKind(dropout=config.dropout, pose_noise=config.pose_noise)
     methods: dict[str, tuple[NetworkKind, Callable[[], Style]]] = {
-        NONE: (plain, lambda: no_style(fold.network(plain))),
-        PAPER: (plain, lambda: learn_paper(fold, plain)),
-        NOISY_NONE: (noisy, lambda: no_style(fold.network(noisy))),
-        NOISY_PAPER: (noisy, lambda: learn_paper(fold, noisy)),
-        TURNS: (noisy, lambda: learn_restyled(fold, noisy, runs=False)),
-        DEFAULT: (noisy, lambda: learn_restyled(fold, noisy, runs=True)),
-        OWN_RUNS: (noisy, lambda: learn_own_runs(fold, noisy)),
+        NONE: (WITHOUT, lambda: no_style(fold.network())),
+        PAPER: (WITHOUT, lambda: learn_paper(fold)),
+        NOISY_NONE: (NOISY, lambda: no_style(fold.network(NOISY))),
+        NOISY_PAPER: (NOISY, lambda: learn_paper(fold, NOISY)),
+        TURNS: (NOISY, lambda: learn_restyled(fold, NOISY, known_differences(fold, NOISY, ("walk-turn",)))),
+        DEFAULT: (NOISY, lambda: learn_restyled(fold, NOISY, known_differences(fold, NOISY))),
+        OWN_RUNS: (NOISY, lambda: learn_own_runs(fold, NOISY)),
     }
-    files = {method: judged_file(config.judged, fold.style, fold.seed, method) for method in methods}
+    files = {method: judged_file(runs_config(config), fold.style, fold.seed, method) for method in methods}
     if all(file.exists() for file in files.values()):
         return
     body = Body(fold.layout, fold.everything.skeleton, fold.network().normaliser)
@@ -107,16 +99,6 @@ def styled_network(fold: Fold, kind: NetworkKind, style: Style) -> StyledNetwork
     network = fold.network(kind)
     body = Body(fold.layout, fold.everything.skeleton, network.normaliser)
     return StyledNetwork(network.shared, jax.tree.map(np.asarray, style), body, fold.speed)
-
-
-def learn_restyled(fold: Fold, kind: NetworkKind, *, runs: bool) -> Style:
-    """Returns the style that is learned from the clip and restyled rows, with those of runs or without."""
-    network, takes = fold.network(kind), fold.known_takes(kind)
-    known = {style: rows_of([take for take in own if runs or take.content != RUN]) for style, own in takes.items()}
-    differences = find_differences(known, fold.layout, network.normaliser, seed=fold.seed)
-    rows = Rows.from_features({fold.style: list(fold.clip)}, fold.layout, network.normaliser)
-    key = jax.random.key(fold.seed)
-    return fit_style(network.shared, rows, RESTYLED_FEW_SHOT, key=key, differences=differences).style
 
 
 def learn_own_runs(fold: Fold, kind: NetworkKind) -> Style:
@@ -135,15 +117,15 @@ def shown_table(results: Results) -> str:
     return markdown_table(["controller / loop", *SHOWN], rows)
 
 
-def main(config: Config) -> None:
+def main(config: FoldConfig) -> None:
     """Judges all methods on all folds, and writes their tables."""
     for fold in TurningFolds(config).folds():
         judge_runs(fold, config)
-    results = load_results(config.judged, METHODS)
+    results = load_results(runs_config(config), METHODS)
     text = "\n".join([distance_table(results, ends=(OWN_RUNS,)), shown_table(results)])
     write_whole(config.out / "walk_to_run.md", text)
     print(text)
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config, description=__doc__))
+    main(tyro.cli(FoldConfig, description=__doc__))
