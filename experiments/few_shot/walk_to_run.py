@@ -5,8 +5,8 @@ Question  a style is learned from a few seconds of its straight walk, on a netwo
           and runs. How far is the character from the actor's own runs, and do the known styles' runs help?
 Method    on every fold, driven along every second real run of the held-out style: no adapter; the paper's recipe; the
           clip and restyled rows of the known styles' turns; of their turns and runs, which is the default of
-          `few-shot`; and, as a bound, an adapter of the clip and of the style's other runs. The first two on the
-          network as in the paper and on the one with pose noise, the others on the latter, that of the default.
+          `few-shot`; and, as a bound, an adapter of the clip and of the style's other runs. The paper's recipe is
+          learned on the network as in the paper, the others on the one with pose noise, that of the default.
 Run       python -m experiments.few_shot.walk_to_run --data FOLDER --out runs/few_shot
           Networks are shared with the other experiments of this folder.
 """
@@ -45,7 +45,7 @@ from experiments.common.turning_folds import (
 from experiments.common.turning_judged import WAYS, Body, StyledNetwork
 from experiments.common.turning_judged import load_takes as load_driven_takes
 from experiments.common.turning_table import NONE, PAPER, Results, distance_table
-from experiments.few_shot.restyled_turns import NOISY_NONE, NOISY_PAPER
+from experiments.few_shot.restyled_turns import NOISY_NONE
 from pfnn_jax.evaluation.turning_judge import mean_measures
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.style import Style
@@ -55,7 +55,7 @@ RUN = "run"
 """Content of the takes that are judged."""
 
 TURNS, DEFAULT, OWN_RUNS = "restyled turns", "restyled turns and runs", "own runs"
-METHODS = (NONE, PAPER, NOISY_NONE, NOISY_PAPER, TURNS, DEFAULT, OWN_RUNS)
+METHODS = (NONE, PAPER, NOISY_NONE, TURNS, DEFAULT, OWN_RUNS)
 """Methods in the order of the tables."""
 
 SHOWN = ("legs", "arms", "trunk", "speed", "airborne", "contacts", "sliding", "recognised", "failed")
@@ -79,7 +79,6 @@ def judge_runs(fold: Fold, config: FoldConfig) -> None:
         NONE: (WITHOUT, lambda: no_style(fold.network())),
         PAPER: (WITHOUT, lambda: learn_paper(fold)),
         NOISY_NONE: (NOISY, lambda: no_style(fold.network(NOISY))),
-        NOISY_PAPER: (NOISY, lambda: learn_paper(fold, NOISY)),
         TURNS: (NOISY, lambda: learn_restyled(fold, NOISY, known_differences(fold, NOISY, ("walk-turn",)))),
         DEFAULT: (NOISY, lambda: learn_restyled(fold, NOISY, known_differences(fold, NOISY))),
         OWN_RUNS: (NOISY, lambda: learn_own_runs(fold, NOISY)),
