@@ -32,8 +32,8 @@ from experiments.common.straight_and_turning import cut_parts, straight_frames, 
 from experiments.common.style_takes import Take, TrainedNetwork, balanced, load_takes, pretrain_on, rows_of
 from experiments.common.turning_folds import load_network, no_style, save_network
 from experiments.common.turning_judged import WAYS, Body, JudgedWalks, StyledNetwork, drive, judge_walks
-from experiments.common.turning_table import NONE, OWN_TURNS, PAPER, load_judged, save_judged
-from experiments.few_shot.restyled_turns import DEFAULT, NOISY_NONE
+from experiments.common.turning_table import NOISY_NONE, NONE, OWN_TURNS, PAPER, load_judged, save_judged
+from experiments.few_shot.restyled_turns import DEFAULT
 from pfnn_jax.evaluation.driven_takes import DrivenTake, make_driven_take
 from pfnn_jax.evaluation.turning_judge import mean_measures
 from pfnn_jax.io.files import locate, write_whole

@@ -3,7 +3,7 @@
 Question  how much noise on the pose inputs in pretraining, and how much dropout with it, makes the best walks?
 Method    networks pretrained with noise of up to .05, .1 and .3 on the normalised pose inputs (a standard deviation of
           them is .1) and dropout of .3, .2 and .1; without an adapter, with the paper's recipe, and with restyled
-          turns.
+          turns; and the full-data network with and without noise.
 Run       python -m experiments.few_shot.pose_noise --data FOLDER --out runs/few_shot
 """
 
@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import tyro
 
-from experiments.common.few_shot_recipes import learn_paper
-from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, no_style, run_methods
-from experiments.common.turning_table import NONE, PAPER
+from experiments.common.few_shot_recipes import learn_nothing, learn_paper
+from experiments.common.turning_folds import FULL, Fold, FoldConfig, Method, NetworkKind, run_methods
+from experiments.common.turning_table import FULL_DATA, FULL_PAPER, NONE, PAPER
 from experiments.common.varied_restyling import BASE, learn_base
-from pfnn_jax.models.style import Style
 
 KINDS = {
     f"noise {noise:g}, dropout {dropout:g}": NetworkKind(pose_noise=noise, dropout=dropout)
@@ -23,17 +22,12 @@ KINDS = {
 }
 
 
-def learn_nothing(fold: Fold, kind: NetworkKind) -> Style:
-    """Returns a style that changes nothing."""
-    return no_style(fold.network(kind))
-
-
 METHODS = {
     f"{name}, {method}": Method(learn, kind)
     for name, kind in KINDS.items()
     for method, learn in ((NONE, learn_nothing), (PAPER, learn_paper), (BASE, learn_base))
-}
+} | {FULL_PAPER: Method(Fold.own_style, FULL)}
 
 
 if __name__ == "__main__":
-    run_methods(tyro.cli(FoldConfig, description=__doc__), "pose_noise", METHODS, (NONE, PAPER, BASE))
+    run_methods(tyro.cli(FoldConfig, description=__doc__), "pose_noise", METHODS, (NONE, PAPER, BASE, FULL_DATA))

@@ -23,7 +23,6 @@ import tyro
 from experiments.common.few_shot_recipes import (
     clip_rows,
     join_batches,
-    known_differences,
     learn_paper,
     learn_restyled,
     learn_rows,
@@ -44,8 +43,7 @@ from experiments.common.turning_folds import (
 )
 from experiments.common.turning_judged import WAYS, Body, StyledNetwork
 from experiments.common.turning_judged import load_takes as load_driven_takes
-from experiments.common.turning_table import NONE, PAPER, Results, distance_table
-from experiments.few_shot.restyled_turns import NOISY_NONE
+from experiments.common.turning_table import NOISY_NONE, NONE, PAPER, Results, distance_table
 from pfnn_jax.evaluation.turning_judge import mean_measures
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.style import Style
@@ -79,8 +77,8 @@ def judge_runs(fold: Fold, config: FoldConfig) -> None:
         NONE: (WITHOUT, lambda: no_style(fold.network())),
         PAPER: (WITHOUT, lambda: learn_paper(fold)),
         NOISY_NONE: (NOISY, lambda: no_style(fold.network(NOISY))),
-        TURNS: (NOISY, lambda: learn_restyled(fold, NOISY, known_differences(fold, NOISY, ("walk-turn",)))),
-        DEFAULT: (NOISY, lambda: learn_restyled(fold, NOISY, known_differences(fold, NOISY))),
+        TURNS: (NOISY, lambda: learn_restyled(fold, NOISY, ("walk-turn",))),
+        DEFAULT: (NOISY, lambda: learn_restyled(fold, NOISY)),
         OWN_RUNS: (NOISY, lambda: learn_own_runs(fold, NOISY)),
     }
     files = {method: judged_file(runs_config(config), fold.style, fold.seed, method) for method in methods}
