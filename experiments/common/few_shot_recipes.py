@@ -18,7 +18,7 @@ import optax
 from flax import struct
 
 from experiments.common.style_takes import TrainedNetwork, rows_of
-from experiments.common.turning_folds import WITHOUT, Fold, NetworkKind
+from experiments.common.turning_folds import WITHOUT, Fold, NetworkKind, no_style
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.network import Network, config_of
@@ -149,6 +149,11 @@ def join_batches(parts: Sequence[Batch]) -> Batch:
     return Batch(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("x", "y", "phase")))
 
 
+def learn_nothing(fold: Fold, kind: NetworkKind = WITHOUT) -> Style:
+    """Returns a style that changes nothing."""
+    return no_style(fold.network(kind))
+
+
 def learn_paper(fold: Fold, kind: NetworkKind = WITHOUT) -> Style:
     """Returns the style that the paper's recipe learns from the clip (Mason 2018 §7.2)."""
     network = fold.network(kind)
@@ -182,16 +187,22 @@ def evenly(rows: Features, count: int) -> Features:
     return select_rows(rows, np.unique(np.linspace(0, len(rows.x) - 1, count).round().astype(int)))
 
 
-def learn_restyled(fold: Fold, kind: NetworkKind, differences: StyleDifferences) -> Style:
+def learn_restyled(fold: Fold, kind: NetworkKind, contents: Sequence[str] = ()) -> Style:
     """Returns the style that `few-shot` learns by default from the clip and the known styles' differences."""
+    differences = known_differences(fold, kind, contents)
     network = fold.network(kind)
     rows = Rows.from_features({fold.style: list(fold.clip)}, fold.layout, network.normaliser)
     options = {"key": jax.random.key(fold.seed), "differences": differences}
     return fit_style(network.shared, rows, RESTYLED_FEW_SHOT, **options).style
 
 
-def learn_own_turns(fold: Fold, kind: NetworkKind = WITHOUT, learning: Learning = Learning()) -> Style:  # noqa: B008
+def learn_own_turns(
+    fold: Fold,
+    kind: NetworkKind = WITHOUT,
+    learning: Learning = Learning(),  # noqa: B008 - frozen
+    **options,
+) -> Style:
     """Returns an adapter of the clip and of the style's own turns but those it is tested on: a bound for all others."""
     network = fold.network(kind)
     turns = to_batch([rows_of(fold.other_turns)], network.normaliser)
-    return learn_rows(fold, network, join_batches([clip_rows(fold, network), turns]), learning)
+    return learn_rows(fold, network, join_batches([clip_rows(fold, network), turns]), learning, **options)

@@ -10,9 +10,9 @@ experiment resumes where it stopped, experiments share them, and tables are made
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from experiments.common.style_takes import (
 )
 from experiments.common.turning_judged import Body, JudgedWalks, StyledNetwork, judge_network, recogniser_of
 from experiments.common.turning_judged import load_takes as load_driven_takes
-from experiments.common.turning_table import Results, load_judged, save_judged
+from experiments.common.turning_table import Results, load_judged, save_judged, write_tables
 from pfnn_jax.evaluation.driven_takes import DrivenTake
 from pfnn_jax.evaluation.turning_judge import StyleRecogniser
 from pfnn_jax.io.checkpoint import load_record, save_record
@@ -112,6 +112,19 @@ WITHOUT, FULL = NetworkKind(), NetworkKind(full=True)
 
 NOISY, FULL_NOISY = NetworkKind(pose_noise=POSE_NOISE), NetworkKind(full=True, pose_noise=POSE_NOISE)
 """The same, pretrained with noise on poses, as is the default."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method of learning a style.
+
+    Attributes:
+        learn: returns the parameters of the style for a fold and a kind of network, which it does not change.
+        kind: of the network.
+    """
+
+    learn: Callable[[Fold, NetworkKind], Style]
+    kind: NetworkKind = NOISY
 
 
 class TurningFolds:
@@ -341,3 +354,18 @@ def load_results(config: FoldConfig, methods: Sequence[str]) -> Results:
 def judged_file(config: FoldConfig, style: str, seed: int, method: str) -> Path:
     """Returns where the measures of a method on a fold are kept."""
     return config.out / "judged" / f"{style}_{seed}" / f"{method}.json"
+
+
+def run_methods(config: FoldConfig, name: str, methods: Mapping[str, Method], others: Sequence[str] = ()) -> None:
+    """Judges the methods of an experiment on all folds, and writes their tables as `NAME.md`.
+
+    Args:
+        config: the folds.
+        name: of the experiment.
+        methods: by name.
+        others: methods of other experiments that the tables show too, where they were judged.
+    """
+    for fold in TurningFolds(config).folds():
+        for method, how in methods.items():
+            fold.judge(method, partial(how.learn, fold, how.kind), how.kind)
+    write_tables(config.out, name, load_results(config, [*others, *methods]))

@@ -97,12 +97,18 @@ def judge_network(
 ) -> dict[str, JudgedWalks]:
     """Returns the measures of a network with a style, by `WAYS`; `name` is that of the style for the recogniser."""
     walks = dict(zip(WAYS, drive(styled, takes), strict=True))
-    return {
-        way: JudgedWalks(
-            [judge_walk(*pair) for pair in zip(takes, own, strict=True)], judge_style(takes, own, name, recogniser)
-        )
-        for way, own in walks.items()
-    }
+    return {way: judge_walks(takes, own, name, recogniser) for way, own in walks.items()}
+
+
+def judge_walks(
+    takes: Sequence[DrivenTake],
+    walks: Sequence[Walk],
+    name: str | None = None,
+    recogniser: StyleRecogniser | None = None,
+) -> JudgedWalks:
+    """Returns the measures of walks along takes; arguments as of `judge_style`."""
+    judged = [judge_walk(*pair) for pair in zip(takes, walks, strict=True)]
+    return JudgedWalks(judged, judge_style(takes, walks, name, recogniser))
 
 
 def drive(styled: StyledNetwork, takes: Sequence[DrivenTake]) -> tuple[list[Walk], list[Walk]]:

@@ -17,6 +17,9 @@ from pfnn_jax.io.files import read_json, write_json, write_whole
 NONE, PAPER, FULL_DATA, OWN_TURNS = "no adapter", "paper's recipe", "full data", "own turns"
 """Names of the methods that others are compared with; the full-data network is pretrained with noise on poses."""
 
+NOISY_NONE = "no adapter, pose noise"
+"""The network without an adapter, pretrained with noise on poses."""
+
 FULL_PAPER = "full data, paper's network"
 """The full-data network without that noise: in the loop it drifts from its walk on some styles."""
 

@@ -100,10 +100,10 @@ def pretrain_run(
             save_train_state(out, state, progress.step, progress.steps)
 
     state = pretrain(rows, config, state=state, progress_callback=progress_callback, state_callback=save)
-    _save_result(out, state, dataset, styles_of(state, rows))
     differences = dataset_differences(dataset, config.seed)
     if differences is not None:
         save_differences(out, differences)
+    _save_result(out, state, dataset, styles_of(state, rows))
     return load_run(out)
 
 

@@ -167,6 +167,16 @@ def test_contacts_that_flicker_are_counted_against_the_actors(take):
     assert found["contacts"] == pytest.approx(1.0 - 5 / LENGTH)
 
 
+def test_frames_without_a_foot_on_the_floor_are_counted_against_those_of_a_run(take):
+    assert np.isnan(judge_walk(take, take.actor)["airborne"])
+    contacts = take.actor.contacts.copy()
+    contacts[::2] = False
+    run = replace(take.actor, contacts=contacts)
+    assert judge_walk(replace(take, actor=run), run)["airborne"] == pytest.approx(1.0, abs=EXACT)
+    standing = replace(take.actor, contacts=np.ones_like(contacts))
+    assert judge_walk(replace(take, actor=run), standing)["airborne"] == 0.0
+
+
 def test_feet_that_move_while_the_actors_stand_slide(take):
     joints = take.actor.joints + np.linspace(0.0, 0.1, LENGTH)[:, None, None] * np.array([1.0, 0.0, 0.0])
     assert judge_walk(take, replace(take.actor, joints=joints))["sliding"] > 1.0

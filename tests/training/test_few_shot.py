@@ -14,15 +14,18 @@ from jax.test_util import check_grads
 from pfnn_jax.models.config import NetworkConfig
 from pfnn_jax.models.layers import style_class, style_kinds
 from pfnn_jax.models.network import Network, config_of, init_network, num_parameters
+from pfnn_jax.motion.features.layout import mason2018
+from pfnn_jax.motion.features.normaliser import Normaliser, Statistics
 from pfnn_jax.training import few_shot_learning
 from pfnn_jax.training.config import METHODS, FewShotConfig
-from pfnn_jax.training.data import Batch
+from pfnn_jax.training.data import Batch, Rows
 from pfnn_jax.training.few_shot_learning import (
     Candidate,
     Choice,
     Setting,
     assemble,
     choose,
+    decayed,
     few_shot,
     few_shot_step,
     fit_style,
@@ -36,6 +39,7 @@ from pfnn_jax.training.few_shot_learning import (
     train_grid,
 )
 from pfnn_jax.training.losses import Objective, l1_penalty, squared_error
+from pfnn_jax.training.restyling import StyleDifferences, restyle
 from pfnn_jax.training.steps import predict_batch
 from tests.models.helpers import randomise
 from tests.training.toy import HIDDEN, assert_bitwise, body_rows, on_host, toy_data, toy_network, toy_rows, toy_style
@@ -355,3 +359,57 @@ def test_few_shot_returns_the_style_that_its_choice_trains():
 def test_a_configuration_out_of_range_is_refused(name, value):
     with pytest.raises(ValueError, match=f"FewShotConfig.{name} must"):
         dataclasses.replace(SMALL, **{name: value})
+
+
+def test_a_decaying_rate_begins_whole_and_ends_at_nothing():
+    setting = Setting(*(jnp.float32(value) for value in (0.1, 0.3, 0.5)))
+    rates = [float(decayed(setting, jnp.float32(done)).learning_rate) for done in (0.0, 0.5, 1.0)]
+    np.testing.assert_allclose(rates, [0.1, 0.05, 0.0], atol=1e-8)
+    assert decayed(setting, jnp.float32(0.5)).main_dropout == setting.main_dropout
+
+
+def test_rates_decay_to_one_number_of_epochs():
+    with pytest.raises(ValueError, match="eval_epochs"):
+        FewShotConfig(decay=True, eval_epochs=(5, 10))
+
+
+def test_a_decaying_training_moves_less_in_its_last_epoch_than_in_its_first():
+    config = dataclasses.replace(SINGLE, eval_epochs=(8,), decay=True, l1=0.0)
+    settings, data = settings_grid(config), toy_style()
+    trainer = few_shot_learning.EpochTrainer(toy_network(), data, config, key=jax.random.key(0))
+    states, moved = few_shot_learning._stack(initial_parameters(config, toy_network(), key=jax.random.key(1)), 1), []
+    for epoch in range(8):
+        before = on_host(states.params)
+        states = trainer.train(states, settings, (epoch, epoch + 1))
+        steps = jax.tree.map(lambda new, old: np.abs(np.asarray(new) - old).max(), states.params, before)
+        moved.append(max(jax.tree.leaves(steps)))
+    assert moved[-1] < 0.1 * moved[0]
+
+
+def walk_rows() -> tuple[Rows, StyleDifferences]:
+    """Returns random rows of a clip in `mason2018`, and random differences."""
+    layout, rng = mason2018(1), np.random.default_rng(0)
+    x, y = (rng.normal(size=(40, n)).astype(np.float32) for n in (layout.input_size, layout.output_size))
+    one = [Statistics(np.zeros(n, np.float32), np.ones(n, np.float32)) for n in (x.shape[1], y.shape[1])]
+    rows = Rows(("old",), (Batch(x, y, rng.uniform(0, 6, 40).astype(np.float32)),), np.array([0, 40]), layout)
+    differences = StyleDifferences(x[:24] / 2, y[:24] / 2, rng.uniform(0, 6, 24).astype(np.float32))
+    return dataclasses.replace(rows, normaliser=Normaliser(*one)), differences
+
+
+def test_a_style_is_learned_from_the_clip_and_the_restyled_rows_alike():
+    rows, differences = walk_rows()
+    config = dataclasses.replace(SINGLE, eval_epochs=(3,), restyled=True, tolerance=0.0)
+    sizes = NetworkConfig(rows.layout.input_size, rows.layout.output_size, hidden=8)
+    network, clip = init_network(sizes, key=jax.random.key(0)), rows.parts[0]
+    found = fit_style(network, rows, config, differences=differences)
+    assert rows.normaliser is not None
+    restyled = restyle(differences, clip, rows.layout, rows.normaliser)
+    both = jax.tree.map(lambda *leaves: np.concatenate(leaves), clip, restyled)
+    assert_bitwise(found.style, refit(network, both, found.choice, config))
+
+
+def test_restyled_rows_need_differences():
+    rows, _ = walk_rows()
+    sizes = NetworkConfig(rows.layout.input_size, rows.layout.output_size, hidden=8)
+    with pytest.raises(ValueError, match="differences"):
+        fit_style(init_network(sizes, key=jax.random.key(0)), rows, dataclasses.replace(SINGLE, restyled=True))

@@ -18,6 +18,7 @@ from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.layers import style_kinds
 from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style
+from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.training.data import Batch, Draw
 from pfnn_jax.training.loop import TrainState, scan_steps
 from pfnn_jax.training.losses import Objective
@@ -26,10 +27,12 @@ from pfnn_jax.training.steps import (
     Frozen,
     PretrainParams,
     Step,
+    disturb_poses,
     init_train_state,
     make_pretrain_step,
     predict_batch,
     pretrain_loss,
+    with_pose_noise,
 )
 from tests.models.helpers import predict, randomise
 from tests.training.toy import HIDDEN, assert_bitwise, on_host, take, toy_data, toy_network, toy_rows, toy_style
@@ -203,3 +206,49 @@ def test_steps_do_not_touch_the_data():
     before = on_host(data)
     scan_steps(make_step(), take)(make_state(), draw_of(3), data, FROZEN)
     assert_bitwise(data, before)
+
+
+NOISE = 0.3
+JOINTS = np.array([False, True, False, True, True, False])
+
+
+def disturbed(x: np.ndarray) -> np.ndarray:
+    return np.asarray(disturb_poses(x, NOISE, JOINTS, key=KEY), np.float64)
+
+
+def test_noise_on_poses_leaves_other_columns_alone():
+    x = np.random.default_rng(0).normal(size=(40, 6)).astype(np.float32)
+    np.testing.assert_array_equal(disturbed(x)[:, ~JOINTS], x[:, ~JOINTS])
+    assert np.all(disturbed(x)[:, JOINTS] != x[:, JOINTS])
+
+
+def test_noise_on_poses_has_mean_zero_and_the_deviation_of_a_uniform_share():
+    noise = disturbed(np.zeros((20_000, 6), np.float32))[:, JOINTS]
+    expected = NOISE / np.sqrt(3.0)  # the root mean square of a uniform share of it
+    assert abs(noise.mean()) < 5 * expected / np.sqrt(noise.size)
+    np.testing.assert_allclose(noise.std(), expected, rtol=0.02)  # 20,000 shares: 5 standard errors
+
+
+def test_the_gradient_passes_noise_on_poses_unchanged():
+    x, weights = (jax.random.normal(jax.random.key(seed), (4, 6)) for seed in (1, 2))
+    gradient = jax.grad(lambda x: jnp.sum(weights * disturb_poses(x, NOISE, JOINTS, key=KEY)))(x)
+    np.testing.assert_array_equal(gradient, weights)
+
+
+def test_a_step_with_noise_sees_other_poses_and_the_same_targets():
+    seen = []
+
+    def record(state, batch, frozen):
+        seen.append(batch)
+        return state, jnp.zeros(())
+
+    layout = mason2018(1)
+    x, y = np.ones((5, layout.input_size), np.float32), np.ones((5, layout.output_size), np.float32)
+    batch, state = Batch(x, y, np.zeros(5, np.float32)), make_state()
+    for _ in range(2):
+        with_pose_noise(cast(Step, record), NOISE, layout)(state, batch, FROZEN)
+    joints = np.array([name.startswith("joint_") for name in layout.input_names])
+    np.testing.assert_array_equal(seen[0].x[:, ~joints], x[:, ~joints])
+    assert np.all(seen[0].x[:, joints] != 1.0)
+    np.testing.assert_array_equal(seen[0].y, y)
+    np.testing.assert_array_equal(seen[0].x, seen[1].x)  # a step repeats itself

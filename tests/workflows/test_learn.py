@@ -19,8 +19,14 @@ from pfnn_jax.motion.kinematics import quat_from_euler, quat_multiply
 from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
 from pfnn_jax.run import load_run, load_style
 from pfnn_jax.run_config import style_note
-from pfnn_jax.training.config import FewShotConfig, PretrainConfig, TuningConfig
-from pfnn_jax.workflows.learn import learn_style, tune_style
+from pfnn_jax.training.config import (
+    MASON2018_FEW_SHOT,
+    RESTYLED_FEW_SHOT,
+    FewShotConfig,
+    PretrainConfig,
+    TuningConfig,
+)
+from pfnn_jax.workflows.learn import default_config, learn_style, tune_style
 from pfnn_jax.workflows.pretrain import pretrain_run
 from tests.raising import assert_refused
 from tests.trained import walking_run
@@ -73,6 +79,20 @@ def test_a_plain_walk_has_no_warning_and_one_whose_joints_shake_has_one(tmp_path
     plain, bad = (learn_style(tmp_path / "run", tmp_path / f"{name}.bvh", config) for name in ("plain", "shaken"))
     assert plain["warnings"] == []
     assert any("held-out error" in line for line in bad["warnings"])
+
+
+def test_a_run_with_differences_teaches_turns_and_one_without_takes_the_papers_recipe(tmp_path_factory, tmp_path):
+    shutil.copytree(walking_run(tmp_path_factory).path, tmp_path / "run")
+    with_differences = load_run(tmp_path / "run")
+    assert default_config(with_differences) == RESTYLED_FEW_SHOT
+    write_bvh(tmp_path / "mine.bvh", synthesise("old", np.zeros(200), np.ones(200))[0])
+    shutil.rmtree(tmp_path / "run" / "differences")
+    assert default_config(with_differences) == MASON2018_FEW_SHOT
+    assert_refused(
+        lambda: learn_style(with_differences, tmp_path / "mine.bvh", RESTYLED_FEW_SHOT),
+        place="differences",
+        value="absent",
+    )
 
 
 def test_a_style_that_does_not_fit_the_run_is_refused(run, mocap):

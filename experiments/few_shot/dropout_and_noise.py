@@ -1,0 +1,51 @@
+"""What keeps a learned walk on its cycle: dropout, or noise on the pose?
+
+Question  which dropout, and which noise on the pose inputs while the adapter is learned, makes walks that do not
+          diverge and stay near the actor's?
+Method    restyled rows with dropout of 0, .1, .3 (the default) and .5 before the shared layers, with .3 before the
+          adapter too, and with Gaussian noise of .02, .05 and .1 on the normalised pose inputs instead of dropout (a
+          standard deviation of them is .1); the clip alone with noise.
+Run       python -m experiments.few_shot.dropout_and_noise --data FOLDER --out runs/few_shot
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import tyro
+
+from experiments.common.few_shot_recipes import Learning, clip_rows, learn_rows
+from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
+from experiments.common.turning_table import PAPER
+from experiments.common.varied_restyling import BASE, learn_base
+from pfnn_jax.models.style import Style
+
+VARIANTS = {
+    "dropout 0": Learning(main_dropout=0.0),
+    "dropout .1": Learning(main_dropout=0.1),
+    "dropout .5": Learning(main_dropout=0.5),
+    "dropout .3 everywhere": Learning(adapter_dropout=0.3),
+    "noise .02, no dropout": Learning(main_dropout=0.0, noise=0.02),
+    "noise .05, no dropout": Learning(main_dropout=0.0, noise=0.05),
+    "noise .1, no dropout": Learning(main_dropout=0.0, noise=0.1),
+    "noise .02, dropout .3": Learning(noise=0.02),
+}
+"""Variants next to the default, dropout of .3 before the shared layers."""
+
+CLIP_NOISE = Learning(main_dropout=0.1, noise=0.2)
+"""The most that was tried on the clip alone."""
+
+
+def learn_noisy_clip(fold: Fold, kind: NetworkKind) -> Style:
+    """Returns the style that is learned from the clip alone, with noise."""
+    network = fold.network(kind)
+    return learn_rows(fold, network, clip_rows(fold, network), CLIP_NOISE)
+
+
+METHODS = {name: Method(partial(learn_base, learning=learning)) for name, learning in VARIANTS.items()} | {
+    "clip alone, noise .2": Method(learn_noisy_clip)
+}
+
+
+if __name__ == "__main__":
+    run_methods(tyro.cli(FoldConfig, description=__doc__), "dropout_and_noise", METHODS, (PAPER, BASE))

@@ -1,0 +1,128 @@
+"""What does a style that was learned from a walk do when it is asked to run?
+
+Parent    Mason 2018 §9.1, which names it as an open problem: a style of one gait says little about another.
+Question  a style is learned from a few seconds of its straight walk, on a network that knows other styles' walks, turns
+          and runs. How far is the character from the actor's own runs, and do the known styles' runs help?
+Method    on every fold, driven along every second real run of the held-out style: no adapter; the paper's recipe; the
+          clip and restyled rows of the known styles' turns; of their turns and runs, which is the default of
+          `few-shot`; and, as a bound, an adapter of the clip and of the style's other runs. The paper's recipe is
+          learned on the network as in the paper, the others on the one with pose noise, that of the default.
+Run       python -m experiments.few_shot.walk_to_run --data FOLDER --out runs/few_shot
+          Networks are shared with the other experiments of this folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import numpy as np
+import tyro
+
+from experiments.common.few_shot_recipes import (
+    clip_rows,
+    join_batches,
+    learn_paper,
+    learn_restyled,
+    learn_rows,
+)
+from experiments.common.markdown import markdown_table
+from experiments.common.style_takes import Take, rows_of
+from experiments.common.turning_folds import (
+    NOISY,
+    WITHOUT,
+    Fold,
+    FoldConfig,
+    NetworkKind,
+    TurningFolds,
+    judge_once,
+    judged_file,
+    load_results,
+    no_style,
+)
+from experiments.common.turning_judged import WAYS, Body, StyledNetwork
+from experiments.common.turning_judged import load_takes as load_driven_takes
+from experiments.common.turning_table import NOISY_NONE, NONE, PAPER, Results, distance_table
+from pfnn_jax.evaluation.turning_judge import mean_measures
+from pfnn_jax.io.files import write_whole
+from pfnn_jax.models.style import Style
+from pfnn_jax.training.data import to_batch
+
+RUN = "run"
+"""Content of the takes that are judged."""
+
+TURNS, DEFAULT, OWN_RUNS = "restyled turns", "restyled turns and runs", "own runs"
+METHODS = (NONE, PAPER, NOISY_NONE, TURNS, DEFAULT, OWN_RUNS)
+"""Methods in the order of the tables."""
+
+SHOWN = ("legs", "arms", "trunk", "speed", "airborne", "contacts", "sliding", "recognised", "failed")
+"""Measures of the second table."""
+
+
+def runs_config(config: FoldConfig) -> FoldConfig:
+    """Returns the settings with the folder in which judged runs are kept."""
+    return replace(config, out=config.out / "runs")
+
+
+def runs_of(fold: Fold) -> tuple[list[Take], list[Take]]:
+    """Returns the runs of the held-out style: those of the bound, and every second one, which is judged."""
+    runs = [take for take in fold.own if take.content == RUN]
+    return runs[0::2], runs[1::2]
+
+
+def judge_runs(fold: Fold, config: FoldConfig) -> None:
+    """Judges all methods on the runs of one fold."""
+    methods: dict[str, tuple[NetworkKind, Callable[[], Style]]] = {
+        NONE: (WITHOUT, lambda: no_style(fold.network())),
+        PAPER: (WITHOUT, lambda: learn_paper(fold)),
+        NOISY_NONE: (NOISY, lambda: no_style(fold.network(NOISY))),
+        TURNS: (NOISY, lambda: learn_restyled(fold, NOISY, ("walk-turn",))),
+        DEFAULT: (NOISY, lambda: learn_restyled(fold, NOISY)),
+        OWN_RUNS: (NOISY, lambda: learn_own_runs(fold, NOISY)),
+    }
+    files = {method: judged_file(runs_config(config), fold.style, fold.seed, method) for method in methods}
+    if all(file.exists() for file in files.values()):
+        return
+    body = Body(fold.layout, fold.everything.skeleton, fold.network().normaliser)
+    takes = load_driven_takes([fold.everything.files[take.name] for take in runs_of(fold)[1]], body)
+    for method, (kind, learn) in methods.items():
+        styled = lambda kind=kind, learn=learn: styled_network(fold, kind, learn())  # noqa: E731 - bound in the loop
+        judge_once(files[method], styled, takes, fold.style, fold.everything.recogniser)
+
+
+def styled_network(fold: Fold, kind: NetworkKind, style: Style) -> StyledNetwork:
+    """Returns a network of a fold with a style."""
+    network = fold.network(kind)
+    body = Body(fold.layout, fold.everything.skeleton, network.normaliser)
+    return StyledNetwork(network.shared, jax.tree.map(np.asarray, style), body, fold.speed)
+
+
+def learn_own_runs(fold: Fold, kind: NetworkKind) -> Style:
+    """Returns an adapter of the clip and of the style's own runs but those it is judged on: a bound for all others."""
+    network = fold.network(kind)
+    runs = to_batch([rows_of(runs_of(fold)[0])], network.normaliser)
+    return learn_rows(fold, network, join_batches([clip_rows(fold, network), runs]))
+
+
+def shown_table(results: Results) -> str:
+    """Returns the measures of `SHOWN`, controller / loop, of every method (rows), means over its folds."""
+    rows = []
+    for method, found in results.items():
+        means = [mean_measures([walks[way].means() for walks in found.values()]) for way in WAYS[::-1]]
+        rows.append([method, *(" / ".join(f"{mean[name]:.2f}" for mean in means) for name in SHOWN)])
+    return markdown_table(["controller / loop", *SHOWN], rows)
+
+
+def main(config: FoldConfig) -> None:
+    """Judges all methods on all folds, and writes their tables."""
+    for fold in TurningFolds(config).folds():
+        judge_runs(fold, config)
+    results = load_results(runs_config(config), METHODS)
+    text = "\n".join([distance_table(results, ends=(OWN_RUNS,)), shown_table(results)])
+    write_whole(config.out / "walk_to_run.md", text)
+    print(text)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(FoldConfig, description=__doc__))
