@@ -20,8 +20,9 @@ NO_ADAPTER, LEARNED, PAPER = "no adapter", "restyled turns, the default", "the p
 KNOWN = "neutral"
 """A style of pretraining, whose own turns show what a character can reach without having to learn."""
 
-TURN_RATES = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
-"""Turn rates of the takes in degrees per second, to the left positive; the adaptation clip does not turn."""
+TURN_RATES = (-60.0, -45.0, -30.0, 30.0, 45.0, 60.0)
+"""Turn rates of the takes in degrees per second, to the left positive; the adaptation clip does not turn. All are well
+above the rate from which the judge counts a frame as turning, although hips sway."""
 
 TAKE_SECONDS = 6.0
 """Length of each take, as much as is judged; the first and the last quarter are straight."""

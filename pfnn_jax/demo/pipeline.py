@@ -86,9 +86,9 @@ def demo(
     stage("learning it by the paper's recipe")
     controller = make_characters(run, learn_as_paper(run, labelled, config))
     stage("walking turns that it has not seen")
-    takes = {KNOWN: turning_takes(KNOWN, run, config.seed + 2000)}
-    takes |= dict.fromkeys((NO_ADAPTER, PAPER, LEARNED), turning_takes(UNSEEN_STYLE, run, config.seed + 2000))
-    judged = judge_characters(controller, run, takes)
+    seed = config.seed + 2000
+    takes = dict.fromkeys((NO_ADAPTER, PAPER, LEARNED), turning_takes(UNSEEN_STYLE, run, seed))
+    judged = judge_characters(controller, run, takes | {KNOWN: turning_takes(KNOWN, run, seed)})
     stage("walking a figure-eight")
     walks = walk(controller, run, out / "motion", config, overwrite)
     seconds["in all"] = time.perf_counter() - started

@@ -73,7 +73,7 @@ def write_demo_report(
         ),
         Section(
             "Turns that the clip does not show",
-            "Characters walk along exact turns of the style, at 20, 40 and 60 degrees per second to both sides. Every "
+            "Characters walk along exact turns of the style, at 30, 45 and 60 degrees per second to both sides. Every "
             "frame is compared with the true one at the same phase of the gait and the same place. Nothing was chosen "
             "on these turns. The last row is a style of pretraining on turns of its own: what a character can reach "
             "that need not learn.\n\n"
@@ -81,7 +81,9 @@ def write_demo_report(
             "network's middle layer and can only recombine poses that the last layer represents, so the arms do not "
             "reach the full pose.",
             table=_table(judged),
-            figures=[("Distance from the true pose in turns", error_bars(_distances(judged), x_label="cm"))],
+            figures=[
+                ("Distance from the true pose in turns", error_bars(_distances(judged), "", "cm from the true pose"))
+            ],
         ),
         Section(
             "Pretraining",

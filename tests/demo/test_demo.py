@@ -49,7 +49,7 @@ def test_clip_is_a_bvh_file_with_a_phase_file(made):
 def test_report_judges_every_character_and_needs_no_network(made):
     out, result = made
     report = json.loads((out / "report.json").read_text())
-    assert list(report["judged"]) == [KNOWN, NO_ADAPTER, PAPER, LEARNED]
+    assert list(report["judged"]) == [NO_ADAPTER, PAPER, LEARNED, KNOWN]
     assert all(set(row) == {*MEASURES, *STYLE_MEASURES} for row in result["judged"].values())
     page = (out / "report.html").read_text()
     assert "motion-player" in page and "data:image/png" in page
