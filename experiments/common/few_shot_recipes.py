@@ -135,7 +135,7 @@ def learn_rows(
     key = jax.random.key(fold.seed)
     if start is None:
         sizes = config_of(network.shared)
-        start = init_style(adapter, sizes.hidden, sizes.num_control_points, key=jax.random.fold_in(key, 1))
+        start = init_style(adapter, sizes, key=jax.random.fold_in(key, 1))
     return minimise(row_loss, jax.tree.map(jnp.asarray, start), learning_data(fold, network, rows), learning, key)
 
 

@@ -48,7 +48,7 @@ def random_frames(shape: tuple[int, ...], sizes: NetworkConfig, seed: int = 0) -
 
 def fresh_state(sizes: NetworkConfig, form: AdapterConfig, num_styles: int = STYLES) -> TrainState:
     """Returns a training state at step 0 with a bank of styles."""
-    bank = init_bank(form, sizes.hidden, sizes.num_control_points, num_styles, key=jax.random.key(1))
+    bank = init_bank(form, sizes, num_styles, key=jax.random.key(1))
     return init_train_state(init_network(sizes, key=jax.random.key(0)), bank, optax.adam(LEARNING_RATE))
 
 

@@ -12,6 +12,7 @@ from tyro.conf import Positional
 
 from pfnn_jax.cli.command import FLAT, Command, Reading, Run, open_run, print_notes
 from pfnn_jax.errors import InputError
+from pfnn_jax.models.config import CP_KINDS
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.reading import ReadOptions
 from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT, FewShotConfig, TuningConfig
@@ -113,7 +114,7 @@ class FewShot(Command):
         base = MASON2018_FEW_SHOT if self.recipe == "mason2018" else default_config(run)
         given = {name: getattr(self.config, name) for name in self.given & {*GRID, "seed"}}
         method = given.get("method", base.method)
-        if "rank" in given and method != "cp":
+        if "rank" in given and method not in CP_KINDS:
             raise InputError("command line", "rank", given["rank"], f"only CP adapters have a rank, method is {method}")
         return replace(base, **given)
 

@@ -123,7 +123,7 @@ def train_on_clip(
 def without_adapter(shared: Network, normaliser: Normaliser):
     """Returns the style-agnostic predictor, with a zero adapter for the same tree structure as other predictors."""
     sizes = config_of(shared)
-    zero = init_style(AdapterConfig("bias"), sizes.hidden, sizes.num_control_points, key=jax.random.key(0))
+    zero = init_style(AdapterConfig("bias"), sizes, key=jax.random.key(0))
     return predictor_of(zero, shared, normaliser)
 
 
