@@ -144,6 +144,11 @@ def clip_rows(fold: Fold, network: TrainedNetwork) -> Batch:
     return to_batch(fold.clip, network.normaliser)
 
 
+def own_turn_rows(fold: Fold, network: TrainedNetwork) -> Batch:
+    """Returns the normalised rows of the style's own turning takes but those it is tested on."""
+    return to_batch([rows_of(fold.other_turns)], network.normaliser)
+
+
 def join_batches(parts: Sequence[Batch]) -> Batch:
     """Returns the rows of all parts, one after another."""
     return Batch(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("x", "y", "phase")))
@@ -204,5 +209,6 @@ def learn_own_turns(
 ) -> Style:
     """Returns an adapter of the clip and of the style's own turns but those it is tested on: a bound for all others."""
     network = fold.network(kind)
-    turns = to_batch([rows_of(fold.other_turns)], network.normaliser)
-    return learn_rows(fold, network, join_batches([clip_rows(fold, network), turns]), learning, **options)
+    return learn_rows(
+        fold, network, join_batches([clip_rows(fold, network), own_turn_rows(fold, network)]), learning, **options
+    )

@@ -6,7 +6,7 @@ Question  an adapter on the second layer changes what the last hidden layer comp
 Method    next to CP of rank 30 on the second layer (31,352 numbers), the default: the same and a bias of the outputs,
           blended by phase (K times Dy numbers: 1,120); CP of rank 30 on the last layer alone, with such a bias
           (25,280); and CP of rank 10 on the second with CP of rank 25 on the last layer and the bias (31,812). Learned
-          from the clip and restyled rows in the same loop.
+          from the clip and restyled rows in the same loop; the second also from the style's own turns.
 Run       python -m experiments.few_shot.output_layer --data FOLDER --out runs/few_shot
 """
 
@@ -27,6 +27,7 @@ from experiments.common.few_shot_recipes import (
     join_batches,
     learning_data,
     minimise,
+    own_turn_rows,
     style_loss,
 )
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, no_style, run_methods
@@ -64,8 +65,16 @@ def residual_loss(params: Residuals, data: LearningData, learning: Learning, key
     return error + learning.l1 * l1_penalty(params)
 
 
-def learn_residuals(fold: Fold, kind: NetworkKind, ranks: tuple[int, int]) -> tuple[Network, Style]:
-    """Returns the network with changed outputs, and the adapter of its second layer; ranks 0 are for no residual."""
+def learn_residuals(
+    fold: Fold, kind: NetworkKind, ranks: tuple[int, int], own_turns: bool = False
+) -> tuple[Network, Style]:
+    """Returns the network with changed outputs, and the adapter of its second layer.
+
+    Args:
+        fold, kind: of the network.
+        ranks: of the residuals of the second layer and of the outputs, 0 for none.
+        own_turns: whether to learn from the style's own turns instead of restyled rows.
+    """
     network, key = fold.network(kind), jax.random.key(fold.seed)
     sizes = config_of(network.shared)
     points = sizes.num_control_points
@@ -76,13 +85,15 @@ def learn_residuals(fold: Fold, kind: NetworkKind, ranks: tuple[int, int]) -> tu
 
     hidden, outputs = residual(sizes.hidden, ranks[0], 1), residual(sizes.output_size, ranks[1], 2)
     start = Residuals(hidden, outputs, jnp.zeros((points, sizes.output_size)))
-    data = learning_data(fold, network, join_batches([clip_rows(fold, network), default_rows(fold, kind)]))
+    turns = own_turn_rows(fold, network) if own_turns else default_rows(fold, kind)
+    data = learning_data(fold, network, join_batches([clip_rows(fold, network), turns]))
     learned = minimise(residual_loss, start, data, Learning(), key)
     return learned.merged(data.shared), no_style(network) if learned.hidden is None else learned.hidden
 
 
 METHODS = {
     "CP on the last layer": Method(partial(learn_residuals, ranks=(0, 30))),
+    "own turns, CP on the last layer": Method(partial(learn_residuals, ranks=(0, 30), own_turns=True)),
     "CP and bias of the outputs": Method(partial(learn_residuals, ranks=(30, 0))),
     "CP on two layers": Method(partial(learn_residuals, ranks=(10, 25))),
 }
