@@ -85,7 +85,7 @@ def row_loss(params: Any, data: LearningData, learning: Learning, key: jax.Array
     return style_loss(params, data, learning, key) + learning.l1 * l1_penalty(params)
 
 
-def style_loss(style: Style, data: LearningData, learning: Learning, key: jax.Array) -> jax.Array:
+def style_loss(style: Style | None, data: LearningData, learning: Learning, key: jax.Array) -> jax.Array:
     """Returns the mean squared error of a network with a style on a minibatch of rows."""
     row_key, noise_key, dropout_key = jax.random.split(key, 3)
     picked = jax.random.randint(row_key, (learning.batch_size,), 0, data.rows.phase.shape[0])
@@ -142,6 +142,11 @@ def learn_rows(
 def clip_rows(fold: Fold, network: TrainedNetwork) -> Batch:
     """Returns the normalised rows of the adaptation clip and of its mirror image."""
     return to_batch(fold.clip, network.normaliser)
+
+
+def own_turn_rows(fold: Fold, network: TrainedNetwork) -> Batch:
+    """Returns the normalised rows of the style's own turning takes but those it is tested on."""
+    return to_batch([rows_of(fold.other_turns)], network.normaliser)
 
 
 def join_batches(parts: Sequence[Batch]) -> Batch:
@@ -204,5 +209,6 @@ def learn_own_turns(
 ) -> Style:
     """Returns an adapter of the clip and of the style's own turns but those it is tested on: a bound for all others."""
     network = fold.network(kind)
-    turns = to_batch([rows_of(fold.other_turns)], network.normaliser)
-    return learn_rows(fold, network, join_batches([clip_rows(fold, network), turns]), learning, **options)
+    return learn_rows(
+        fold, network, join_batches([clip_rows(fold, network), own_turn_rows(fold, network)]), learning, **options
+    )
