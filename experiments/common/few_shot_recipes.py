@@ -24,7 +24,7 @@ from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.motion.features.encode import Features, select_rows
-from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT
+from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT, FewShotConfig
 from pfnn_jax.training.data import Batch, Rows, to_batch
 from pfnn_jax.training.few_shot_learning import fit_style
 from pfnn_jax.training.losses import l1_penalty
@@ -85,7 +85,7 @@ def row_loss(params: Any, data: LearningData, learning: Learning, key: jax.Array
     return style_loss(params, data, learning, key) + learning.l1 * l1_penalty(params)
 
 
-def style_loss(style: Style, data: LearningData, learning: Learning, key: jax.Array) -> jax.Array:
+def style_loss(style: Style | None, data: LearningData, learning: Learning, key: jax.Array) -> jax.Array:
     """Returns the mean squared error of a network with a style on a minibatch of rows."""
     row_key, noise_key, dropout_key = jax.random.split(key, 3)
     picked = jax.random.randint(row_key, (learning.batch_size,), 0, data.rows.phase.shape[0])
@@ -144,6 +144,11 @@ def clip_rows(fold: Fold, network: TrainedNetwork) -> Batch:
     return to_batch(fold.clip, network.normaliser)
 
 
+def own_turn_rows(fold: Fold, network: TrainedNetwork) -> Batch:
+    """Returns the normalised rows of the style's own turning takes but those it is tested on."""
+    return to_batch([rows_of(fold.other_turns)], network.normaliser)
+
+
 def join_batches(parts: Sequence[Batch]) -> Batch:
     """Returns the rows of all parts, one after another."""
     return Batch(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("x", "y", "phase")))
@@ -187,13 +192,20 @@ def evenly(rows: Features, count: int) -> Features:
     return select_rows(rows, np.unique(np.linspace(0, len(rows.x) - 1, count).round().astype(int)))
 
 
-def learn_restyled(fold: Fold, kind: NetworkKind, contents: Sequence[str] = ()) -> Style:
-    """Returns the style that `few-shot` learns by default from the clip and the known styles' differences."""
+def learn_restyled(
+    fold: Fold, kind: NetworkKind, contents: Sequence[str] = (), config: FewShotConfig = RESTYLED_FEW_SHOT
+) -> Style:
+    """Returns the style that `few-shot` learns by default from the clip and the known styles' differences.
+
+    Args:
+        fold, kind: of the network.
+        contents: as `known_differences` takes them.
+        config: of learning.
+    """
     differences = known_differences(fold, kind, contents)
     network = fold.network(kind)
     rows = Rows.from_features({fold.style: list(fold.clip)}, fold.layout, network.normaliser)
-    options = {"key": jax.random.key(fold.seed), "differences": differences}
-    return fit_style(network.shared, rows, RESTYLED_FEW_SHOT, **options).style
+    return fit_style(network.shared, rows, config, key=jax.random.key(fold.seed), differences=differences).style
 
 
 def learn_own_turns(
@@ -204,5 +216,6 @@ def learn_own_turns(
 ) -> Style:
     """Returns an adapter of the clip and of the style's own turns but those it is tested on: a bound for all others."""
     network = fold.network(kind)
-    turns = to_batch([rows_of(fold.other_turns)], network.normaliser)
-    return learn_rows(fold, network, join_batches([clip_rows(fold, network), turns]), learning, **options)
+    return learn_rows(
+        fold, network, join_batches([clip_rows(fold, network), own_turn_rows(fold, network)]), learning, **options
+    )

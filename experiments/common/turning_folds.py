@@ -119,11 +119,11 @@ class Method:
     """A method of learning a style.
 
     Attributes:
-        learn: returns the parameters of the style for a fold and a kind of network, which it does not change.
+        learn: returns the style for a fold and a kind of network; or (network, style) where the network changes too.
         kind: of the network.
     """
 
-    learn: Callable[[Fold, NetworkKind], Style]
+    learn: Callable[[Fold, NetworkKind], Any]
     kind: NetworkKind = NOISY
 
 

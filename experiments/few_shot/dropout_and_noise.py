@@ -4,7 +4,7 @@ Question  which dropout, and which noise on the pose inputs while the adapter is
           diverge and stay near the actor's?
 Method    restyled rows with dropout of 0, .1, .3 (the default) and .5 before the shared layers, with .3 before the
           adapter too, and with Gaussian noise of .02, .05 and .1 on the normalised pose inputs instead of dropout (a
-          standard deviation of them is .1); the clip alone with noise.
+          standard deviation of them is .1); the clip alone, and the style's own turns, with noise.
 Run       python -m experiments.few_shot.dropout_and_noise --data FOLDER --out runs/few_shot
 """
 
@@ -14,7 +14,7 @@ from functools import partial
 
 import tyro
 
-from experiments.common.few_shot_recipes import Learning, clip_rows, learn_rows
+from experiments.common.few_shot_recipes import Learning, clip_rows, learn_own_turns, learn_rows
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
 from experiments.common.turning_table import PAPER
 from experiments.common.varied_restyling import BASE, learn_base
@@ -32,18 +32,19 @@ VARIANTS = {
 }
 """Variants next to the default, dropout of .3 before the shared layers."""
 
-CLIP_NOISE = Learning(main_dropout=0.1, noise=0.2)
-"""The most that was tried on the clip alone."""
+MORE_NOISE = Learning(main_dropout=0.1, noise=0.2)
+"""What was tried on other rows."""
 
 
 def learn_noisy_clip(fold: Fold, kind: NetworkKind) -> Style:
     """Returns the style that is learned from the clip alone, with noise."""
     network = fold.network(kind)
-    return learn_rows(fold, network, clip_rows(fold, network), CLIP_NOISE)
+    return learn_rows(fold, network, clip_rows(fold, network), MORE_NOISE)
 
 
 METHODS = {name: Method(partial(learn_base, learning=learning)) for name, learning in VARIANTS.items()} | {
-    "clip alone, noise .2": Method(learn_noisy_clip)
+    "clip alone, noise .2": Method(learn_noisy_clip),
+    "own turns, noise .2": Method(partial(learn_own_turns, learning=MORE_NOISE)),
 }
 
 

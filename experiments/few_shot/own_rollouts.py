@@ -3,7 +3,8 @@
 Question  the rows of known styles have to be kept with a network. The network can walk in these styles, straight and
           on circles: are the rows of such rollouts as good?
 Method    rollouts of 5 seconds in every known style at its walking speed and turn rates of 0, ±30, ±60 and ±90 degrees
-          per second, the first 1.5 seconds left out; their turns are restyled, and learned with the clip.
+          per second, the first 1.5 seconds left out; their turns are restyled, and learned with the clip, with the
+          default's dropout, and with noise of .2 on the normalised pose inputs and dropout of .1.
 Run       python -m experiments.few_shot.own_rollouts --data FOLDER --out runs/few_shot
 """
 
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from experiments.common.few_shot_recipes import clip_rows, join_batches, learn_rows
+from experiments.common.few_shot_recipes import Learning, clip_rows, join_batches, learn_rows
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
 from experiments.common.turning_table import PAPER
 from experiments.common.varied_restyling import BASE, draw_rows, restyle_turns, straight_and_turning
@@ -78,14 +79,19 @@ def rollout_rows(fold: Fold, kind: NetworkKind) -> dict[str, tuple[Features, Fea
     return found
 
 
-def learn_from_rollouts(fold: Fold, kind: NetworkKind) -> Style:
+def learn_from_rollouts(fold: Fold, kind: NetworkKind, learning: Learning) -> Style:
     """Returns the style that is learned from the clip and restyled rows of rollouts."""
     network, parts = fold.network(kind), rollout_rows(fold, kind)
     restyled = restyle_turns(fold, network, parts, draw_rows(parts, COUNT, fold.seed))
-    return learn_rows(fold, network, join_batches([clip_rows(fold, network), restyled]))
+    return learn_rows(fold, network, join_batches([clip_rows(fold, network), restyled]), learning)
 
 
-METHODS = {"turns of own rollouts": Method(learn_from_rollouts)}
+METHODS = {
+    "turns of own rollouts": Method(partial(learn_from_rollouts, learning=Learning())),
+    "turns of own rollouts, noise .2": Method(
+        partial(learn_from_rollouts, learning=Learning(main_dropout=0.1, noise=0.2))
+    ),
+}
 
 
 if __name__ == "__main__":

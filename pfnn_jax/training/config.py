@@ -205,6 +205,7 @@ MASON2018_FEW_SHOT = FewShotConfig(
 """Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid over the authors' rates of adapter dropout alone."""
 
 RESTYLED_FEW_SHOT = FewShotConfig(
+    method="cp_output",
     learning_rates=(5e-3,),
     main_dropouts=(0.3,),
     adapter_dropouts=(0.0,),

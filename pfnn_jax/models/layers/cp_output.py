@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import jax
@@ -50,4 +51,4 @@ class CPOutput(Style):
         return type(self)(layer=self.layer.mix(weights))
 
     def mix_dynamic(self, weights: jax.Array) -> Self:
-        return self.replace(layer=self.layer.mix_dynamic(weights))
+        return replace(self, layer=self.layer.mix_dynamic(weights))
