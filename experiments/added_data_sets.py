@@ -30,7 +30,7 @@ from experiments.common.markdown import markdown_table
 from experiments.common.style_takes import Take, load_takes
 from experiments.leave_one_style_out import Config as Folds
 from experiments.leave_one_style_out import make_fold, pretrained
-from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, GRIDS, compare_methods
+from pfnn_jax.evaluation.style_methods import CONSERVATIVE_ROW, GRIDS, compare_methods
 from pfnn_jax.io.files import write_whole
 from pfnn_jax.motion.datasets.clip_rows import labelled_features, load_for_layout, match_skeleton
 from pfnn_jax.motion.datasets.labelled import LabelledClip
@@ -54,7 +54,7 @@ MIXES: dict[str, tuple[str, ...]] = {
 }
 """What every network is pretrained on in addition to Bandai-Namco-2, by name."""
 
-ROWS = ("no adapter", DEFAULT_ROW, "CP, 1e-4, no dropout, 100 epochs")
+ROWS = ("no adapter", CONSERVATIVE_ROW, "CP, 1e-4, no dropout, 100 epochs")
 """Methods in the table."""
 
 
@@ -177,7 +177,7 @@ def main(config: Config) -> None:
             if not file.exists():
                 fold = run_fold(takes, added, mix, style, layout, skeleton, config)
                 write_whole(file, json.dumps(fold, indent=1))
-                error = fold["rows"][DEFAULT_ROW]["turning"]["pose_velocity"]
+                error = fold["rows"][CONSERVATIVE_ROW]["turning"]["pose_velocity"]
                 print(f"{style}, {mix}: {error:.3f} on turns, {fold['seconds']:.0f} s", flush=True)
     folds = [json.loads(file.read_text()) for file in sorted(config.out.glob("fold_*.json"))]
     write_whole(config.out / "table.md", summary(folds))

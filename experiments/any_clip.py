@@ -51,6 +51,7 @@ from pfnn_jax.inference.predictor import make_predictor
 from pfnn_jax.io.files import json_text, write_whole
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.run import Run, load_run
+from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.draw.annotated_clip import AnnotatedClip
 from pfnn_jax.viewer.draw.drawing import save_figure
 from pfnn_jax.viewer.draw.filmstrip import filmstrip
@@ -69,6 +70,7 @@ class Config:
         out: folder of results.
         mocap: folder of all motion capture, with the folders of `SOURCES`.
         seen: BASE:SOURCE for every source whose clips a base was trained on.
+        paper: names of the bases whose styles are learned by the paper's recipe.
         sources: names of the sources; all by default.
         styles: largest number of styles of each source, in the order of names.
         field: the same for the files from the field, each of which is a style.
@@ -79,6 +81,7 @@ class Config:
     out: Path
     mocap: Path = Path("../shared/mocap")
     seen: tuple[str, ...] = ()
+    paper: tuple[str, ...] = ()
     sources: tuple[str, ...] = tuple(source.name for source in SOURCES)
     styles: int = 3
     field: int = 8
@@ -96,6 +99,9 @@ class Config:
             base, _, source = pair.partition(":")
             if base not in self.runs or source not in known:
                 raise InputError("any_clip", "seen", pair, "must be BASE:SOURCE, of the bases and sources")
+        for name in self.paper:
+            if name not in self.runs:
+                raise InputError("any_clip", "paper", name, "must be names of the bases")
 
     @property
     def runs(self) -> dict[str, Path]:
@@ -110,12 +116,14 @@ class Base:
     Attributes:
         name: of the base.
         run: a copy, which receives the learned styles.
+        few_shot: how they are learned.
         controllers: of its styles by name, and of the run without a style under None, each with the weights of its
             styles; filled as they are needed.
     """
 
     name: str
     run: Run
+    few_shot: FewShotConfig
     controllers: dict[str | None, tuple[Controller, np.ndarray]]
 
     def controller(self, style: str | None) -> tuple[Controller, np.ndarray]:
@@ -136,7 +144,7 @@ def main(config: Config) -> dict[str, Any]:
         for trial in (trial for found, _ in trials.values() for trial in found):
             file = row_file(config.out, name, trial)
             if not file.exists():
-                base = open_base(name, folder, config.out) if base is None else base
+                base = open_base(name, folder, config) if base is None else base
                 write_whole(file, json_text(run_trial(base, trial, config)))
             _print(json.loads(file.read_text()))
     rows = [json.loads(file.read_text()) for file in sorted((config.out / "rows").glob("*.json"))]
@@ -160,14 +168,17 @@ def choose_trials(source: Source, config: Config) -> tuple[list[Trial], dict[str
     return trials, skipped
 
 
-def open_base(name: str, folder: Path, out: Path) -> Base:
+def open_base(name: str, folder: Path, config: Config) -> Base:
     """Returns a base in a fresh copy of its run, with everything compiled that learning needs."""
-    copy = out / "runs" / name
+    copy = config.out / "runs" / name
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("train_state"))
     run = load_run(copy)
-    precompile(run, default_config(run))
-    return Base(name, run, {})
+    few_shot = default_config(run)
+    if name in config.paper:
+        few_shot = replace(MASON2018_FEW_SHOT, rank=few_shot.rank)
+    precompile(run, few_shot)
+    return Base(name, run, few_shot, {})
 
 
 def row_file(out: Path, base: str, trial: Trial) -> Path:
@@ -187,7 +198,7 @@ def run_trial(base: Base, trial: Trial, config: Config) -> dict[str, Any]:
         "how": trial.how,
         "learned": _about(trial.learned),
     }
-    info = learn_style(run, _renamed(trial.learned, name), overwrite=True)
+    info = learn_style(run, _renamed(trial.learned, name), base.few_shot, overwrite=True)
     row["info"] = {
         key: info[key] for key in ("seconds", "choice", "error_without_style", "stable_on_turns", "mirrored")
     }

@@ -26,6 +26,7 @@ import tyro
 from pfnn_jax.io.files import write_json
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.datasets.clip_rows import load_for_skeleton
+from pfnn_jax.motion.datasets.dataset import load_dataset
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import list_clips
@@ -37,7 +38,8 @@ from pfnn_jax.motion.synthetic.styles import PRETRAINING_STYLES, STYLES, Synthet
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import Run
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.workflows.pretrain import pretrain_run
+from pfnn_jax.training.restyling import save_differences
+from pfnn_jax.workflows.pretrain import dataset_differences, pretrain_run
 
 
 @dataclass(frozen=True)
@@ -231,7 +233,10 @@ def train(config: Config) -> Run:
 
 
 def ship(run: Run, config: Config) -> Path:
-    """Writes what is shipped of a run: its network, the styles with names, and a card. Returns the folder."""
+    """Writes what is shipped of a run: network, styles with names, differences of procedural styles, a card.
+
+    Returns the folder. No row of 100STYLE is in it.
+    """
     out = config.out / "run"
     shutil.rmtree(out, ignore_errors=True)
     styles = [style for style in run.config.styles if style in (*PRETRAINING_STYLES, *CAPTURED)]
@@ -240,9 +245,15 @@ def ship(run: Run, config: Config) -> Path:
         run.path,
         out,
         ignore=lambda folder, names: [
-            name for name in names if name == "train_state" or (Path(folder).name == "styles" and name in left_out)
+            name
+            for name in names
+            if name in ("train_state", "differences") or (Path(folder).name == "styles" and name in left_out)
         ],
     )
+    procedural = [style for style in run.config.styles if not style.startswith("100style")]
+    differences = dataset_differences(load_dataset(config.out / "data"), config.seed, procedural)
+    assert differences is not None  # the layout has a global phase, and procedural walkers turn
+    save_differences(out, differences)
     data = json.loads((out / "config.json").read_text())
     data["styles"] = styles
     data["pretrain"] |= {
@@ -272,7 +283,7 @@ A small network on which a style is learned from one clip, without training a ne
   mirror images included: the eight procedural walkers of `pfnn_jax.motion.synthetic`, {config.random_styles} walkers
   of random styles, and {captured:,} frames of 100STYLE ({", ".join(takes)}), retargeted, as
   captured and in {config.variants} variants whose upper bodies are posed differently. Only the styles with names are
-  shipped.
+  shipped, and differences between turning and straight walks of the procedural walkers alone.
 - **Network**: layout `mason2018`, a phase-functioned network with {config.hidden} hidden units and CP adapters of rank
   {run.config.adapter.rank}.
 - **Training**: {config.steps:,} steps of {config.batch_size} frames at a learning rate of {config.learning_rate:g}, by

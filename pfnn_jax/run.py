@@ -249,8 +249,7 @@ def _abstract(make: Callable[[], State]) -> State:
 
 
 def _abstract_adapter(config: RunConfig, form: AdapterConfig) -> Style:
-    network = config.network
-    return _abstract(lambda: init_style(form, network.hidden, network.num_control_points, key=jax.random.key(0)))
+    return _abstract(lambda: init_style(form, config.network, key=jax.random.key(0)))
 
 
 def _short(digest: object) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 from pfnn_jax.errors import InputError, check_positive
 from pfnn_jax.io.files import locate, read_json, read_note, refuse_existing, saved_names, write_json
-from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
+from pfnn_jax.models.config import CP_KINDS, AdapterConfig, GeneratorConfig, NetworkConfig
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.motion.features.layout import LAYOUTS
 
@@ -217,7 +217,7 @@ def check_adapter(config: RunConfig, form: AdapterConfig, source: str | Path) ->
             of a network trained with adapters or the reverse: with FiLM the hidden layers are normalised.
     """
     own = config.adapter
-    if form.kind == own.kind == "cp" and form.rank != own.rank:
+    if {form.kind, own.kind} <= set(CP_KINDS) and form.rank != own.rank:
         raise InputError(source, "adapter rank", form.rank, f"must be {own.rank}, the rank of the run's adapters")
     if (form.kind == "film") != (own.kind == "film"):
         needed = "must be film (few-shot: --method film or --recipe generator)"

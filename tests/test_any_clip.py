@@ -82,6 +82,7 @@ def test_skipped_styles_do_not_count(mocap, tmp_path):
         ({"sources": ("xsens",)}, "sources", "must be one of"),
         ({"bases": ("demo",)}, "bases", "NAME=DIRECTORY"),
         ({"seen": ("demo:xia",)}, "seen", "BASE:SOURCE"),
+        ({"paper": ("demo",)}, "paper", "names of the bases"),
     ],
 )
 def test_bad_settings_are_refused(tmp_path, wrong, place, rule):

@@ -3,28 +3,79 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from experiments.base_network import (
+    CAPTURED,
     POSE_ANGLES,
     RANGES,
     STEP_LENGTH,
+    Config,
     Variation,
     random_style,
     random_variation,
+    ship,
+    train,
     vary,
 )
 from pfnn_jax.motion.clip import mirror_clip
+from pfnn_jax.motion.datasets.dataset import load_dataset
 from pfnn_jax.motion.kinematics import forward_kinematics, quat_log
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
-from pfnn_jax.motion.synthetic.walks import synthesise
+from pfnn_jax.motion.synthetic.styles import PRETRAINING_STYLES
+from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
+from pfnn_jax.run import load_run
+from pfnn_jax.training.config import RESTYLED_FEW_SHOT
+from pfnn_jax.training.restyling import load_differences
+from pfnn_jax.workflows.base import BASE_NETWORK
+from pfnn_jax.workflows.learn import default_config
+from pfnn_jax.workflows.pretrain import dataset_differences
 
 ROUNDING = 1e-9
 """Of float64 kinematics, in metres and radians."""
 
 SKELETON = synthetic_skeleton()
+
+
+MOST_DIFFERENCES = 1_500_000
+"""Bytes of differences in the package."""
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    """Returns the shipped folder of a tiny network whose captured clips are procedural ones of another name."""
+    config = Config(tmp_path_factory.mktemp("base"), Path("captured"), 1, 1, seconds=5.0, hidden=8, steps=2)
+    captured = [replace(clip, clip=replace(clip.clip, style=CAPTURED[0])) for clip in synthetic_clips("old", 5.0)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("experiments.base_network.captured_clips", lambda folder: captured)
+        return config, ship(train(config), config)
+
+
+def test_shipped_differences_are_of_procedural_styles_alone(shipped):
+    config, out = shipped
+    dataset = load_dataset(config.out / "data")
+    procedural = [style for style in dataset.styles if not style.startswith("100style")]
+    assert len(procedural) == len(PRETRAINING_STYLES) + 1 < len(dataset.styles)
+    found, wanted = load_differences(out, dataset.layout), dataset_differences(dataset, config.seed, procedural)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_array_equal(one, np.asarray(other, np.float16))
+
+
+def test_shipped_run_holds_the_named_styles_and_no_state_of_training(shipped):
+    config, out = shipped
+    assert set(load_run(out).config.styles) == {*PRETRAINING_STYLES, CAPTURED[0]}
+    assert not (out / "train_state").exists() and "procedural walkers alone" in (out / "CARD.md").read_text()
+
+
+def test_packaged_base_network_learns_from_restyled_turns_and_stays_small():
+    run = load_run(BASE_NETWORK)
+    assert default_config(run) == replace(RESTYLED_FEW_SHOT, rank=run.config.adapter.rank)
+    size = sum(path.stat().st_size for path in (BASE_NETWORK / "differences").rglob("*") if path.is_file())
+    assert size <= MOST_DIFFERENCES
 
 
 @pytest.fixture(scope="module")

@@ -197,6 +197,7 @@ def test_given_options_replace_those_of_the_recipe(requested):
     assert requested("--recipe", "mason2018", "--seed", "7") == dataclasses.replace(MASON2018_FEW_SHOT, seed=7)
     assert requested(film=True) == FILM_FEW_SHOT
     assert requested("--l1", "0.5", film=True) == dataclasses.replace(FILM_FEW_SHOT, l1=0.5)
+    assert requested("--no-decay", "--eval-epochs", "5", "10").eval_epochs == (5, 10)
     assert requested("--method=cp", film=True).method == "cp"  # which `learn_style` refuses
 
 
@@ -204,6 +205,7 @@ def test_given_options_replace_those_of_the_recipe(requested):
     "words",
     [
         ("--recipe", "mason2018", "--learning-rates", "0.1"),
+        ("--recipe", "mason2018", "--no-restyled"),
         ("--recipe", "generator", "--l1=0.1"),
         ("--tuning.epochs", "3"),
         ("--method", "diagonal", "--rank", "5"),

@@ -10,7 +10,7 @@ import pytest
 from experiments.common.leave_one_style_out_table import COLUMNS, compare_takes, pooled_choice
 from experiments.common.style_takes import load_takes
 from experiments.leave_one_style_out import Config, main, make_fold
-from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, GRIDS
+from pfnn_jax.evaluation.style_methods import CONSERVATIVE_ROW, GRIDS
 
 STYLES = ("elderly", "normal", "youthful")
 
@@ -48,7 +48,7 @@ def test_adaptation_clip_and_test_takes_are_disjoint(config):
 def test_two_steps_give_every_row_and_measure(config):
     main(config)
     result = json.loads((config.out / "result.json").read_text())
-    rows = {"no adapter", *GRIDS, DEFAULT_ROW, "CP, pretrained on one style", "CP on its own turns (bound)"}
+    rows = {"no adapter", *GRIDS, CONSERVATIVE_ROW, "CP, pretrained on one style", "CP on its own turns (bound)"}
     assert set(result["rows"]) == rows
     for name, row in result["rows"].items():
         assert set(COLUMNS) <= set(row), name

@@ -24,7 +24,7 @@ from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.motion.features.encode import Features, select_rows
-from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT
+from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT, FewShotConfig
 from pfnn_jax.training.data import Batch, Rows, to_batch
 from pfnn_jax.training.few_shot_learning import fit_style
 from pfnn_jax.training.losses import l1_penalty
@@ -135,7 +135,7 @@ def learn_rows(
     key = jax.random.key(fold.seed)
     if start is None:
         sizes = config_of(network.shared)
-        start = init_style(adapter, sizes.hidden, sizes.num_control_points, key=jax.random.fold_in(key, 1))
+        start = init_style(adapter, sizes, key=jax.random.fold_in(key, 1))
     return minimise(row_loss, jax.tree.map(jnp.asarray, start), learning_data(fold, network, rows), learning, key)
 
 
@@ -192,13 +192,20 @@ def evenly(rows: Features, count: int) -> Features:
     return select_rows(rows, np.unique(np.linspace(0, len(rows.x) - 1, count).round().astype(int)))
 
 
-def learn_restyled(fold: Fold, kind: NetworkKind, contents: Sequence[str] = ()) -> Style:
-    """Returns the style that `few-shot` learns by default from the clip and the known styles' differences."""
+def learn_restyled(
+    fold: Fold, kind: NetworkKind, contents: Sequence[str] = (), config: FewShotConfig = RESTYLED_FEW_SHOT
+) -> Style:
+    """Returns the style that `few-shot` learns by default from the clip and the known styles' differences.
+
+    Args:
+        fold, kind: of the network.
+        contents: as `known_differences` takes them.
+        config: of learning.
+    """
     differences = known_differences(fold, kind, contents)
     network = fold.network(kind)
     rows = Rows.from_features({fold.style: list(fold.clip)}, fold.layout, network.normaliser)
-    options = {"key": jax.random.key(fold.seed), "differences": differences}
-    return fit_style(network.shared, rows, RESTYLED_FEW_SHOT, **options).style
+    return fit_style(network.shared, rows, config, key=jax.random.key(fold.seed), differences=differences).style
 
 
 def learn_own_turns(

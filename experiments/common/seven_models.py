@@ -149,6 +149,6 @@ def _tree(network: Network, bank: Any, generator: Any) -> dict[str, Any]:
 
 def _fresh(config: PretrainConfig, layout: FrameLayout, num_styles: int) -> dict[str, Any]:
     key, sizes, generator = jax.random.key(0), config.network(layout), config.generator(layout)
-    bank = init_bank(config.adapter, config.hidden, sizes.num_control_points, num_styles, key=key)
+    bank = init_bank(config.adapter, sizes, num_styles, key=key)
     made = None if generator is None else FiLMGenerator.init(generator, key=key)
     return _tree(init_network(sizes, key=key), bank, made)

@@ -333,7 +333,7 @@ def load_network(folder: Path, config: PretrainConfig, layout: FrameLayout, num_
 
     def fresh() -> dict[str, Any]:
         key, sizes = jax.random.key(0), config.network(layout)
-        bank = init_bank(config.adapter, config.hidden, sizes.num_control_points, num_styles, key=key)
+        bank = init_bank(config.adapter, sizes, num_styles, key=key)
         return {"shared": init_network(sizes, key=key), "bank": bank}
 
     tree = jax.tree.map(np.asarray, load_record(folder / "parameters", jax.eval_shape(fresh)))

@@ -28,7 +28,7 @@ LOOKUP_AIM = 2.0
 def random_predictor(sizes: NetworkConfig, adapter: AdapterConfig | None = None) -> Predictor:
     """Returns a freshly initialised network with unit statistics, and with a fresh adapter if one is configured."""
     key = jax.random.key(0)
-    style = None if adapter is None else init_style(adapter, sizes.hidden, sizes.num_control_points, key=key)
+    style = None if adapter is None else init_style(adapter, sizes, key=key)
     widths = [width for width in (sizes.input_size, sizes.output_size, sizes.phase_size) if width]
     statistics = [values for width in widths for values in (jnp.zeros(width), jnp.ones(width))]
     return Predictor(init_network(sizes, key=key), style, *statistics)

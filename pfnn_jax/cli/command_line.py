@@ -101,9 +101,12 @@ def load_command(name: str) -> type:
 
 
 def given_options(words: Iterable[str]) -> frozenset[str]:
-    """Returns the names of the options among the words, written as attributes: `learning_rates`, `tuning.epochs`."""
+    """Returns the names of the options among the words, written as attributes: `learning_rates`, `tuning.epochs`.
+
+    A setting that is on by default is turned off by an option of its own: `--no-decay` sets `decay`.
+    """
     options = (word[2:].partition("=")[0] for word in words if word.startswith("--"))
-    return frozenset(option.replace("-", "_") for option in options)
+    return frozenset(option.removeprefix("no-").replace("-", "_") for option in options)
 
 
 def usage() -> str:

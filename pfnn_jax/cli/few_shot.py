@@ -12,9 +12,10 @@ from tyro.conf import Positional
 
 from pfnn_jax.cli.command import FLAT, Command, Reading, Run, open_run, print_notes
 from pfnn_jax.errors import InputError
+from pfnn_jax.models.config import CP_KINDS
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.reading import ReadOptions
-from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig, TuningConfig
+from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT, FewShotConfig, TuningConfig
 
 GRID = frozenset(field.name for field in fields(FewShotConfig)) - {"seed"}
 
@@ -35,10 +36,11 @@ class FewShot(Command):
         mirror: also learn from the mirrored clip. By default yes, unless left and right of the clip differ too much.
         roles: JSON file that names the joints' roles.
         reading: what is known about the file, where it is not found or wrong.
-        recipe: default tries a grid of settings: adapters, or FiLM parameters if the run has FiLM styles. mason2018 is
-            the paper's recipe (CP, 100 epochs at 1e-4). generator tunes the run's FiLM generator (Mason 2022).
+        recipe: default learns an adapter from the clip and from turns of the run's styles, put into the new style; FiLM
+            parameters if the run has FiLM styles; and as mason2018 if the run keeps no turns. mason2018 is the paper's
+            recipe (CP, 100 epochs at 1e-4, from the clip alone). generator tunes the run's FiLM generator (Mason 2022).
         overwrite: replace a style of this name.
-        config: the grid of settings. Given options replace those of the default recipe; the others allow none of them
+        config: how to learn. Given options replace those of the default recipe; the others allow none of them
             except --seed.
         tuning: settings of --recipe generator.
     """
@@ -53,7 +55,7 @@ class FewShot(Command):
     reading: Reading = ReadOptions()
     recipe: Recipe = "default"
     overwrite: bool = False
-    config: Annotated[FewShotConfig, FLAT] = field(default_factory=FewShotConfig)
+    config: Annotated[FewShotConfig, FLAT] = RESTYLED_FEW_SHOT
     tuning: TuningConfig = field(default_factory=TuningConfig)
 
     def run(self) -> Any:
@@ -112,7 +114,7 @@ class FewShot(Command):
         base = MASON2018_FEW_SHOT if self.recipe == "mason2018" else default_config(run)
         given = {name: getattr(self.config, name) for name in self.given & {*GRID, "seed"}}
         method = given.get("method", base.method)
-        if "rank" in given and method != "cp":
+        if "rank" in given and method not in CP_KINDS:
             raise InputError("command line", "rank", given["rank"], f"only CP adapters have a rank, method is {method}")
         return replace(base, **given)
 

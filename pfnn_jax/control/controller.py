@@ -53,8 +53,9 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import need_style, stack_styles
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor
 from pfnn_jax.inference.style_choice import check_weights
-from pfnn_jax.models.network import Network
-from pfnn_jax.models.style import Style
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.network import Network, config_of
+from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
@@ -145,6 +146,7 @@ def make_controller(
     styles: Sequence[str] | None = None,
     capacity: int | None = None,
     *,
+    later: AdapterConfig | None = None,
     foot_ik: bool = True,
     tracking: TrackingConfig | None = TrackingConfig(),  # noqa: B008 - frozen
 ) -> Controller:
@@ -155,6 +157,7 @@ def make_controller(
         styles: names; by default all of the run's.
         capacity: C, rows of the bank, at least the number of styles: styles that are learned later fill the spare rows
             without another compilation.
+        later: form of those styles; by default that of the others.
         foot_ik: lock feet that are in contact to the ground, and lay arms along the predicted positions.
         tracking: constants of command tracking (`tracking`), or None for the published loop alone.
 
@@ -172,6 +175,7 @@ def make_controller(
         default_speed=default_speed(run, None),
         loop=loop_config(run),
         capacity=capacity,
+        later=later,
         foot_ik=foot_ik,
         tracking=tracking,
     )
@@ -186,6 +190,7 @@ def assemble_controller(
     default_speed: float | None = None,
     loop: LoopConfig | None = None,
     capacity: int | None = None,
+    later: AdapterConfig | None = None,
     foot_ik: bool = True,
     tracking: TrackingConfig | None = TrackingConfig(),  # noqa: B008 - frozen
 ) -> Controller:
@@ -193,12 +198,13 @@ def assemble_controller(
 
     Args:
         network: style-agnostic parameters.
-        styles: styles of one kind, by name. Without any, the network as it is is the one style `AGNOSTIC`.
+        styles: by name, of one kind or of kinds that only add to layers. Without any, the network as it is is the one
+            style `AGNOSTIC`.
         body: layout, skeleton and normaliser of the network.
         speeds: metres per second of styles in their data, by name, where known.
         default_speed: metres per second, for the other styles; by default that of the mean row of the data.
         loop: constants of the published loop, by default those of the layout.
-        capacity, foot_ik, tracking: as for `make_controller`.
+        capacity, later, foot_ik, tracking: as for `make_controller`.
 
     Raises:
         InputError: for styles of different kinds, or a skeleton without the roles that a controller needs.
@@ -213,9 +219,10 @@ def assemble_controller(
     rows = max(capacity or 0, len(styles)) if styles else 1
     default_speed = mean_speed(layout, normaliser) if default_speed is None else default_speed
     mean_row = jnp.asarray(normaliser.inputs.mean, jnp.float32)
+    also = [] if later is None else [init_style(later, config_of(network), key=jax.random.key(0))]
     params = ControllerParams(
         predictor=assemble_predictor(network, None, normaliser),
-        bank=_padded(stack_styles(styles, "controller"), rows) if styles else None,
+        bank=_padded(stack_styles(styles, "controller", also), rows) if styles else None,
         speeds=_padded(jnp.asarray([speeds.get(name, 0.0) for name in styles], jnp.float32), rows),
         default_speed=jnp.float32(default_speed),
         speed_gains=jnp.ones(rows, jnp.float32),

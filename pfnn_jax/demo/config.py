@@ -7,26 +7,22 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """Sizes of the demo; the defaults take about two minutes on two cores.
+    """Sizes of the demo; the defaults take three to four minutes on two cores.
 
     Attributes:
         seconds_per_style: seconds of motion of each of the 8 pretraining styles, before mirroring.
         clip_seconds: seconds of straight walking from which the ninth style is learned.
-        test_seconds: seconds of each test take.
         hidden: H.
         steps, batch_size, learning_rate: settings of pretraining.
-        epochs: longest few-shot training.
         walk_seconds: seconds of generated motion along the figure-eight.
         seed: seed of the data and of training.
     """
 
     seconds_per_style: float = 60.0
     clip_seconds: float = 3.0
-    test_seconds: float = 8.0
     hidden: int = 512
     steps: int = 2500
     batch_size: int = 128
     learning_rate: float = 1e-3
-    epochs: int = 100
     walk_seconds: float = 21.0
     seed: int = 0

@@ -3,37 +3,37 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from pfnn_jax.control.controller import Controller, assemble_controller
+from pfnn_jax.control.generation import GeneratedWalk, track_path
 from pfnn_jax.demo.config import DemoConfig
+from pfnn_jax.demo.judging import KNOWN, LEARNED, NO_ADAPTER, PAPER, judge_characters, turning_takes
 from pfnn_jax.demo.report import write_demo_report
-from pfnn_jax.evaluation.style_methods import compare_methods
-from pfnn_jax.evaluation.style_test import StyleTest, Takes, join_takes
 from pfnn_jax.io.files import refuse_existing
+from pfnn_jax.models.style import Style
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.clip_rows import labelled_features
 from pfnn_jax.motion.datasets.dataset import Dataset
 from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.datasets.sources import ClipFile
-from pfnn_jax.motion.features.encode import clip_features
 from pfnn_jax.motion.labels.phase import write_phase
 from pfnn_jax.motion.paths import figure_eight
 from pfnn_jax.motion.synthetic.walks import PRETRAINING_STYLES, STYLES, UNSEEN_STYLE, synthesise, synthetic_clips
-from pfnn_jax.run import Run
-from pfnn_jax.training.config import FewShotConfig, PretrainConfig
-from pfnn_jax.workflows.generate import generate_walk
-from pfnn_jax.workflows.learn import learn_style
+from pfnn_jax.run import Run, load_style
+from pfnn_jax.training.config import MASON2018_FEW_SHOT, PretrainConfig
+from pfnn_jax.training.data import Rows
+from pfnn_jax.training.few_shot_learning import few_shot
+from pfnn_jax.workflows.learn import default_config, learn_style
 from pfnn_jax.workflows.pretrain import pretrain_run
-
-TURNS = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
-"""Turn rates of the test takes in degrees per second; the adaptation clip does not turn."""
 
 FIGURE_EIGHT_RADIUS = 1.2
 """Metres; at a walk of 0.8 m/s this is a turn rate of 38 degrees per second, first to one side, then to the other."""
@@ -73,34 +73,24 @@ def demo(
     dataset = procedural_dataset(out / "dataset", config, overwrite)
     stage("pretraining")
     losses: list[tuple[int, float]] = []
-    settings = PretrainConfig(
-        hidden=config.hidden,
-        steps=config.steps,
-        batch_size=config.batch_size,
-        learning_rate=config.learning_rate,
-        seed=config.seed,
-    )
     run = pretrain_run(
         dataset,
         out / "run",
-        settings,
+        pretraining(config),
         overwrite=overwrite,
         progress_callback=lambda progress: losses.append((progress.step, progress.loss)),
     )
     stage(f"learning {UNSEEN_STYLE} from {config.clip_seconds:g} s")
     clip_file, labelled = write_clip(out / "clip", config, overwrite)
-    learned = learn_style(run, clip_file, FewShotConfig(seed=config.seed), overwrite=True)
-    stage("comparing methods of learning it")
-    rows = compare_methods(
-        run.shared,
-        run.normaliser,
-        labelled_features(labelled, run.layout, mirror=True),
-        style_test(run, labelled, config),
-        epochs=config.epochs,
-        seed=config.seed,
-    )
+    learned = learn_style(run, clip_file, replace(default_config(run), seed=config.seed), overwrite=True)
+    stage("learning it by the paper's recipe")
+    controller = make_characters(run, learn_as_paper(run, labelled, config))
+    stage("walking turns that it has not seen")
+    seed = config.seed + 2000
+    takes = dict.fromkeys((NO_ADAPTER, PAPER, LEARNED), turning_takes(UNSEEN_STYLE, run, seed))
+    judged = judge_characters(controller, run, takes | {KNOWN: turning_takes(KNOWN, run, seed)})
     stage("walking a figure-eight")
-    walks = walk(run, out / "motion", config, overwrite)
+    walks = walk(controller, run, out / "motion", config, overwrite)
     seconds["in all"] = time.perf_counter() - started
     result = {
         "config": asdict(config),
@@ -108,10 +98,16 @@ def demo(
         "device": jax.devices()[0].device_kind,
         "pretraining": {"steps": [step for step, _ in losses], "loss": [loss for _, loss in losses]},
         "few_shot": learned,
-        "methods": rows,
+        "judged": judged,
     }
     write_demo_report(out, result, labelled, walks, overwrite=overwrite)
     return result
+
+
+def pretraining(config: DemoConfig) -> PretrainConfig:
+    """Returns how the demo's network is trained."""
+    names = ("hidden", "steps", "batch_size", "learning_rate", "seed")
+    return PretrainConfig(**{name: getattr(config, name) for name in names})
 
 
 def procedural_dataset(out: Path, config: DemoConfig, overwrite: bool = False) -> Dataset:
@@ -139,34 +135,34 @@ def write_clip(folder: Path, config: DemoConfig, overwrite: bool = False) -> tup
     return ClipFile(path, UNSEEN_STYLE, "walk"), labelled
 
 
-def style_test(run: Run, labelled: LabelledClip, config: DemoConfig) -> StyleTest:
-    """Returns the test on exact ground truth: unseen turns to both sides at several rates, and straight walks."""
-    layout = run.layout
-    frames = round(config.test_seconds * layout.fps)
-    speed = np.full(frames, STYLES[UNSEEN_STYLE].speed)
-
-    def takes(rates: tuple[float, ...], factors: tuple[float, ...]) -> Takes:
-        parts, names = [], []
-        for rate in rates:
-            for factor in factors:
-                turn_rate = np.full(frames, np.deg2rad(rate))
-                seed = config.seed + 2000 + len(names)
-                clip, labels = synthesise(UNSEEN_STYLE, turn_rate, speed * factor, seed=seed)
-                parts.append(clip_features(clip, layout, labels))
-                names.append(f"{rate:g} degrees/s at {factor:g} of the natural speed")
-        return join_takes(parts, names)
-
-    clip = clip_features(labelled.clip, layout, labelled.labels)
-    std = np.asarray(run.normaliser.outputs.std)
-    straight, turning = takes((0.0,), (1.0, 0.9, 1.1)), takes(TURNS, (1.0,))
-    return StyleTest(layout, run.skeleton, clip, straight, turning, std, circle_seconds=10.0)
+def learn_as_paper(run: Run, labelled: LabelledClip, config: DemoConfig) -> Style:
+    """Returns the ninth style as Mason 2018 learns it: from the clip alone."""
+    parts = labelled_features(labelled, run.layout, mirror=True)
+    rows = Rows.from_features({UNSEEN_STYLE: parts}, run.layout, run.normaliser, run.skeleton.parents)
+    recipe = replace(MASON2018_FEW_SHOT, rank=run.config.adapter.rank, seed=config.seed)
+    return few_shot(run.shared, rows, recipe)
 
 
-def walk(run: Run, folder: Path, config: DemoConfig, overwrite: bool = False) -> dict[str, Any]:
+def make_characters(run: Run, paper: Style) -> Controller:
+    """Returns a controller with a style for each row of the judged table."""
+    learned = load_style(run, UNSEEN_STYLE)
+    styles = {NO_ADAPTER: jax.tree.map(jnp.zeros_like, learned), PAPER: paper, LEARNED: learned}
+    speeds = dict.fromkeys(styles, STYLES[UNSEEN_STYLE].speed) | {KNOWN: STYLES[KNOWN].speed}
+    return assemble_controller(run.shared, styles | {KNOWN: load_style(run, KNOWN)}, run, speeds=speeds)
+
+
+def walk(
+    controller: Controller, run: Run, folder: Path, config: DemoConfig, overwrite: bool = False
+) -> Mapping[str, GeneratedWalk]:
     """Generates walks on a figure-eight in the learned style, without style, and in a pretraining style; writes BVH."""
     folder.mkdir(parents=True, exist_ok=True)
-    walks = {}
-    for name, style in (("learned", UNSEEN_STYLE), ("agnostic", None), ("neutral", "neutral")):
-        walks[name] = generate_walk(run, style, figure_eight(FIGURE_EIGHT_RADIUS), seconds=config.walk_seconds)
-        write_bvh(folder / f"{style or 'agnostic'}_figure_eight.bvh", walks[name].clip, overwrite=overwrite)
+    path, walks = figure_eight(FIGURE_EIGHT_RADIUS), {}
+    for name, label, style in (
+        ("learned", UNSEEN_STYLE, LEARNED),
+        ("agnostic", "agnostic", NO_ADAPTER),
+        ("neutral", KNOWN, KNOWN),
+    ):
+        made = track_path(controller, controller.style_weights(style), path, run, seconds=config.walk_seconds)
+        walks[name] = replace(made, clip=replace(made.clip, style=label))
+        write_bvh(folder / f"{label}_figure_eight.bvh", walks[name].clip, overwrite=overwrite)
     return walks

@@ -22,13 +22,12 @@ from pfnn_jax.training.config import MASON2018_FEW_SHOT, FewShotConfig
 from pfnn_jax.training.data import hold_out, to_batch
 from pfnn_jax.training.few_shot_learning import Candidate, choose, error_without_style, refit, train_grid
 
-DEFAULT = FewShotConfig()
-
-DEFAULT_ROW = "CP, most conservative within 50 %, refit"
-"""The row of `few-shot` without options: the most conservative CP candidate within the tolerance, refit on the clip."""
+CONSERVATIVE_ROW = "CP, most conservative within 50 %, refit"
+"""The row of the most conservative CP candidate within the tolerance, refit on the clip: the best choice by held-out
+frames of the clip alone."""
 
 GRIDS: dict[str, FewShotConfig] = {
-    "CP": DEFAULT,
+    "CP": FewShotConfig(),
     "CP, the paper's recipe": MASON2018_FEW_SHOT,
     "bias": FewShotConfig("bias", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,)),
     "diagonal": FewShotConfig("diagonal", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,)),
@@ -98,7 +97,7 @@ def compare_methods(
             without = error_without_style(shared, held)
             choice = choose(candidates, grid.tolerance, is_stable, without=without).choice
             trained = refit(shared, to_batch(parts, normaliser), choice, grid)
-            chosen[DEFAULT_ROW] = Candidate(choice, trained)
+            chosen[CONSERVATIVE_ROW] = Candidate(choice, trained)
         for row, candidate in chosen.items():
             rows[row] = {
                 "choice": candidate.choice._asdict(),
@@ -124,7 +123,7 @@ def train_on_clip(
 def without_adapter(shared: Network, normaliser: Normaliser):
     """Returns the style-agnostic predictor, with a zero adapter for the same tree structure as other predictors."""
     sizes = config_of(shared)
-    zero = init_style(AdapterConfig("bias"), sizes.hidden, sizes.num_control_points, key=jax.random.key(0))
+    zero = init_style(AdapterConfig("bias"), sizes, key=jax.random.key(0))
     return predictor_of(zero, shared, normaliser)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.style_choice import StyleChoice, check_weights
 from pfnn_jax.models.layers.film import FiLMStyle
-from pfnn_jax.models.style import Style, mix_styles
+from pfnn_jax.models.style import Style, StyleSum, is_additive, mix_styles
 from pfnn_jax.run import Run, load_style
 from pfnn_jax.run_config import list_styles
 
@@ -74,20 +74,39 @@ def load_bank(run: Run, names: Sequence[str]) -> Style:
     return stack_styles({name: load_style(run, name) for name in names}, run.path)
 
 
-def stack_styles(styles: Mapping[str, Any], source: str | Path) -> Any:
+def stack_styles(styles: Mapping[str, Any], source: str | Path, also: Sequence[Style] = ()) -> Any:
     """Stacks styles into one bank, leaves [S, ...] in the order of the mapping.
 
+    Styles of several kinds make a `StyleSum`, if all of them only add to layers: each is zero in the parts of the
+    others.
+
+    Args:
+        styles: by name, at least one.
+        source: named in messages.
+        also: styles of further kinds, for which the bank is to have a part.
+
     Raises:
-        InputError: for styles of different kinds or sizes, naming `source`.
+        InputError: for styles of one kind and different sizes, or of different kinds that cannot be added.
     """
-    names = tuple(styles)
-    shapes = [jax.tree.map(np.shape, style) for style in styles.values()]
-    for name, shape in zip(names, shapes, strict=True):
-        if shape != shapes[0]:
-            raise InputError(
-                source, "style", name, f"must be of the same kind and size as {names[0]} to be mixed with it"
-            )
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *styles.values())
+    firsts: dict[type, tuple[str, Style]] = {}
+    for name, style in [*styles.items(), *(("also", style) for style in also)]:
+        first, like = firsts.setdefault(type(style), (name, style))
+        if jax.tree.map(np.shape, style) != jax.tree.map(np.shape, like):
+            raise InputError(source, "style", name, f"must be of the same size as {first} to be mixed with it")
+        other = next(iter(firsts.values()))
+        if len(firsts) > 1 and not (is_additive(style) and is_additive(other[1])):
+            raise InputError(source, "style", name, f"must be of the same kind as {other[0]} to be mixed with it")
+    rows = list(styles.values())
+    if len(firsts) > 1:
+        parts = StyleSum(tuple(like for _, like in sorted(firsts.values(), key=lambda first: first[1].kind)))
+        rows = [in_parts(style, parts) for style in rows]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+
+
+def in_parts(style: Style, parts: StyleSum) -> StyleSum:
+    """Returns a style as a sum like `parts`: itself in the part of its kind, zeros in the others."""
+    zeros = jax.tree.map(lambda leaf: np.zeros(np.shape(leaf), np.float32), parts)
+    return StyleSum(tuple(style if type(style) is type(part) else part for part in zeros.parts))
 
 
 def mix_rows(bank: FiLMStyle, indices: jax.Array, weights: jax.Array) -> FiLMStyle:

@@ -2,6 +2,7 @@ from .config import AdapterConfig as AdapterConfig
 from .config import NetworkConfig as NetworkConfig
 from .layers.bias import BiasLayer as BiasLayer
 from .layers.cp import CPLayer as CPLayer
+from .layers.cp_output import CPOutput as CPOutput
 from .layers.dense import DenseLayer as DenseLayer
 from .layers.diagonal import DiagonalLayer as DiagonalLayer
 from .layers.film import FiLMStyle as FiLMStyle

@@ -17,6 +17,10 @@ else:
     AdapterKind = Literal[style_kinds()]  # the command line lists these as choices
 
 
+CP_KINDS = ("cp", "cp_output")
+"""Kinds of style that have a rank."""
+
+
 @dataclass(frozen=True)
 class NetworkConfig:
     """Sizes of a network.
@@ -52,7 +56,8 @@ class AdapterConfig:
     Attributes:
         kind: a residual on the second layer, namely `cp` (Mason 2018 Eq. 6), `full` (a blended matrix), `diagonal`,
             `bias` (a blended bias alone) or `dense` (a matrix that is not blended, Mason 2022 §5.2.1); or `one_hot`
-            (a blended shift of the first layer); or `film` (scales and shifts of both hidden layers, Mason 2022 Eq. 3).
+            (a blended shift of the first layer); or `film` (scales and shifts of both hidden layers, Mason 2022 Eq. 3);
+            or `cp_output`, a `cp` residual on the third layer.
         rank: R of the CP factors; the other kinds ignore it.
     """
 

@@ -132,7 +132,8 @@ def forward(
     hidden = jax.nn.elu(style.modulate(0, f, norm))
     f = style.after_second(second(coefficients, drop_second(hidden)), coefficients, hidden, drop_style)
     hidden = jax.nn.elu(style.modulate(1, f, norm))
-    return third(coefficients, drop_third(hidden))
+    y = third(coefficients, drop_third(hidden))
+    return style.after_third(y, coefficients, hidden, drop_style)
 
 
 def _masks(dropout: Dropout | None, key: jax.Array | None) -> list[Drop]:

@@ -98,7 +98,7 @@ def counts(name: str, num_styles: int = 95) -> Counts:
     preset, key = TABLE2[name], jax.random.key(0)
     config = network_config(preset.backbone)
     synthesis = _count(lambda: init_network(config, key=key))
-    per_style = _count(lambda: init_style(preset.adapter, HIDDEN, config.num_control_points, key=key))
+    per_style = _count(lambda: init_style(preset.adapter, config, key=key))
     if preset.adapter.kind != "film":
         return Counts(synthesis, num_styles * per_style, per_style, num_styles * per_style)
     generator = GeneratorConfig(features=12 * JOINTS, film_hidden=HIDDEN)

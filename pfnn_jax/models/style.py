@@ -1,9 +1,9 @@
 """What a style is: where it acts on the shared network, and how several styles are mixed.
 
-A network computes `third(act(second(act(first(x)))))`. A style acts at three places, the hooks `after_first`,
-`after_second` and `modulate` of `Style`, each of which changes nothing by default. A residual adapter is a `Layer`
-whose output is added to the second layer's (Mason 2018 Eq. 4), a one-hot style shifts the first layer, and FiLM
-modulates both hidden layers.
+A network computes `third(act(second(act(first(x)))))`. A style acts at four places, the hooks `after_first`,
+`after_second`, `after_third` and `modulate` of `Style`, each of which changes nothing by default. A residual adapter is
+a `Layer` whose output is added to the second layer's (Mason 2018 Eq. 4), an output adapter is added to the third's, a
+one-hot style shifts the first layer, and FiLM modulates both hidden layers.
 
 Mixing by barycentric weights (Mason 2022 §4.4) means that a mixture adds the weighted sum of what its styles add.
 There are two forms of it, which compute the same function:
@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.layers import register_style, style_class
 
 Tree = TypeVar("Tree")
@@ -61,12 +61,17 @@ class Style:
         """Returns freshly initialised parameters.
 
         Args:
-            inputs, outputs: I and O of the layer; both are H for a style.
+            inputs, outputs: I and O of the layer; both are H for most styles, see `for_network`.
             num_experts: K.
             rank: R of CP factors.
             key: random key. A kind ignores the arguments that it has no use for.
         """
         raise NotImplementedError
+
+    @classmethod
+    def for_network(cls, sizes: NetworkConfig, *, rank: int = 30, key: jax.Array) -> Self:
+        """Returns freshly initialised parameters for a network: `init` with H, H and K, unless it acts elsewhere."""
+        return cls.init(sizes.hidden, sizes.hidden, sizes.num_control_points, rank=rank, key=key)
 
     @property
     def config(self) -> AdapterConfig:
@@ -93,6 +98,16 @@ class Style:
             hidden: [H] input of that layer, without dropout.
         """
         return f
+
+    def after_third(self, y: jax.Array, coefficients: jax.Array, hidden: jax.Array, drop: Drop) -> jax.Array:
+        """Returns the network's normalised output with the style.
+
+        Args:
+            y: [O] output of the network's third layer.
+            coefficients, drop: as in `after_first`.
+            hidden: [H] input of that layer, without dropout.
+        """
+        return y
 
     def modulate(self, index: int, f: jax.Array, norm: Norm) -> jax.Array:
         """Returns what enters the activation of hidden layer `index` (0 or 1), from that layer's output f [H]."""
@@ -176,19 +191,74 @@ class MixedLayer(Layer):
         return MixedLayer(layers=jax.vmap(lambda layer: layer.at(coefficients))(self.layers), weights=self.weights)
 
 
-def init_style(config: AdapterConfig, hidden: int, num_experts: int, *, key: jax.Array) -> Style:
-    """Returns a freshly initialised style for a network of H hidden units and K control points or experts.
+@struct.dataclass
+class StyleSum(Style):
+    """Several styles that act one after another, e.g. a bank whose styles are of several kinds.
+
+    A bank of S styles has S rows in every part; a style is zero in the parts of other kinds than its own, where it
+    therefore adds nothing.
+    """
+
+    parts: tuple[Style, ...]
+
+    def after_first(self, f: jax.Array, coefficients: jax.Array, x: jax.Array, drop: Drop) -> jax.Array:
+        for part in self.parts:
+            f = part.after_first(f, coefficients, x, drop)
+        return f
+
+    def after_second(self, f: jax.Array, coefficients: jax.Array, hidden: jax.Array, drop: Drop) -> jax.Array:
+        for part in self.parts:
+            f = part.after_second(f, coefficients, hidden, drop)
+        return f
+
+    def after_third(self, y: jax.Array, coefficients: jax.Array, hidden: jax.Array, drop: Drop) -> jax.Array:
+        for part in self.parts:
+            y = part.after_third(y, coefficients, hidden, drop)
+        return y
+
+    def at(self, coefficients: jax.Array) -> StyleSum:
+        return StyleSum(tuple(part.at(coefficients) for part in self.parts))
+
+    def affine_terms(self, coefficients: Any) -> Mapping[int, Affine]:
+        terms: dict[int, Affine] = {}
+        for part in self.parts:
+            for index, (weights, biases) in part.affine_terms(coefficients).items():
+                before = terms.get(index, (0.0, 0.0))
+                terms[index] = (before[0] + weights, before[1] + biases)
+        return terms
+
+    def mix(self, weights: jax.Array) -> StyleSum:
+        return StyleSum(tuple(part.mix(weights) for part in self.parts))
+
+    def mix_dynamic(self, weights: jax.Array) -> StyleSum:
+        return StyleSum(tuple(part.mix_dynamic(weights) for part in self.parts))
+
+    def named_arrays(self) -> dict[str, jax.Array]:
+        return {
+            f"{name}_{index}": array
+            for index, part in enumerate(self.parts)
+            for name, array in part.named_arrays().items()
+        }
+
+
+def is_additive(style: Style) -> bool:
+    """Returns whether a style only adds affine maps, so that one of zeros changes nothing and it fits a `StyleSum`."""
+    return type(style).affine_terms is not Style.affine_terms
+
+
+def init_style(config: AdapterConfig, sizes: NetworkConfig, *, key: jax.Array) -> Style:
+    """Returns a freshly initialised style for a network of the given sizes.
 
     Bias and one-hot styles start at zero and FiLM at scale 1 and shift 0; the others with the authors' small uniform
     weights.
     """
-    return style_class(config.kind).init(hidden, hidden, num_experts, rank=config.rank, key=key)
+    return style_class(config.kind).for_network(sizes, rank=config.rank, key=key)
 
 
-def init_bank(config: AdapterConfig, hidden: int, num_experts: int, num_styles: int, *, key: jax.Array) -> Style:
+def init_bank(config: AdapterConfig, sizes: NetworkConfig, num_styles: int, *, key: jax.Array) -> Style:
     """Returns S freshly initialised styles of the configured kind, stacked: leaves [S, ...]."""
     keys = jax.random.split(key, num_styles)
-    return jax.vmap(lambda k: init_style(config, hidden, num_experts, key=k))(keys)
+    return jax.vmap(lambda k: init_style(config, sizes, key=k))(keys)
 
 
 def mix_styles(bank: StyleBank, weights: jax.Array) -> StyleBank:

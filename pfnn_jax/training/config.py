@@ -150,9 +150,10 @@ class FewShotConfig:
     every number of epochs in `eval_epochs`, and one (setting, number of epochs) is chosen.
 
     Attributes:
-        method: `cp`, `full`, `diagonal`, `bias` or `dense` adapters; `one_hot`, a shift of the first layer; `film`,
-            the 4H parameters of a FiLM style, for a network trained with FiLM; `fine_tune` (all shared weights, from
-            the pretrained ones) and `scratch` (all weights, from a fresh network) are the baselines of §8.1.
+        method: `cp`, `full`, `diagonal`, `bias` or `dense` adapters; `cp_output`, a CP adapter of the last layer;
+            `one_hot`, a shift of the first layer; `film`, the 4H parameters of a FiLM style, for a network trained with
+            FiLM; `fine_tune` (all shared weights, from the pretrained ones) and `scratch` (all weights, from a fresh
+            network) are the baselines of §8.1.
         rank: R of a CP adapter.
         learning_rates: of Adam, to try.
         main_dropouts: drop probabilities before the shared layers to try.
@@ -204,6 +205,7 @@ MASON2018_FEW_SHOT = FewShotConfig(
 """Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid over the authors' rates of adapter dropout alone."""
 
 RESTYLED_FEW_SHOT = FewShotConfig(
+    method="cp_output",
     learning_rates=(5e-3,),
     main_dropouts=(0.3,),
     adapter_dropouts=(0.0,),

@@ -282,7 +282,7 @@ def initial_parameters(config: FewShotConfig, shared: Network, start: Style | No
     sizes = config_of(shared)
     if config.method == "scratch":
         return init_network(sizes, key=key)
-    return init_style(AdapterConfig(config.method, config.rank), sizes.hidden, sizes.num_control_points, key=key)
+    return init_style(AdapterConfig(config.method, config.rank), sizes, key=key)
 
 
 def assemble(trained: Any, shared: Network) -> tuple[Network, Style | None]:

@@ -90,7 +90,7 @@ def init_state(
     shared, tx = init_network(sizes, key=shared_key), optax.adam(config.learning_rate)
     if generator is not None:
         return init_train_state(shared, FiLMGenerator.init(generator, key=style_key), tx)
-    bank = init_bank(config.adapter, config.hidden, sizes.num_control_points, num_styles, key=style_key)
+    bank = init_bank(config.adapter, sizes, num_styles, key=style_key)
     return init_train_state(shared, bank, tx)
 
 

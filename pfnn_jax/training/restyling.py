@@ -39,6 +39,9 @@ some of them undetermined."""
 STRAIGHT = 10.0
 """Degrees that the trajectory of a straight walk may turn within the second before and after a row."""
 
+AHEAD = 30.0
+"""Degrees between travel and facing up to which a straight walk goes ahead; beyond, it steps aside or backwards."""
+
 NATURAL_SPEED = 0.2
 """Share by which the speed of a row of the mean walk may differ from the style's usual speed."""
 
@@ -221,9 +224,11 @@ def _shares_of(layout: FrameLayout, parts, batches, means, scale) -> np.ndarray:
 
 
 def _straight_and_others(rows: Features, layout: FrameLayout) -> tuple[Features, Features]:
-    """Returns the rows of straight walks at the style's usual speed, and all others."""
+    """Returns the rows of straight walks ahead at the style's usual speed, and all others."""
+    velocity = root_steps(layout, rows.y)[0]
     straight = np.abs(_bends(layout, rows.x)).max(axis=1) < STRAIGHT
-    speed = _speeds(layout, rows.y)
+    straight &= np.abs(np.arctan2(velocity[:, 0], velocity[:, 1])) < np.deg2rad(AHEAD)
+    speed = np.linalg.norm(velocity, axis=1)
     if straight.any():
         usual = _mode(speed[straight])
         straight &= np.abs(speed - usual) <= NATURAL_SPEED * usual

@@ -16,7 +16,7 @@ from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
 from pfnn_jax.io.files import locate
-from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.config import CP_KINDS, AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import (
     labelled_features,
     load_for_skeleton,
@@ -182,7 +182,7 @@ def default_config(run: Run) -> FewShotConfig:
     if adapter.kind == "film":
         return FILM_FEW_SHOT
     config = MASON2018_FEW_SHOT if load_differences(run.path, run.layout) is None else RESTYLED_FEW_SHOT
-    return replace(config, rank=adapter.rank) if adapter.kind == "cp" else config
+    return replace(config, rank=adapter.rank) if adapter.kind in CP_KINDS else config
 
 
 def precompile(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:

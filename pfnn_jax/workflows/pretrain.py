@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -107,16 +107,22 @@ def pretrain_run(
     return load_run(out)
 
 
-def dataset_differences(dataset: Dataset, seed: int) -> StyleDifferences | None:
-    """Returns what the styles of a dataset do but walk straight, from evenly spaced rows; see `find_differences`."""
+def dataset_differences(dataset: Dataset, seed: int, styles: Sequence[str] | None = None) -> StyleDifferences | None:
+    """Returns what styles of a dataset do but walk straight, from evenly spaced rows; see `find_differences`.
+
+    Args:
+        dataset: prepared motion.
+        seed: of the choice of rows.
+        styles: names; by default all of the dataset.
+    """
     if dataset.layout.phase_size:
         return None
-    styles = {}
-    for name in dataset.styles:
+    rows = {}
+    for name in dataset.styles if styles is None else styles:
         x, y, phase = dataset.arrays(name)
         chosen = np.unique(np.linspace(0, len(x) - 1, DIFFERENCE_ROWS).round().astype(int))
-        styles[name] = Features(x[chosen], y[chosen], phase[chosen], chosen)
-    return find_differences(styles, dataset.layout, dataset.normaliser, seed=seed)
+        rows[name] = Features(x[chosen], y[chosen], phase[chosen], chosen)
+    return find_differences(rows, dataset.layout, dataset.normaliser, seed=seed)
 
 
 def style_error(shared: Network, style: Style, dataset: Dataset, name: str) -> tuple[float, str]:

@@ -60,7 +60,7 @@ def result():
 
 def test_per_sample_weights_compute_the_same_as_the_flattened_product():
     network = randomise(init_network(SIZES, key=jax.random.key(0)), 1)
-    adapter = randomise(init_style(AdapterConfig("cp", 3), 16, 4, key=jax.random.key(1)), 2)
+    adapter = randomise(init_style(AdapterConfig("cp", 3), SIZES, key=jax.random.key(1)), 2)
     batch = random_frames((6,), SIZES)
     slow = jax.jit(per_sample_outputs)(network, adapter, batch, STILL, jax.random.key(0))
     fast = predict_batch(network, adapter, batch, None, None)

@@ -47,7 +47,7 @@ def run(tmp_path_factory) -> Run:
     path = create_run(tmp_path_factory.mktemp("runs") / "run", config, fit_normaliser(rows.x, rows.y, layout))
     save_shared(path, jax.tree.map(lambda a: 0.1 * a, init_network(sizes, key=jax.random.key(0))))
     for index, name in enumerate(STYLES):
-        adapter = init_style(form, 16, sizes.num_control_points, key=jax.random.key(index))
+        adapter = init_style(form, sizes, key=jax.random.key(index))
         save_style(path, name, jax.tree.map(lambda a: 0.3 * a, adapter), {"speed": SPEED} if index else {})
     return load_run(path)
 

@@ -95,7 +95,7 @@ def run(request, tmp_path_factory) -> Run:
     path = create_run(tmp_path_factory.mktemp("runs") / layout.name, config, fit_normaliser(rows.x, rows.y, layout))
     quiet = jax.tree.map(lambda a: 0.1 * a, init_network(network, key=jax.random.key(0)))
     save_shared(path, quiet)
-    adapter = init_style(AdapterConfig(rank=2), 16, 4, key=jax.random.key(1))
+    adapter = init_style(AdapterConfig(rank=2), network, key=jax.random.key(1))
     save_style(path, "brisk", adapter, {"speed": 1.4})
     return load_run(path)
 

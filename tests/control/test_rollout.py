@@ -170,7 +170,7 @@ def small_network(layout, num_adapters):
     config = NetworkConfig(layout.input_size, layout.output_size, hidden=16)
     network = init_network(config, key=jax.random.key(0))
     keys = jax.random.split(jax.random.key(1), num_adapters)
-    adapters = jax.vmap(lambda key: init_style(AdapterConfig("cp", 3), 16, 4, key=key))(keys)
+    adapters = jax.vmap(lambda key: init_style(AdapterConfig("cp", 3), config, key=key))(keys)
     return network, adapters
 
 

@@ -7,15 +7,20 @@ import json
 import numpy as np
 import pytest
 
+from pfnn_jax.demo.judging import KNOWN, LEARNED, NO_ADAPTER, PAPER, TURN_RATES, turning_takes
 from pfnn_jax.demo.pipeline import DemoConfig, demo, straight_walk
-from pfnn_jax.evaluation.style_methods import DEFAULT_ROW, FIXED, GRIDS
+from pfnn_jax.evaluation.turning_judge import MEASURES, STYLE_MEASURES
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.labels.phase import read_phase
+from pfnn_jax.motion.synthetic.styles import UNSEEN_STYLE
 from pfnn_jax.run import load_run
 from pfnn_jax.run_config import list_styles, style_note
 from tests.raising import assert_refused
 
-TINY = DemoConfig(seconds_per_style=4, test_seconds=3.5, hidden=8, steps=20, epochs=1, walk_seconds=2)
+TINY = DemoConfig(seconds_per_style=4, hidden=8, steps=20, walk_seconds=2)
+
+RATE = 0.1
+"""Share by which the turn rate of a take may differ from the one asked: the facing sways with the hips."""
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +46,11 @@ def test_clip_is_a_bvh_file_with_a_phase_file(made):
     assert labels.labelled.all()
 
 
-def test_report_has_every_method_and_needs_no_network(made):
+def test_report_judges_every_character_and_needs_no_network(made):
     out, result = made
     report = json.loads((out / "report.json").read_text())
-    wanted = {"no adapter", DEFAULT_ROW, *GRIDS} | {
-        row for row, (_, setting) in FIXED.items() if setting["epochs"] <= TINY.epochs
-    }
-    assert set(report["methods"]) == wanted == set(result["methods"])
+    assert list(report["judged"]) == [NO_ADAPTER, PAPER, LEARNED, KNOWN]
+    assert all(set(row) == {*MEASURES, *STYLE_MEASURES} for row in result["judged"].values())
     page = (out / "report.html").read_text()
     assert "motion-player" in page and "data:image/png" in page
     assert "http://" not in page.replace("http://www.w3.org", "") and "https://" not in page
@@ -63,3 +66,12 @@ def test_adaptation_walk_is_labelled_in_every_frame():
     labelled = straight_walk(3.0, seed=0)
     assert labelled.clip.num_frames == 181
     assert labelled.labels.labelled.all()
+
+
+def test_takes_turn_at_the_stated_rates(made):
+    run = load_run(made[0] / "run")
+    for take, rate in zip(turning_takes(UNSEEN_STYLE, run, 0), TURN_RATES, strict=True):
+        yaw = np.unwrap(take.actor.root.yaw)
+        middle = yaw[len(yaw) * 3 // 8 : len(yaw) * 5 // 8]
+        turned = np.rad2deg(middle[-1] - middle[0]) * run.layout.fps / (len(middle) - 1)
+        assert turned == pytest.approx(rate, rel=RATE)

@@ -26,8 +26,9 @@ STYLES = [None, *style_kinds()]
 
 def make_predictor(kind, rank=None):
     key = jax.random.key(5)
-    network = init_network(NetworkConfig(INPUTS, OUTPUTS, HIDDEN, rank=rank), key=key)
-    adapter = None if kind is None else init_style(AdapterConfig(kind, 3), HIDDEN, 4, key=jax.random.key(6))
+    sizes = NetworkConfig(INPUTS, OUTPUTS, HIDDEN, rank=rank)
+    network = init_network(sizes, key=key)
+    adapter = None if kind is None else init_style(AdapterConfig(kind, 3), sizes, key=jax.random.key(6))
     filled = [
         jax.tree.map(lambda a: a + 0.3 * jax.random.normal(key, a.shape), tree) for tree in (network, adapter)
     ]  # biases must not vanish

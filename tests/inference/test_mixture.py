@@ -41,7 +41,7 @@ def make_run(path, kind: AdapterKind) -> Run:
     create_run(path, config, Normaliser(*(Statistics(np.zeros(n, np.float32), np.ones(n, np.float32)) for n in sizes)))
     save_shared(path, init_network(network, key=jax.random.key(0)))
     for index, style in enumerate(STYLES):
-        leaves, tree = jax.tree.flatten(init_style(form, 8, 4, key=jax.random.key(1)))
+        leaves, tree = jax.tree.flatten(init_style(form, network, key=jax.random.key(1)))
         keys = jax.random.split(jax.random.key(10 + index), len(leaves))
         noise = [jax.random.normal(key, leaf.shape) for key, leaf in zip(keys, leaves, strict=True)]
         save_style(path, style, jax.tree.unflatten(tree, noise), {})

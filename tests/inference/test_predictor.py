@@ -38,7 +38,7 @@ def run(tmp_path_factory):
     statistics = Normaliser(make_statistics(LAYOUT.input_size, 0), make_statistics(LAYOUT.output_size, 1))
     create_run(path, config, statistics)
     save_shared(path, init_network(network, key=jax.random.key(0)))
-    save_style(path, "angry", init_style(config.adapter, 8, 4, key=jax.random.key(1)), {})
+    save_style(path, "angry", init_style(config.adapter, network, key=jax.random.key(1)), {})
     return load_run(path)
 
 

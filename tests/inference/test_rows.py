@@ -35,7 +35,7 @@ def run(tmp_path_factory):
     statistics = (Statistics(np.ones(n, np.float32), np.full(n, 2, np.float32)) for n in (WIDTH, LAYOUT.output_size))
     create_run(path, config, Normaliser(*statistics))
     save_shared(path, init_network(network, key=jax.random.key(0)))
-    save_style(path, "angry", init_style(config.adapter, 8, 4, key=jax.random.key(1)), {})
+    save_style(path, "angry", init_style(config.adapter, network, key=jax.random.key(1)), {})
     return load_run(path)
 
 

@@ -35,7 +35,7 @@ def make_run(path: Path, name: str, kind: str, num_styles: int = 2) -> Run:
     create_run(path, config, Normaliser(*sides))
     save_shared(path, init_network(network, key=jax.random.key(1)))
     for index, style in enumerate(names):
-        parameters = init_style(adapter, HIDDEN, 4, key=jax.random.key(10 + index))
+        parameters = init_style(adapter, network, key=jax.random.key(10 + index))
         noise = [0.1 * generator.normal(size=leaf.shape) for leaf in jax.tree.leaves(parameters)]
         noise = jax.tree.unflatten(jax.tree.structure(parameters), noise)
         parameters = jax.tree.map(lambda leaf, more: (leaf + more).astype(np.float32), parameters, noise)

@@ -8,7 +8,7 @@ from typing import TypeVar
 import jax
 import numpy as np
 
-from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.layers import style_class, style_kinds
 from pfnn_jax.models.layers.film import layer_norm
 from pfnn_jax.models.network import Network, coefficients, forward
@@ -34,16 +34,14 @@ def random_layer(kind: str, num_control_points: int, inputs: int, outputs: int, 
     return randomise(layer, seed)
 
 
-def random_style(kind: str, num_control_points: int, hidden: int, rank: int, seed: int = 0) -> Style:
+def random_style(kind: str, sizes: NetworkConfig, rank: int, seed: int = 0) -> Style:
     """Returns a style of any kind with normal parameters."""
-    config = AdapterConfig(kind, rank)
-    return randomise(init_style(config, hidden, num_control_points, key=jax.random.key(seed)), seed)
+    return randomise(init_style(AdapterConfig(kind, rank), sizes, key=jax.random.key(seed)), seed)
 
 
-def random_bank(kind: str, num_styles: int, num_control_points: int, hidden: int, rank: int, seed: int = 0) -> Style:
+def random_bank(kind: str, num_styles: int, sizes: NetworkConfig, rank: int, seed: int = 0) -> Style:
     """Returns S styles of any kind with normal parameters, leaves [S, ...]."""
-    config = AdapterConfig(kind, rank)
-    return randomise(init_bank(config, hidden, num_control_points, num_styles, key=jax.random.key(seed)), seed)
+    return randomise(init_bank(AdapterConfig(kind, rank), sizes, num_styles, key=jax.random.key(seed)), seed)
 
 
 def shapes(tree: object) -> dict[str, tuple[tuple[int, ...], str]]:

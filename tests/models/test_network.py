@@ -232,7 +232,7 @@ def batch_of(
     """Returns the loss of a batch of training frames, and its arguments."""
     config = NetworkConfig(INPUT, OUTPUT, HIDDEN, POINTS, rank=rank, phase_size=phase_size)
     network = init_network(config, key=KEY)
-    style = None if kind is None else init_style(AdapterConfig(kind, rank=7), HIDDEN, POINTS, key=KEY)
+    style = None if kind is None else init_style(AdapterConfig(kind, rank=7), config, key=KEY)
     x, phase = jnp.ones((BATCH, INPUT)), jnp.linspace(0.0, 6.0, BATCH)
     if phase_size:
         phase = jnp.tile(phase[:, None], phase_size)

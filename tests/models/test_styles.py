@@ -24,12 +24,13 @@ from tests.models.helpers import LAYER_KINDS, STYLE_KINDS, random_bank, random_l
 
 FLOAT64 = 1e-12  # a few small products in double precision
 INPUTS, OUTPUTS, HIDDEN, POINTS, RANK = 5, 6, 7, 4, 2
+SIZES = NetworkConfig(INPUTS, OUTPUTS, HIDDEN, POINTS)
 WEIGHTS = ([0.0, 1.0, 0.0], [0.5, 0.2, 0.3], [0.0, 1.5, -0.5])
 
 
 def network() -> Network:
     """Returns a network with normal parameters, small enough that ELU is not linear."""
-    fresh = init_network(NetworkConfig(INPUTS, OUTPUTS, HIDDEN, POINTS), key=jax.random.key(0))
+    fresh = init_network(SIZES, key=jax.random.key(0))
     return jax.tree.map(lambda leaf: 0.3 * leaf, randomise(fresh, 1))
 
 
@@ -54,29 +55,29 @@ def one_of(bank: Style, index: int) -> Style:
 
 def a_bank_has_the_shapes_of_its_styles(kind: str) -> None:
     config = AdapterConfig(kind, RANK)
-    style = init_style(config, HIDDEN, POINTS, key=jax.random.key(0))
-    bank = init_bank(config, HIDDEN, POINTS, 3, key=jax.random.key(0))
+    style = init_style(config, SIZES, key=jax.random.key(0))
+    bank = init_bank(config, SIZES, 3, key=jax.random.key(0))
     assert type(style) is type(bank) is style_class(kind)
     assert {path: ((3, *shape), dtype) for path, (shape, dtype) in shapes(style).items()} == shapes(bank)
     assert style.config.kind == kind
-    again = init_style(style.config, HIDDEN, POINTS, key=jax.random.key(1))
+    again = init_style(style.config, SIZES, key=jax.random.key(1))
     assert shapes(again) == shapes(style)
 
 
 def named_arrays_hold_all_parameters(kind: str) -> None:
-    style = random_style(kind, POINTS, HIDDEN, RANK)
+    style = random_style(kind, SIZES, RANK)
     assert sum(array.size for array in style.named_arrays().values()) == num_parameters(style)
 
 
 def a_style_at_coefficients_needs_no_others(kind: str) -> None:
-    style, c = random_style(kind, POINTS, HIDDEN, RANK), coefficients()
+    style, c = random_style(kind, SIZES, RANK), coefficients()
     expected = forward(network(), style, c, frame())
     found = forward(network().at(c), style.at(c), jnp.ones(1), frame())
     np.testing.assert_allclose(found, expected, atol=FLOAT64)
 
 
 def both_mixtures_are_the_same_function(kind: str) -> None:
-    bank = random_bank(kind, 3, POINTS, HIDDEN, RANK)
+    bank = random_bank(kind, 3, SIZES, RANK)
     for weights in map(jnp.asarray, WEIGHTS):
         fixed, dynamic = mix_styles(bank, weights), bank.mix_dynamic(weights)
         assert type(fixed) is type(bank)
@@ -85,7 +86,7 @@ def both_mixtures_are_the_same_function(kind: str) -> None:
 
 
 def a_mixture_at_a_vertex_is_that_style(kind: str) -> None:
-    bank = random_bank(kind, 3, POINTS, HIDDEN, RANK)
+    bank = random_bank(kind, 3, SIZES, RANK)
     for index in range(3):
         expected = forward(network(), one_of(bank, index), coefficients(), frame())
         for mixture in (bank.mix(jnp.eye(3)[index]), bank.mix_dynamic(jnp.eye(3)[index])):
@@ -93,7 +94,7 @@ def a_mixture_at_a_vertex_is_that_style(kind: str) -> None:
 
 
 def gradients_agree_with_finite_differences(kind: str) -> None:
-    style = random_style(kind, POINTS, HIDDEN, RANK)
+    style = random_style(kind, SIZES, RANK)
 
     def output(style: Style, c: jax.Array, x: jax.Array) -> jax.Array:
         return forward(network(), style, c, x)
@@ -163,7 +164,7 @@ def test_a_layer_is_affine(kind: str, float64: None):
 @pytest.mark.parametrize("kind", LAYER_KINDS)
 @pytest.mark.parametrize("weights", WEIGHTS)
 def test_a_mixture_of_layers_is_the_weighted_sum_of_outputs(kind: str, weights: list[float], float64: None):
-    bank = random_bank(kind, 3, POINTS, HIDDEN, RANK)
+    bank = random_bank(kind, 3, SIZES, RANK)
     each = jnp.stack([one_layer(bank, i)(coefficients(), hidden_frame()) for i in range(3)])
     mixed = bank.mix_dynamic(jnp.asarray(weights))
     assert isinstance(mixed, Layer)
@@ -180,14 +181,14 @@ def one_layer(bank: Style, index: int) -> Layer:
 
 
 def test_ranks_of_mixed_cp_layers_add_up():
-    mixed = random_bank("cp", 3, POINTS, HIDDEN, RANK).mix(jnp.ones(3))
+    mixed = random_bank("cp", 3, SIZES, RANK).mix(jnp.ones(3))
     assert isinstance(mixed, CPLayer) and mixed.rank == 3 * RANK
     assert mixed.a.shape == mixed.b.shape == (HIDDEN, 3 * RANK)
 
 
 def test_layers_of_weight_zero_are_not_evaluated():
     """A layer of weight zero may even hold NaN."""
-    bank = random_bank("full", 3, POINTS, HIDDEN, RANK)
+    bank = random_bank("full", 3, SIZES, RANK)
     spoilt = jax.tree.map(lambda leaf: leaf.at[1].set(jnp.nan), bank)
     mixed = spoilt.mix_dynamic(jnp.asarray([0.5, 0.0, 0.5]))
     assert isinstance(mixed, Layer)
@@ -195,7 +196,7 @@ def test_layers_of_weight_zero_are_not_evaluated():
 
 
 def test_no_sample_of_a_batch_of_mixtures_has_its_own_matrix():
-    bank, batch = random_bank("full", 3, POINTS, HIDDEN, RANK), 50
+    bank, batch = random_bank("full", 3, SIZES, RANK), 50
 
     def outputs(bank: Style, weights: jax.Array, x: jax.Array) -> jax.Array:
         def one(w: jax.Array, row: jax.Array) -> jax.Array:
@@ -217,7 +218,7 @@ def test_dropout_of_a_style_acts_on_its_own_input():
         return jnp.zeros_like(x)
 
     drop: Drop = drop_all
-    f, c, one_hot = hidden_frame(), coefficients(), random_style("one_hot", POINTS, HIDDEN, RANK)
+    f, c, one_hot = hidden_frame(), coefficients(), random_style("one_hot", SIZES, RANK)
     np.testing.assert_array_equal(one_hot.after_first(f, c, frame(), drop), f)
     full = random_layer("full", POINTS, HIDDEN, HIDDEN, RANK)
     np.testing.assert_allclose(full.after_second(f, c, f, drop), f + full(c, jnp.zeros(HIDDEN)), rtol=1e-6)
@@ -235,6 +236,7 @@ def test_dropout_of_a_style_acts_on_its_own_input():
         ("bias", 2_048),
         ("dense", 262_656),
         ("one_hot", 2_048),
+        ("cp_output", 27_880),
         ("film", 2_048),
     ],
 )
@@ -243,7 +245,9 @@ def test_parameters_per_style(kind: str, numbers: int):
 
     The CP bias is not blended, as in the authors' code.
     """
-    style = jax.eval_shape(lambda: init_style(AdapterConfig(kind, 30), 512, 4, key=jax.random.key(0)))
+    style = jax.eval_shape(
+        lambda: init_style(AdapterConfig(kind, 30), NetworkConfig(234, 400, 512, 4), key=jax.random.key(0))
+    )
     assert num_parameters(style) == numbers
 
 
@@ -256,16 +260,22 @@ def test_parameters_per_style(kind: str, numbers: int):
         ("bias", {".biases": (4, 512)}),
         ("dense", {".weights": (512, 512), ".biases": (512,)}),
         ("one_hot", {".shift.biases": (4, 512)}),
+        (
+            "cp_output",
+            {".layer.a": (400, 30), ".layer.b": (512, 30), ".layer.d": (4, 30), ".layer.bias": (400,)},
+        ),
         ("film", {".scale": (2, 512), ".shift": (2, 512)}),
     ],
 )
 def test_parameter_trees_as_run_directories_store_them(kind: str, tree: dict[str, tuple[int, ...]]):
-    style = jax.eval_shape(lambda: init_style(AdapterConfig(kind, 30), 512, 4, key=jax.random.key(0)))
+    style = jax.eval_shape(
+        lambda: init_style(AdapterConfig(kind, 30), NetworkConfig(234, 400, 512, 4), key=jax.random.key(0))
+    )
     assert shapes(style) == {path: (shape, "float32") for path, shape in tree.items()}
 
 
 def test_a_fresh_bias_adapter_is_the_identity_and_has_a_gradient():
-    style = init_style(AdapterConfig("bias"), HIDDEN, POINTS, key=jax.random.key(0))
+    style = init_style(AdapterConfig("bias"), SIZES, key=jax.random.key(0))
     assert isinstance(style, BiasLayer)
     np.testing.assert_array_equal(style(coefficients(), hidden_frame()), np.zeros(HIDDEN))
     gradient = jax.grad(lambda layer: layer(coefficients(), hidden_frame()).sum())(style)
@@ -275,14 +285,17 @@ def test_a_fresh_bias_adapter_is_the_identity_and_has_a_gradient():
 @pytest.mark.parametrize("kind", ["cp", "full", "diagonal", "dense"])
 def test_other_fresh_adapters_are_small_and_not_the_identity(kind: str):
     """The authors' uniform weights: with a factor of zero, the gradient of CP would be too weak to train."""
-    layer = init_style(AdapterConfig(kind, rank=4), 64, POINTS, key=jax.random.key(0))
+    layer = init_style(AdapterConfig(kind, rank=4), NetworkConfig(64, 64, 64, POINTS), key=jax.random.key(0))
     assert isinstance(layer, Layer)
     added = layer(jnp.full(POINTS, 0.25), jnp.ones(64))
     assert 0 < np.abs(added).max() < 1
 
 
 def test_a_fresh_one_hot_style_is_zero_and_fresh_film_scales_by_one():
-    one_hot, film = (init_style(AdapterConfig(kind), 8, POINTS, key=jax.random.key(0)) for kind in ("one_hot", "film"))
+    one_hot, film = (
+        init_style(AdapterConfig(kind), NetworkConfig(8, 8, 8, POINTS), key=jax.random.key(0))
+        for kind in ("one_hot", "film")
+    )
     assert isinstance(one_hot, OneHot) and isinstance(film, FiLMStyle)
     np.testing.assert_array_equal(one_hot.shift.biases, np.zeros((POINTS, 8)))
     np.testing.assert_array_equal(film.scale, np.ones((2, 8)))
@@ -291,7 +304,7 @@ def test_a_fresh_one_hot_style_is_zero_and_fresh_film_scales_by_one():
 
 def test_a_mixture_of_film_styles_is_not_affine():
     with pytest.raises(TypeError, match="film"):
-        random_style("film", POINTS, HIDDEN, RANK).affine_terms(coefficients())
+        random_style("film", SIZES, RANK).affine_terms(coefficients())
 
 
 def test_configurations_that_are_refused():

@@ -214,8 +214,7 @@ def test_every_model_of_the_papers_trains(name):
     for part, old in ((state.params.shared, before.params.shared), (state.params.modulation, before.params.modulation)):
         pairs = zip(jax.tree.leaves(part), jax.tree.leaves(old), strict=True)
         assert all(not np.array_equal(new, first) for new, first in pairs)
-    points = config.network(data.layout).num_control_points
-    one = init_style(config.adapter, HIDDEN, points, key=jax.random.key(0))
+    one = init_style(config.adapter, config.network(data.layout), key=jax.random.key(0))
     bank = styles_of(state, data)
     assert [leaf.shape for leaf in jax.tree.leaves(bank)] == [(3, *leaf.shape) for leaf in jax.tree.leaves(one)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -151,6 +152,17 @@ def test_a_style_that_is_restyled_as_itself_keeps_the_turns_it_shares_with_other
 def test_styles_without_turns_show_no_differences(procedural):
     _, layout, normaliser = procedural
     assert find_differences({"neutral": walk("neutral", (0.0,), 1.2)}, layout, normaliser) is None
+
+
+def test_steps_aside_are_no_straight_walk(procedural):
+    styles, layout, normaliser = procedural
+    rows, columns = styles["neutral"], layout.output_slice("root_velocity")
+    aside = replace(rows, y=rows.y.copy())
+    aside.y[:, columns] = rows.y[:, columns][:, ::-1]  # what went ahead goes to the left
+    alone, both = ({"neutral": part} for part in (rows, join_rows([rows, aside])))
+    first, second = (find_differences(part, layout, normaliser, count=10**6) for part in (alone, both))
+    assert first is not None and second is not None
+    assert len(second.phase) == len(first.phase) + len(rows.x)
 
 
 def test_layouts_without_a_global_phase_have_no_differences(procedural):

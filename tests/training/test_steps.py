@@ -16,7 +16,7 @@ from jax.test_util import check_grads
 from pfnn_jax.models.config import AdapterConfig, AdapterKind, NetworkConfig
 from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.layers import style_kinds
-from pfnn_jax.models.network import init_network
+from pfnn_jax.models.network import config_of, init_network
 from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.features.layout import mason2018
 from pfnn_jax.training.data import Batch, Draw
@@ -35,7 +35,7 @@ from pfnn_jax.training.steps import (
     with_pose_noise,
 )
 from tests.models.helpers import predict, randomise
-from tests.training.toy import HIDDEN, assert_bitwise, on_host, take, toy_data, toy_network, toy_rows, toy_style
+from tests.training.toy import assert_bitwise, on_host, take, toy_data, toy_network, toy_rows, toy_style
 
 FLOAT32 = 1e-5  # a few ulp over sums of 16 products
 ADAM_EPSILON = 0.05  # Adam's first step is the rate over 1 + 1e-8/|gradient|; gradients here are above 1e-6
@@ -44,6 +44,7 @@ DROPOUT = Dropout(main=jnp.float32(0.3), adapter=jnp.float32(0.5))
 KEY = jax.random.key(7)
 FROZEN = Frozen(KEY)
 KINDS = style_kinds()
+SIZES = config_of(toy_network())
 
 
 def make_step(dropout: Dropout = DROPOUT):
@@ -53,7 +54,7 @@ def make_step(dropout: Dropout = DROPOUT):
 def make_state(kind: AdapterKind = "cp", num_styles: int = 3) -> TrainState:
     config = AdapterConfig(kind, rank=3)
     keys = jax.random.split(jax.random.key(1), num_styles)
-    bank = jax.vmap(lambda key: init_style(config, HIDDEN, 4, key=key))(keys)
+    bank = jax.vmap(lambda key: init_style(config, SIZES, key=key))(keys)
     return init_train_state(toy_network(), bank, optax.adam(RATE))
 
 
@@ -86,7 +87,7 @@ def one_of(draw, number: int | slice):
 
 def test_a_batch_is_its_frames_one_by_one():
     network, batch = toy_network(), toy_style()
-    adapter = randomise(init_style(AdapterConfig("cp", 3), HIDDEN, 4, key=KEY), 2)
+    adapter = randomise(init_style(AdapterConfig("cp", 3), SIZES, key=KEY), 2)
     together = predict_batch(network, adapter, batch, None, None)
     single = jax.jit(predict)
     singles = [single(network, adapter, x, phase) for x, phase in zip(batch.x, batch.phase, strict=True)]
@@ -105,7 +106,7 @@ def test_gradient_of_the_loss(kind):
     with jax.enable_x64(True):
         sizes = NetworkConfig(3, 2, hidden=4)
         shared = randomise(init_network(sizes, key=jax.random.key(0)), 1)
-        adapter = randomise(init_style(AdapterConfig(kind, rank=2), 4, 4, key=KEY), 2)
+        adapter = randomise(init_style(AdapterConfig(kind, rank=2), sizes, key=KEY), 2)
         x, y = jax.random.normal(jax.random.key(3), (5, 3)), jax.random.normal(jax.random.key(4), (5, 2))
         batch = Batch(x, y, jnp.linspace(0.3, 6.0, 5))  # between the knots 0, π/2, π, 3π/2
         dropout = Dropout(main=jnp.float64(0.3), adapter=jnp.float64(0.5))
@@ -120,7 +121,7 @@ def test_gradient_of_the_loss(kind):
 
 def test_the_loss_is_the_error_and_the_penalty_of_both_parts():
     shared, batch = toy_network(), toy_style()
-    adapter = randomise(init_style(AdapterConfig("cp", 3), HIDDEN, 4, key=KEY), 2)
+    adapter = randomise(init_style(AdapterConfig("cp", 3), SIZES, key=KEY), 2)
     loss, error = pretrain_loss(PretrainParams(shared, adapter), batch, Objective(0.5, "sum"), None, DROPOUT, KEY)
     size = sum(float(jnp.abs(leaf).sum()) for leaf in jax.tree.leaves((shared, adapter)))
     np.testing.assert_allclose(loss - error, 0.5 * size, rtol=FLOAT32)

@@ -38,7 +38,7 @@ from pfnn_jax.viewer.page.uploads import (
     prepare_learning,
     style_name,
 )
-from pfnn_jax.workflows.learn import learn_style
+from pfnn_jax.workflows.learn import default_config, learn_style
 from tests.raising import assert_refused
 
 FRAME = 1.0 / 60.0
@@ -324,6 +324,7 @@ def test_a_valid_clip_is_within_the_limits(zombie_bvh):
 
 def test_styles_are_learned_of_the_runs_kind(library, monkeypatch):
     monkeypatch.undo()
-    config = page_config(library.get("run").run)
-    assert config == FewShotConfig("cp", 4)
+    run = library.get("run").run
+    config = page_config(run)
+    assert config == default_config(run) and (config.method, config.rank) == ("cp", 4)
     assert uploads.QUICK_FILM.method == "film" and max(uploads.QUICK_FILM.eval_epochs) <= 50

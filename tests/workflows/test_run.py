@@ -62,7 +62,11 @@ def make_config(**changes):
 
 
 def make_adapter(kind: AdapterKind = "cp", rank=2, seed=1, hidden=HIDDEN):
-    return init_style(AdapterConfig(kind, rank), hidden, 4, key=jax.random.key(seed))
+    return init_style(
+        AdapterConfig(kind, rank),
+        NetworkConfig(LAYOUT.input_size, LAYOUT.output_size, hidden),
+        key=jax.random.key(seed),
+    )
 
 
 def make_run(path, seed=0, **changes):

@@ -17,6 +17,9 @@ from pfnn_jax.control.controller import Command, Controller, make_controller, wi
 from pfnn_jax.control.controller_state import ControllerParams
 from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.errors import InputError
+from pfnn_jax.inference.mixture import in_parts
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.style import Style, StyleSum
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run import Run, load_run, load_style
 from pfnn_jax.run_config import list_styles
@@ -24,6 +27,7 @@ from pfnn_jax.viewer.page.learning import LearningBoard
 from pfnn_jax.viewer.page.style_files import DeletedStyle, delete_style, empty_trash, rename_style, restore_style
 from pfnn_jax.viewer.page.view import phase_scale
 from pfnn_jax.workflows.base import is_base
+from pfnn_jax.workflows.learn import default_config
 
 DELETED = "\0"
 """First character of the name of a bank's row whose style was deleted. No style can have such a name."""
@@ -97,7 +101,9 @@ class LoadedRun:
         report(
             f"Measuring how fast the {len(styles)} styles of {name} walk" if len(styles) > 1 else f"Preparing {name}"
         )
-        controller = _on_device(make_controller(run, styles, capacity=len(styles) + SPARE))
+        few_shot = default_config(run)
+        later = AdapterConfig(few_shot.method, few_shot.rank) if few_shot.restyled else None
+        controller = _on_device(make_controller(run, styles, capacity=len(styles) + SPARE, later=later))
         return cls(name, run, controller, _speeds(controller), phase_scale(run.normaliser))
 
     def with_style(self, style: str) -> LoadedRun:
@@ -314,7 +320,7 @@ def make_command(speed: float, heading: float, facing: float, weights: np.ndarra
     return Command(**arrays)
 
 
-def add_to_bank(run: Run, controller: Controller, style: str, parameters: object) -> Controller:
+def add_to_bank(run: Run, controller: Controller, style: str, parameters: Style) -> Controller:
     """Returns a controller with one more style, in a spare row if there is one, else in a larger bank.
 
     The other styles keep their rows and their calibrated speeds. In a run without styles the unmodified network remains
@@ -327,6 +333,8 @@ def add_to_bank(run: Run, controller: Controller, style: str, parameters: object
         zeros = jax.tree.map(lambda leaf: np.zeros((controller.capacity, *np.shape(leaf)), np.float32), parameters)
         controller = replace(controller, params=replace(controller.params, bank=zeros))
     bank = controller.params.bank
+    if isinstance(bank, StyleSum) and type(parameters) in map(type, bank.parts):
+        parameters = in_parts(parameters, jax.tree.map(lambda leaf: leaf[0], bank))
     rows = [np.shape(leaf)[1:] for leaf in jax.tree.leaves(bank)]
     if jax.tree.structure(bank) != jax.tree.structure(parameters) or rows != [
         np.shape(leaf) for leaf in jax.tree.leaves(parameters)

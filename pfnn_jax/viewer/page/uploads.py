@@ -27,7 +27,7 @@ from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, compile_calibration
 from pfnn_jax.viewer.page.style_files import own_folder, taken_names
-from pfnn_jax.workflows.learn import learn_style, precompile
+from pfnn_jax.workflows.learn import default_config, learn_style, precompile
 
 MOST_BYTES = 10_000_000
 """Size of the largest file taken as a clip."""
@@ -86,8 +86,8 @@ class LearningCancelled(Exception):
 
 def page_config(run: Run) -> FewShotConfig:
     """Returns the settings for learning a style of the run's kind; for adapters they are the defaults of few-shot."""
-    adapter = run.config.adapter
-    return QUICK_FILM if adapter.kind == "film" else FewShotConfig(adapter.kind, adapter.rank)
+    kind = run.config.adapter.kind
+    return QUICK_FILM if kind == "film" else replace(default_config(run), method=kind)
 
 
 def prepare_learning(library: RunLibrary, run: str) -> None:
