@@ -85,7 +85,7 @@ def row_loss(params: Any, data: LearningData, learning: Learning, key: jax.Array
     return style_loss(params, data, learning, key) + learning.l1 * l1_penalty(params)
 
 
-def style_loss(style: Style | None, data: LearningData, learning: Learning, key: jax.Array) -> jax.Array:
+def style_loss(style: Style, data: LearningData, learning: Learning, key: jax.Array) -> jax.Array:
     """Returns the mean squared error of a network with a style on a minibatch of rows."""
     row_key, noise_key, dropout_key = jax.random.split(key, 3)
     picked = jax.random.randint(row_key, (learning.batch_size,), 0, data.rows.phase.shape[0])

@@ -8,8 +8,8 @@ Method    Fourier series of joint positions in the gait phase, on left turns, mi
 Verdict   (active, elderly, feminine, normal; one minute) clip to turns 3.5 cm: trunk 2.0, arms 3.1, legs 4.9. 1.6 of
           them lie between the clip and the straight parts of the turning takes, which were recorded later: mostly arms.
           With the known styles' mean difference 2.4 cm, scaled by speed 2.2 (elderly 1.9 instead of 2.5): legs 2.0,
-          arms 2.9.
-          Known styles tell how legs turn, and nothing about arms; a clip cannot tell how the actor holds them that day.
+          arms 2.9. Known styles tell how legs turn and nothing about arms; a clip does not tell how the actor holds
+          them in another take.
 Run       python -m experiments.few_shot.mean_cycles --data FOLDER --out runs/few_shot
 """
 

@@ -48,8 +48,9 @@ class Lookup:
 def make_lookup(predictor: Predictor, num_slices: int = NUM_SLICES, mode: LookupMode = "nearest50") -> Lookup:
     """Blends a network at N phases.
 
-    Full, dense, diagonal and bias adapters are added into the second layer's matrix. A CP adapter, like every layer of
-    a CP network, keeps its factors and has only its diagonal blended; a FiLM style is the same at every phase.
+    Full, dense, diagonal and bias adapters are added into the second layer's matrix. CP adapters of the second layer
+    and of the output, like every layer of a CP network, keep their factors and have only their diagonal blended; a FiLM
+    style is the same at every phase.
 
     Args:
         predictor: the network; a table of 50 entries at 234-512-512-400 takes 118 MB.

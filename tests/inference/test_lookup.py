@@ -15,20 +15,21 @@ from pfnn_jax.models.layers import style_kinds
 from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.network import init_network, num_parameters
 from pfnn_jax.models.spline import catmull_rom_basis
-from pfnn_jax.models.style import init_style
+from pfnn_jax.models.style import StyleSum, init_style
 
 FLOAT32 = 2e-5  # a few ulp over sums of some tens of terms, blended before or after the product
 INPUTS, OUTPUTS, HIDDEN = 10, 7, 12
 STEP = 2 * math.pi / 50
 exact = jax.jit(evaluate)
 STYLES = [None, *style_kinds()]
+SUM = "cp, cp_output and bias"
 
 
 def make_predictor(kind, rank=None):
     key = jax.random.key(5)
     sizes = NetworkConfig(INPUTS, OUTPUTS, HIDDEN, rank=rank)
     network = init_network(sizes, key=key)
-    adapter = None if kind is None else init_style(AdapterConfig(kind, 3), sizes, key=jax.random.key(6))
+    adapter = None if kind is None else make_style(kind, sizes)
     filled = [
         jax.tree.map(lambda a: a + 0.3 * jax.random.normal(key, a.shape), tree) for tree in (network, adapter)
     ]  # biases must not vanish
@@ -38,7 +39,13 @@ def make_predictor(kind, rank=None):
     return Predictor(*filled, *statistics)
 
 
-@pytest.mark.parametrize(("kind", "rank"), [*((kind, None) for kind in STYLES), (None, 5), ("full", 5)])
+def make_style(kind, sizes):
+    if kind == SUM:
+        return StyleSum(tuple(make_style(part, sizes) for part in ("cp", "cp_output", "bias")))
+    return init_style(AdapterConfig(kind, 3), sizes, key=jax.random.key(6))
+
+
+@pytest.mark.parametrize(("kind", "rank"), [*((kind, None) for kind in (*STYLES, SUM)), (None, 5), ("full", 5)])
 def test_entry_equals_network_at_its_phase(kind, rank):
     predictor = make_predictor(kind, rank)
     lookup = make_lookup(predictor)
@@ -49,7 +56,7 @@ def test_entry_equals_network_at_its_phase(kind, rank):
         np.testing.assert_allclose(evaluate_lookup(lookup, x, index * STEP + 0.01), expected, atol=FLOAT32)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in STYLES if kind != "film"])
+@pytest.mark.parametrize("kind", [kind for kind in (*STYLES, SUM) if kind != "film"])
 def test_entry_equals_the_exported_tables(kind):
     predictor = make_predictor(kind)
     entry, c = make_lookup(predictor).slices[13], np.asarray(catmull_rom_basis(jnp.float32(13 * STEP)))

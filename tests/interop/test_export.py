@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,9 +25,11 @@ from pfnn_jax.interop.export.run import export_run
 from pfnn_jax.interop.released.holden2017 import import_released_pfnn
 from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.layers.film import FiLMStyle
+from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.units import authors2018, convert_columns
-from pfnn_jax.run import Run
+from pfnn_jax.run import Run, load_run, save_style
 from tests.raising import assert_refused
 
 FLOAT32 = 2e-5  # of an output's largest value: tables are rounded, inverted by least squares and summed again
@@ -42,7 +45,10 @@ def film_numbers(run, style) -> np.ndarray:
     return np.asarray(film.to_vector())
 
 
-@pytest.mark.parametrize(("name", "kind"), [("mason2018", "cp"), ("mason2022", "film"), ("mason2022_pfnn", "one_hot")])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("mason2018", "cp"), ("mason2018", "cp_output"), ("mason2022", "film"), ("mason2022_pfnn", "one_hot")],
+)
 def test_batch_function_equals_the_predictor(runs, name, kind):
     run = runs(name, kind)
     x, phase = sample_rows(run.normaliser, run.layout, 64)
@@ -60,6 +66,7 @@ def test_batch_function_equals_the_predictor(runs, name, kind):
         ("mason2018", "cp", None),
         ("mason2018", "cp", {"style0": 0.5, "style1": 0.5}),
         ("mason2018", "full", "style0"),
+        ("mason2018", "cp_output", "style1"),
         ("mason2022", "film", None),
         ("mason2022", "film", {"style0": 0.5, "style1": 0.5}),
     ],
@@ -120,6 +127,7 @@ def reference_walk(folder: Path) -> np.ndarray:
         ("pfnn2017", "cp", {"style0": 0.4, "style1": 0.6}),  # added into the tables
         ("mason2018", "cp", "style1"),
         ("mason2018", "cp", {"style0": 1.6, "style1": -0.6}),  # in separate files
+        ("mason2018", "cp_output", "style1"),
         ("mason2022", "film", "style1"),
         ("mason2022", "film", {"style0": 0.4, "style1": 0.6}),
     ],
@@ -151,7 +159,10 @@ def test_authors_files_round_trip(reference, tmp_path, directory):
             assert np.abs(old - new).max() <= 5e-6 * np.sqrt(np.mean(old**2)), file.name
 
 
-@pytest.mark.parametrize(("name", "kind", "film_input"), [("mason2018", "cp", False), ("mason2022", "film", True)])
+@pytest.mark.parametrize(
+    ("name", "kind", "film_input"),
+    [("mason2018", "cp", False), ("mason2018", "cp_output", False), ("mason2022", "film", True)],
+)
 def test_onnx_equals_jax(runs, tmp_path, name, kind, film_input):
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("jax2onnx")
@@ -191,3 +202,17 @@ def test_stablehlo_round_trips_bit_for_bit(runs, tmp_path):
         with jax.default_matmul_precision("highest"):
             expected = jax.jit(batch_function(make_predictor(run, "style0")))(x, phase)
         np.testing.assert_array_equal(program.call(x, phase), expected)
+
+
+def test_mixture_of_an_adapter_and_an_output_adapter_is_added_into_the_tables(runs, tmp_path):
+    """As a style of pretraining and one of `few-shot`."""
+    name = "mason2018"
+    shutil.copytree(runs(name, "cp").path, tmp_path / "run")
+    learned = init_style(AdapterConfig("cp_output", 3), runs(name, "cp").config.network, key=jax.random.key(0))
+    save_style(tmp_path / "run", "learned", learned, {"speed": 1.0})
+    run, choice = load_run(tmp_path / "run"), {"style0": 0.4, "learned": 0.6}
+    description = export_run(run.path, "bins", tmp_path / "bins", style=choice)
+    assert [(entry["kind"], entry["files"]) for entry in description["styles"]] == [("cp+cp_output", {})]
+    x, phase = sample_rows(run.normaliser, run.layout, 32)
+    back = IMPORTS[name](tmp_path / "bins", tmp_path / "again")
+    assert relative_error(predict_rows(back, x, phase, None), predict_rows(run, x, phase, choice)) < FLOAT32

@@ -1,7 +1,8 @@
 """Raw float32 files in the layouts of the authors' demos (Holden 2017, Mason 2018, Mason 2022).
 
 `pfnn2017` and `mason2018` networks are written as tables over the phase: the four that determine them, or all fifty
-that the demos read. CP styles of `mason2018` get separate files; other styles are added into the tables. `mason2022`
+that the demos read. CP styles of `mason2018` get separate files; other styles, such as output adapters, are added into
+the tables. `mason2022`
 networks keep their experts, and a style is four vectors.
 """
 

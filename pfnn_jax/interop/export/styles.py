@@ -13,7 +13,7 @@ import numpy as np
 from pfnn_jax.control.run_settings import style_label
 from pfnn_jax.inference.mixture import load_choice, need_style
 from pfnn_jax.inference.style_choice import StyleChoice, file_stem
-from pfnn_jax.models.style import Style
+from pfnn_jax.models.style import Style, StyleSum
 from pfnn_jax.run import Run
 from pfnn_jax.run_config import list_styles, style_note
 
@@ -34,8 +34,9 @@ class ExportStyle:
 
     @property
     def kind(self) -> str:
-        """Kind of the style, as in `AdapterConfig`."""
-        return self.parameters.kind
+        """Kind of the style, as in `AdapterConfig`; for a mixture of several kinds all of them, e.g. cp+cp_output."""
+        parts = self.parameters.parts if isinstance(self.parameters, StyleSum) else (self.parameters,)
+        return "+".join(part.kind for part in parts)
 
 
 def choose_styles(run: Run, choice: StyleChoice, kind: str | None = None) -> tuple[ExportStyle, ...]:
@@ -47,7 +48,7 @@ def choose_styles(run: Run, choice: StyleChoice, kind: str | None = None) -> tup
         kind: without a choice, only styles of this kind are returned.
 
     Raises:
-        InputError: for an unknown style, a mixture of different kinds, or a FiLM run without styles.
+        InputError: for an unknown style, a mixture of kinds that cannot be added, or a FiLM run without styles.
     """
     if choice is not None:
         return (_style(run, choice),)
