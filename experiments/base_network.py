@@ -286,8 +286,8 @@ A small network on which a style is learned from one clip, without training a ne
   shipped, and differences between turning and straight walks of the procedural walkers alone.
 - **Network**: layout `mason2018`, a phase-functioned network with {config.hidden} hidden units and CP adapters of rank
   {run.config.adapter.rank}.
-- **Training**: {config.steps:,} steps of {config.batch_size} frames at a learning rate of {config.learning_rate:g}, by
-  `experiments/base_network.py`.
+- **Training**: {config.steps:,} steps of {config.batch_size} frames at a learning rate of {config.learning_rate:g},
+  with noise on poses, by `experiments/base_network.py`.
 - **Licence**: CC BY 4.0, as its captured motion: "The 100STYLE Dataset – Ian Mason",
   <https://doi.org/10.5281/zenodo.8127870>, under <https://creativecommons.org/licenses/by/4.0/>; changed by
   retargeting, mirroring and variation. The procedural walkers carry no third-party licence.

@@ -32,7 +32,7 @@ from pfnn_jax.workflows.samples import sample_clips
 from tests.trained import made_once
 
 SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
-QUICK = "--rank 3 --eval-epochs 1 2 --learning-rates 0.001 --main-dropouts 0 --batch-size 16".split()
+QUICK = "--rank 3 --no-decay --eval-epochs 1 2 --learning-rates 0.001 --main-dropouts 0 --batch-size 16".split()
 
 
 def run(*words) -> None:

@@ -5,8 +5,9 @@ Question  a style is learned from a few seconds of its straight walk, on a netwo
           and runs. How far is the character from the actor's own runs, and do the known styles' runs help?
 Method    on every fold, driven along every second real run of the held-out style: no adapter; the paper's recipe; the
           clip and restyled rows of the known styles' turns; of their turns and runs, which is the default of
-          `few-shot`; and, as a bound, an adapter of the clip and of the style's other runs. The paper's recipe is
-          learned on the network as in the paper, the others on the one with pose noise, that of the default.
+          `few-shot`, and the same by an adapter of the second layer; and, as a bound, an adapter of the clip and of the
+          style's other runs. The paper's recipe is learned on the network as in the paper, the others on the one with
+          pose noise, that of the default.
 Run       python -m experiments.few_shot.walk_to_run --data FOLDER --out runs/few_shot
           Networks are shared with the other experiments of this folder.
 """
@@ -44,16 +45,20 @@ from experiments.common.turning_folds import (
 from experiments.common.turning_judged import WAYS, Body, StyledNetwork
 from experiments.common.turning_judged import load_takes as load_driven_takes
 from experiments.common.turning_table import NOISY_NONE, NONE, PAPER, Results, distance_table
+from experiments.few_shot.restyled_turns import MIDDLE
 from pfnn_jax.evaluation.turning_judge import mean_measures
 from pfnn_jax.io.files import write_whole
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.style import Style
+from pfnn_jax.training.config import RESTYLED_FEW_SHOT
 from pfnn_jax.training.data import to_batch
 
 RUN = "run"
 """Content of the takes that are judged."""
 
-TURNS, DEFAULT, OWN_RUNS = "restyled turns", "restyled turns and runs", "own runs"
-METHODS = (NONE, PAPER, NOISY_NONE, TURNS, DEFAULT, OWN_RUNS)
+TURNS, MIDDLE_RUNS = "restyled turns", "restyled turns and runs, second layer"
+DEFAULT, OWN_RUNS = "restyled turns and runs", "own runs"
+METHODS = (NONE, PAPER, NOISY_NONE, TURNS, MIDDLE_RUNS, DEFAULT, OWN_RUNS)
 """Methods in the order of the tables."""
 
 SHOWN = ("legs", "arms", "trunk", "speed", "airborne", "contacts", "sliding", "recognised", "failed")
@@ -78,6 +83,7 @@ def judge_runs(fold: Fold, config: FoldConfig) -> None:
         PAPER: (WITHOUT, lambda: learn_paper(fold)),
         NOISY_NONE: (NOISY, lambda: no_style(fold.network(NOISY))),
         TURNS: (NOISY, lambda: learn_restyled(fold, NOISY, ("walk-turn",))),
+        MIDDLE_RUNS: (NOISY, lambda: learn_restyled(fold, NOISY, config=MIDDLE)),
         DEFAULT: (NOISY, lambda: learn_restyled(fold, NOISY)),
         OWN_RUNS: (NOISY, lambda: learn_own_runs(fold, NOISY)),
     }
@@ -102,7 +108,8 @@ def learn_own_runs(fold: Fold, kind: NetworkKind) -> Style:
     """Returns an adapter of the clip and of the style's own runs but those it is judged on: a bound for all others."""
     network = fold.network(kind)
     runs = to_batch([rows_of(runs_of(fold)[0])], network.normaliser)
-    return learn_rows(fold, network, join_batches([clip_rows(fold, network), runs]))
+    adapter = AdapterConfig(RESTYLED_FEW_SHOT.method, RESTYLED_FEW_SHOT.rank)
+    return learn_rows(fold, network, join_batches([clip_rows(fold, network), runs]), adapter=adapter)
 
 
 def shown_table(results: Results) -> str:

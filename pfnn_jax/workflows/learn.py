@@ -94,7 +94,9 @@ def learn_style(
     check_new_style(run.path, clip_file.style, overwrite)
     _check_method(run, config)
     labelled, report, parts = _read_clip(run, clip_file, mirror, roles_file, progress_callback)
-    _check_length(hold_out(parts, config.held_out, str(clip_file.path))[0], config.batch_size, clip_file.path)
+    learn = hold_out(parts, config.held_out, str(clip_file.path))[0]
+    if not config.restyled:  # restyled rows fill the minibatches of the shortest clip
+        _check_length(learn, config.batch_size, clip_file.path)
     reference = run_error(run)
     found = _fit(run, parts, config, progress_callback)
     result = StyleResult(found.choice.held_out_error, found.error_without_style, bool(found.stable_on_turns))

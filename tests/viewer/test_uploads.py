@@ -21,7 +21,7 @@ from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.run import load_run, load_style
 from pfnn_jax.run_config import list_styles
-from pfnn_jax.training.config import FewShotConfig
+from pfnn_jax.training.config import RESTYLED_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import uploads
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.run_library import RunLibrary
@@ -326,5 +326,5 @@ def test_styles_are_learned_of_the_runs_kind(library, monkeypatch):
     monkeypatch.undo()
     run = library.get("run").run
     config = page_config(run)
-    assert config == default_config(run) and (config.method, config.rank) == ("cp", 4)
+    assert config == default_config(run) and (config.method, config.rank) == (RESTYLED_FEW_SHOT.method, 4)
     assert uploads.QUICK_FILM.method == "film" and max(uploads.QUICK_FILM.eval_epochs) <= 50

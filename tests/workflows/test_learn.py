@@ -95,6 +95,15 @@ def test_a_run_with_differences_teaches_turns_and_one_without_takes_the_papers_r
     )
 
 
+def test_a_clip_shorter_than_a_minibatch_is_learned_from_restyled_rows_too(tmp_path_factory, tmp_path):
+    shutil.copytree(walking_run(tmp_path_factory).path, tmp_path / "run")
+    write_bvh(tmp_path / "short.bvh", synthesise("old", np.zeros(100), np.ones(100), seed=3)[0])
+    config = replace(RESTYLED_FEW_SHOT, eval_epochs=(2,))
+    info = learn_style(tmp_path / "run", tmp_path / "short.bvh", config, mirror=False)
+    assert info["frames"] < config.batch_size
+    assert load_style(load_run(tmp_path / "run"), "short").config.kind == config.method
+
+
 def test_a_style_that_does_not_fit_the_run_is_refused(run, mocap):
     assert_refused(
         lambda: learn_style(run, angry(mocap, "new"), FewShotConfig("cp")),

@@ -86,8 +86,10 @@ class LearningCancelled(Exception):
 
 def page_config(run: Run) -> FewShotConfig:
     """Returns the settings for learning a style of the run's kind; for adapters they are the defaults of few-shot."""
-    kind = run.config.adapter.kind
-    return QUICK_FILM if kind == "film" else replace(default_config(run), method=kind)
+    kind, config = run.config.adapter.kind, default_config(run)
+    if kind == "film":
+        return QUICK_FILM
+    return config if config.restyled else replace(config, method=kind)
 
 
 def prepare_learning(library: RunLibrary, run: str) -> None:
