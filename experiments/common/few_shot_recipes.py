@@ -28,7 +28,7 @@ from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT, FewS
 from pfnn_jax.training.data import Batch, Rows, to_batch
 from pfnn_jax.training.few_shot_learning import fit_style
 from pfnn_jax.training.losses import l1_penalty
-from pfnn_jax.training.restyling import COUNT, StyleDifferences, find_differences
+from pfnn_jax.training.restyling import COUNT, FASTEST, StyleDifferences, find_differences
 from pfnn_jax.training.steps import descend, predict_batch
 from pfnn_jax.workflows.pretrain import DIFFERENCE_ROWS
 
@@ -167,22 +167,18 @@ def learn_paper(fold: Fold, kind: NetworkKind = WITHOUT) -> Style:
 
 
 def known_differences(
-    fold: Fold, kind: NetworkKind = WITHOUT, contents: Sequence[str] = (), count: int = COUNT
+    fold: Fold, kind: NetworkKind = WITHOUT, count: int = COUNT, fastest: float = FASTEST
 ) -> StyleDifferences:
     """Returns the differences of the styles that a network knows, as a run keeps them.
 
     Args:
         fold: whose known takes are read.
         kind: of the network.
-        contents: beginnings of the contents that are used besides straight walks; all by default.
-        count: number of differences.
+        count, fastest: as `find_differences` takes them.
     """
-    known = {
-        style: [t for t in takes if not contents or t.content.startswith(("walk", *contents))]
-        for style, takes in fold.known_takes(kind).items()
-    }
-    rows = {style: evenly(rows_of(takes), DIFFERENCE_ROWS) for style, takes in known.items()}
-    found = find_differences(rows, fold.layout, fold.network(kind).normaliser, count=count, seed=fold.seed)
+    rows = {style: evenly(rows_of(takes), DIFFERENCE_ROWS) for style, takes in fold.known_takes(kind).items()}
+    options = {"count": count, "fastest": fastest, "seed": fold.seed}
+    found = find_differences(rows, fold.layout, fold.network(kind).normaliser, **options)
     assert found is not None  # all styles have straight walks and turns
     return found
 
@@ -193,16 +189,16 @@ def evenly(rows: Features, count: int) -> Features:
 
 
 def learn_restyled(
-    fold: Fold, kind: NetworkKind, contents: Sequence[str] = (), config: FewShotConfig = RESTYLED_FEW_SHOT
+    fold: Fold, kind: NetworkKind, config: FewShotConfig = RESTYLED_FEW_SHOT, fastest: float = FASTEST
 ) -> Style:
     """Returns the style that `few-shot` learns by default from the clip and the known styles' differences.
 
     Args:
         fold, kind: of the network.
-        contents: as `known_differences` takes them.
         config: of learning.
+        fastest: as `find_differences` takes it.
     """
-    differences = known_differences(fold, kind, contents)
+    differences = known_differences(fold, kind, fastest=fastest)
     network = fold.network(kind)
     rows = Rows.from_features({fold.style: list(fold.clip)}, fold.layout, network.normaliser)
     return fit_style(network.shared, rows, config, key=jax.random.key(fold.seed), differences=differences).style

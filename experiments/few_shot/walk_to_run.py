@@ -4,8 +4,8 @@ Parent    Mason 2018 §9.1, which names it as an open problem: a style of one ga
 Question  a style is learned from a few seconds of its straight walk, on a network that knows other styles' walks, turns
           and runs. How far is the character from the actor's own runs, and do the known styles' runs help?
 Method    on every fold, driven along every second real run of the held-out style: no adapter; the paper's recipe; the
-          clip and restyled rows of the known styles' turns; of their turns and runs, which is the default of
-          `few-shot`, and the same by an adapter of the second layer; and, as a bound, an adapter of the clip and of the
+          clip and restyled rows of the known styles' turns, which is the default of `few-shot`; of their turns and
+          runs, by an adapter of the last layer and of the second; and, as a bound, an adapter of the clip and of the
           style's other runs. The paper's recipe is learned on the network as in the paper, the others on the one with
           pose noise, that of the default.
 Run       python -m experiments.few_shot.walk_to_run --data FOLDER --out runs/few_shot
@@ -14,6 +14,7 @@ Run       python -m experiments.few_shot.walk_to_run --data FOLDER --out runs/fe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -57,8 +58,8 @@ RUN = "run"
 """Content of the takes that are judged."""
 
 TURNS, MIDDLE_RUNS = "restyled turns", "restyled turns and runs, second layer"
-DEFAULT, OWN_RUNS = "restyled turns and runs", "own runs"
-METHODS = (NONE, PAPER, NOISY_NONE, TURNS, MIDDLE_RUNS, DEFAULT, OWN_RUNS)
+TURNS_AND_RUNS, OWN_RUNS = "restyled turns and runs", "own runs"
+METHODS = (NONE, PAPER, NOISY_NONE, TURNS, MIDDLE_RUNS, TURNS_AND_RUNS, OWN_RUNS)
 """Methods in the order of the tables."""
 
 SHOWN = ("legs", "arms", "trunk", "speed", "airborne", "contacts", "sliding", "recognised", "failed")
@@ -82,9 +83,9 @@ def judge_runs(fold: Fold, config: FoldConfig) -> None:
         NONE: (WITHOUT, lambda: no_style(fold.network())),
         PAPER: (WITHOUT, lambda: learn_paper(fold)),
         NOISY_NONE: (NOISY, lambda: no_style(fold.network(NOISY))),
-        TURNS: (NOISY, lambda: learn_restyled(fold, NOISY, ("walk-turn",))),
-        MIDDLE_RUNS: (NOISY, lambda: learn_restyled(fold, NOISY, config=MIDDLE)),
-        DEFAULT: (NOISY, lambda: learn_restyled(fold, NOISY)),
+        TURNS: (NOISY, lambda: learn_restyled(fold, NOISY)),
+        MIDDLE_RUNS: (NOISY, lambda: learn_restyled(fold, NOISY, MIDDLE, math.inf)),
+        TURNS_AND_RUNS: (NOISY, lambda: learn_restyled(fold, NOISY, fastest=math.inf)),
         OWN_RUNS: (NOISY, lambda: learn_own_runs(fold, NOISY)),
     }
     files = {method: judged_file(runs_config(config), fold.style, fold.seed, method) for method in methods}

@@ -45,6 +45,9 @@ AHEAD = 30.0
 NATURAL_SPEED = 0.2
 """Share by which the speed of a row of the mean walk may differ from the style's usual speed."""
 
+FASTEST = 1.5
+"""Multiple of the style's usual speed beyond which a row is a run: differences of runs make turns of walks worse."""
+
 FEWEST = 60
 """Straight, and turning, rows without which a style shows no differences: one second."""
 
@@ -68,15 +71,22 @@ class StyleDifferences:
 
 
 def find_differences(
-    styles: Mapping[str, Features], layout: FrameLayout, normaliser: Normaliser, *, count: int = COUNT, seed: int = 0
+    styles: Mapping[str, Features],
+    layout: FrameLayout,
+    normaliser: Normaliser,
+    *,
+    count: int = COUNT,
+    fastest: float = FASTEST,
+    seed: int = 0,
 ) -> StyleDifferences | None:
-    """Collects differences of known styles: equally many rows of each, of everything but straight walks.
+    """Collects differences of known styles: equally many rows of each, of everything but straight walks and runs.
 
     Args:
         styles: name -> rows in layout units, mirror images included; straight walks and others.
         layout: of the rows.
         normaliser: of the network.
         count: N at most.
+        fastest: multiple of a style's usual speed up to which rows are taken.
         seed: of the choice of rows.
 
     Returns:
@@ -84,7 +94,7 @@ def find_differences(
     """
     if layout.phase_size:
         return None
-    parts = {name: _straight_and_others(rows, layout) for name, rows in styles.items()}
+    parts = {name: _straight_and_others(rows, layout, fastest) for name, rows in styles.items()}
     parts = {name: both for name, both in parts.items() if min(len(part.x) for part in both) >= FEWEST}
     if not parts:
         return None
@@ -223,16 +233,15 @@ def _shares_of(layout: FrameLayout, parts, batches, means, scale) -> np.ndarray:
     return joint_scale(layout, joint_shares(layout, np.stack(found)) if found else np.ones(layout.num_joints))
 
 
-def _straight_and_others(rows: Features, layout: FrameLayout) -> tuple[Features, Features]:
-    """Returns the rows of straight walks ahead at the style's usual speed, and all others."""
+def _straight_and_others(rows: Features, layout: FrameLayout, fastest: float) -> tuple[Features, Features]:
+    """Returns the rows of straight walks ahead at the style's usual speed, and all others that are not too fast."""
     velocity = root_steps(layout, rows.y)[0]
     straight = np.abs(_bends(layout, rows.x)).max(axis=1) < STRAIGHT
     straight &= np.abs(np.arctan2(velocity[:, 0], velocity[:, 1])) < np.deg2rad(AHEAD)
     speed = np.linalg.norm(velocity, axis=1)
-    if straight.any():
-        usual = _mode(speed[straight])
-        straight &= np.abs(speed - usual) <= NATURAL_SPEED * usual
-    return select_rows(rows, straight), select_rows(rows, ~straight)
+    usual = _mode(speed[straight]) if straight.any() else 0.0
+    straight &= np.abs(speed - usual) <= NATURAL_SPEED * usual
+    return select_rows(rows, straight), select_rows(rows, ~straight & (speed <= fastest * usual))
 
 
 def _bends(layout: FrameLayout, x: np.ndarray) -> np.ndarray:
