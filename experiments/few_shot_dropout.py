@@ -28,7 +28,7 @@ import tyro
 
 from experiments.common.markdown import markdown_table
 from pfnn_jax.control.stability import predictor_of
-from pfnn_jax.demo.pipeline import TURNS, DemoConfig, procedural_dataset, straight_walk
+from pfnn_jax.demo.pipeline import DemoConfig, procedural_dataset, straight_walk
 from pfnn_jax.errors import InputError
 from pfnn_jax.evaluation.plots import loss_curves
 from pfnn_jax.evaluation.style_methods import without_adapter
@@ -50,6 +50,9 @@ from pfnn_jax.training.data import Rows, hold_out, to_batch
 from pfnn_jax.training.few_shot_learning import train_grid
 from pfnn_jax.training.pretraining import pretrain
 from pfnn_jax.viewer.draw.drawing import save_figure
+
+TURNS = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
+"""Turn rates of the test takes in degrees per second; the adaptation clips do not turn."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +152,7 @@ def pretrained(dataset: Dataset, config: Config, seed: int) -> Network:
         steps=config.steps,
         batch_size=config.batch_size,
         learning_rate=config.pretrain_rate,
+        pose_noise=0.0,
         seed=seed,
     )
     return jax.tree.map(np.asarray, pretrain(Rows.from_dataset(dataset), settings).params.shared)

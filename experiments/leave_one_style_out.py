@@ -91,6 +91,7 @@ def pretrained(parts: dict[str, Features], layout: FrameLayout, config: Config, 
         steps=config.steps,
         batch_size=config.batch_size,
         learning_rate=config.learning_rate,
+        pose_noise=0.0,
         seed=seed,
     )
     return pretrain_on(parts, layout, settings)

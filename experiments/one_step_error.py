@@ -121,6 +121,7 @@ class Config:
             batch_size=self.batch_size,
             learning_rate=self.learning_rate,
             dropout=self.dropout,
+            pose_noise=0.0,
             seed=seed,
         )
 

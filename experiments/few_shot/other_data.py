@@ -10,9 +10,9 @@ Method    two networks of all styles of Bandai-Namco-2, trained once: one as in 
           - 100STYLE, `Angry_FW`, put onto the network's skeleton. No 5 s of this take are straight: its straightest 5 s
             turn by 100 degrees. Learned are its first 5 s of straight frames (`straight_frames`: 6 pieces) and, as a
             user may do it, its first 5 s as they are, which turn; judged on its other turns.
-          Driven and judged are no adapter and the paper's recipe on the plain network, no adapter and the default on
-          the noisy one; on 100STYLE also, as a bound, an adapter of the straight frames and of the other half of the
-          turns, in both directions.
+          Driven and judged are no adapter and the paper's recipe on the plain network; restyled rows by an adapter of
+          the second layer, and by one of the output, which is the default, on the noisy one; on 100STYLE also, as a
+          bound, an adapter of the learned frames and of the other half of the turns, in both directions.
 Run       python -m experiments.few_shot.other_data --mocap FOLDER --out runs/other_data
 """
 
@@ -32,8 +32,8 @@ from experiments.common.straight_and_turning import cut_parts, straight_frames, 
 from experiments.common.style_takes import Take, TrainedNetwork, balanced, load_takes, pretrain_on, rows_of
 from experiments.common.turning_folds import load_network, no_style, save_network
 from experiments.common.turning_judged import WAYS, Body, JudgedWalks, StyledNetwork, drive, judge_walks
-from experiments.common.turning_table import NOISY_NONE, NONE, OWN_TURNS, PAPER, load_judged, save_judged
-from experiments.few_shot.restyled_turns import DEFAULT
+from experiments.common.turning_table import NONE, OWN_TURNS, PAPER, load_judged, save_judged
+from experiments.few_shot.restyled_turns import DEFAULT, MIDDLE, NOISY_RESTYLED
 from pfnn_jax.evaluation.driven_takes import DrivenTake, make_driven_take
 from pfnn_jax.evaluation.turning_judge import mean_measures
 from pfnn_jax.io.files import locate, write_whole
@@ -58,7 +58,7 @@ PRETRAINING, SAME_SKELETON, OTHER_SKELETON = "bandai-namco-2", "bandai-namco-1",
 STRAIGHT, SIDE_STEPS, TURNS = "another walk", "side steps", "turns"
 """What a style is judged on."""
 
-METHODS = (NONE, PAPER, NOISY_NONE, DEFAULT, OWN_TURNS)
+METHODS = (NONE, PAPER, NOISY_RESTYLED, DEFAULT, OWN_TURNS)
 """Methods in the order of the tables."""
 
 SHOWN = ("distance", "turning", "path", "turn rate", "speed", "contacts", "flicker", "sliding", "failed")
@@ -218,7 +218,7 @@ def judge_trial(trial: Trial, networks: Networks, config: Config) -> None:
     methods: dict[str, Callable[[], Judged]] = {
         NONE: lambda: judge(trial, plain, no_style(plain), networks),
         PAPER: lambda: learned(plain, MASON2018_FEW_SHOT),
-        NOISY_NONE: lambda: judge(trial, noisy, no_style(noisy), networks),
+        NOISY_RESTYLED: lambda: learned(noisy, MIDDLE),
         DEFAULT: lambda: learned(noisy, RESTYLED_FEW_SHOT),
     }
     if trial.turns:

@@ -6,6 +6,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,7 +14,6 @@ import pytest
 
 from pfnn_jax.control.calibration import measure_walk_speed
 from pfnn_jax.control.controller import Controller, make_controller, step
-from pfnn_jax.errors import InputError
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import in_parts
 from pfnn_jax.models.style import StyleSum
@@ -238,4 +238,5 @@ def test_styles_can_be_added_to_a_run_without_styles(played_run, tmp_path, monke
 
 def test_a_style_of_another_kind_is_refused(library):
     loaded = library.get("one/run")
-    assert_refused(lambda: add_to_bank(loaded.run, loaded.controller, "new", np.zeros(3)), place="style", value="new")
+    other: Any = np.zeros(3)
+    assert_refused(lambda: add_to_bank(loaded.run, loaded.controller, "new", other), place="style", value="new")
