@@ -19,7 +19,7 @@ from pfnn_jax.run_config import check_finished, list_styles, load_config
 BASE_NETWORK = Path(__file__).resolve().parents[1] / "base_network"
 """The run in the package, which is never written to."""
 
-FIXED = ("normaliser", "shared")
+FIXED = ("differences", "normaliser", "shared")
 """Folders of the run that no command changes."""
 
 DIGITS = 12
