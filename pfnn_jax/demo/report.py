@@ -99,8 +99,8 @@ def write_demo_report(
 def _table(judged: Mapping[str, Mapping[str, float]]) -> Table:
     rows = [[name, *(measures[measure] for measure in COLUMNS)] for name, measures in judged.items()]
     note = (
-        "Contacts are found in the motion. Sliding is the speed of feet where the true ones stand, skating that of feet "
-        "near their resting height."
+        "Contacts are found in the motion. Sliding is the speed of feet where the true ones stand, skating that of "
+        "feet near their resting height."
     )
     return Table(("style", *COLUMNS.values()), rows, note=note)
 
