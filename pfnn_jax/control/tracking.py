@@ -50,8 +50,8 @@ class TrackingConfig:
         stopping_time_scale: lower bound of the time scale of a network that goes on unseen.
         passing_tolerance: metres above the recent minimum of the distance between the feet within which they pass.
         velocity_rate: of the running mean of the character's velocity, which spans about one step.
-        heading_rate: of the running mean of the heading error: over a gait cycle, so that the sway of a slow walk is not
-            corrected. A correction within a step turns planted feet with the body until their locks give way.
+        heading_rate: of the running mean of the heading error: over a gait cycle, so that the sway of a slow walk is
+            not corrected. A correction within a step turns planted feet with the body until their locks give way.
         correction_gain: radians per second of heading correction per radian of heading error.
         max_correction_rate: radians per second, upper bound of the heading correction.
         max_requested_turn: radians, the largest turn that is requested from the network at once.
