@@ -23,6 +23,7 @@ COLUMNS = {
     "turn rate": "of the turn rate asked",
     "flicker": "contact changes, of the data's",
     "sliding": "sliding feet, of the data's",
+    "skating": "skating feet, of the data's",
     "distance": "from the true pose, cm",
     "arms": "arms, cm",
     "legs": "legs, cm",
@@ -77,9 +78,9 @@ def write_demo_report(
             "frame is compared with the true one at the same phase of the gait and the same place. Nothing was chosen "
             "on these turns. The last row is a style of pretraining on turns of its own: what a character can reach "
             "that need not learn.\n\n"
-            "This style raises the arms further than any of the eight pretraining styles. An adapter changes the "
-            "network's middle layer and can only recombine poses that the last layer represents, so the arms do not "
-            "reach the full pose.",
+            "This style raises the arms further than any of the eight pretraining styles. By the paper's recipe an "
+            "adapter changes the network's middle layer: it recombines poses that the last layer represents, and the "
+            "arms do not reach the full pose. The default's adapter adds to the last layer.",
             table=_table(judged),
             figures=[
                 ("Distance from the true pose in turns", error_bars(_distances(judged), "", "cm from the true pose"))
@@ -97,7 +98,8 @@ def write_demo_report(
 
 def _table(judged: Mapping[str, Mapping[str, float]]) -> Table:
     rows = [[name, *(measures[measure] for measure in COLUMNS)] for name, measures in judged.items()]
-    note = "Contacts are found in the motion. Sliding is the speed of feet where the true ones stand."
+    note = "Contacts are found in the motion. Sliding is the speed of feet where the true ones stand, "
+        "skating that of feet near their resting height."
     return Table(("style", *COLUMNS.values()), rows, note=note)
 
 
