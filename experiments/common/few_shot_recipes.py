@@ -118,7 +118,7 @@ def minimise(loss: Loss, start: Any, data: LearningData, learning: Learning, key
 
 def learning_data(fold: Fold, network: TrainedNetwork, rows: Batch, other: Any = None) -> LearningData:
     """Returns what `minimise` reads for rows of a fold."""
-    joints = np.array([name.startswith("joint_") for name in fold.layout.input_names], np.float32)
+    joints = fold.layout.joint_inputs.astype(np.float32)
     return jax.tree.map(jnp.asarray, LearningData(network.shared, rows, joints, other))
 
 

@@ -258,7 +258,7 @@ class TuningConfig:
 
 def num_clip_columns(layout: FrameLayout) -> int:
     """Returns F, the number of joint columns of x, which the frames of a clip consist of."""
-    return sum(name.startswith("joint_") for name in layout.input_names)
+    return int(layout.joint_inputs.sum())
 
 
 def _check_shares(config: Any) -> None:

@@ -243,7 +243,7 @@ def clip_columns(layout: FrameLayout) -> Columns:
     Raises:
         ValueError: if x has no joints.
     """
-    columns = np.flatnonzero([name.startswith("joint_") for name in layout.input_names])
+    columns = np.flatnonzero(layout.joint_inputs)
     if not columns.size:
         raise ValueError(f"`layout` must have joints in its inputs, got {layout.name}.")
     contiguous = columns[-1] - columns[0] + 1 == columns.size

@@ -191,7 +191,7 @@ def with_pose_noise(step: Step, noise: float, layout: FrameLayout) -> Step:
         noise: as `disturb_poses` takes it.
         layout: of the batches.
     """
-    columns = np.array([name.startswith("joint_") for name in layout.input_names])
+    columns = layout.joint_inputs
 
     def noisy(state: TrainState, batch: Batch, frozen: Frozen):
         key = jax.random.fold_in(jax.random.fold_in(frozen.key, state.step), 1)

@@ -184,6 +184,11 @@ class FrameLayout:
         return column_names(self.outputs)
 
     @property
+    def joint_inputs(self) -> np.ndarray:
+        """Mask [Dx] of the columns of x that describe joints."""
+        return np.array([name.startswith("joint_") for name in self.input_names])
+
+    @property
     def input_blocks(self) -> tuple[str, ...]:
         """Blocks of x in order of first appearance."""
         return tuple(block_columns(self.inputs))
