@@ -23,8 +23,9 @@ from pfnn_jax.transfer.layout import LAYOUT_FPS, WINDOW_FRAMES, ClipLayout
 
 Array = jax.Array | np.ndarray
 
-ENDS = np.arange(1, len(POINT_NAMES))
-STARTS = np.array(POINT_PARENTS[1:])
+# Unsigned, as the columns of layouts are, because of how JAX caches the width of signed constants.
+ENDS = np.arange(1, len(POINT_NAMES), dtype=np.uint32)
+STARTS = np.array(POINT_PARENTS[1:], np.uint32)
 """Points at the end and at the start of each of the 20 bones."""
 
 CENTIMETRES = 100.0
