@@ -3,6 +3,7 @@
 Question  does the learned style come nearer to the actor's turns with more frames of straight walking?
 Method    restyled rows with the first 1, 2 and 5 seconds of the walk and their mirror images, and with all straight
           walks of the style.
+Verdict   not measured yet.
 Run       python -m experiments.few_shot.clip_length --data FOLDER --out runs/few_shot
 """
 

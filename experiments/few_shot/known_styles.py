@@ -3,6 +3,7 @@
 Question  does the learned style come nearer to the actor's turns with a network that knows more styles?
 Method    networks that are pretrained on 2, 4 and all 6 other styles, equally long; the paper's recipe and restyled
           turns of the styles that the network knows.
+Verdict   not measured yet.
 Run       python -m experiments.few_shot.known_styles --data FOLDER --out runs/few_shot
 """
 

@@ -3,6 +3,7 @@
 Question  is it better to begin with the adapter of the nearest known style, or to restyle turns of the nearest alone?
 Method    the known styles are ranked by the error of their adapters on the clip; restyled rows, begun with the first
           style's adapter; and restyled rows of the first three styles alone.
+Verdict   not measured yet.
 Run       python -m experiments.few_shot.nearest_styles --data FOLDER --out runs/few_shot
 """
 

@@ -3,6 +3,7 @@
 Question  do mixing weights of the known styles suffice, so that nothing but them is learned?
 Method    the adapter is the mixture of the bank by S weights (the mixture of CP layers of rank R is a CP layer of rank
           S R), which begin equal and are learned from the clip alone, and from the clip and restyled rows.
+Verdict   not measured yet.
 Run       python -m experiments.few_shot.style_space --data FOLDER --out runs/few_shot
 """
 
