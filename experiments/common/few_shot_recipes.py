@@ -6,7 +6,7 @@ arguments, one fixed setting at a time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -25,7 +25,7 @@ from pfnn_jax.models.network import Network, config_of
 from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.motion.features.encode import Features, select_rows
 from pfnn_jax.training.config import MASON2018_FEW_SHOT, RESTYLED_FEW_SHOT, FewShotConfig
-from pfnn_jax.training.data import Batch, Rows, to_batch
+from pfnn_jax.training.data import Batch, Rows, join_batches, to_batch
 from pfnn_jax.training.few_shot_learning import fit_style
 from pfnn_jax.training.losses import l1_penalty
 from pfnn_jax.training.restyling import COUNT, FASTEST, StyleDifferences, find_differences
@@ -147,11 +147,6 @@ def clip_rows(fold: Fold, network: TrainedNetwork) -> Batch:
 def own_turn_rows(fold: Fold, network: TrainedNetwork) -> Batch:
     """Returns the normalised rows of the style's own turning takes but those it is tested on."""
     return to_batch([rows_of(fold.other_turns)], network.normaliser)
-
-
-def join_batches(parts: Sequence[Batch]) -> Batch:
-    """Returns the rows of all parts, one after another."""
-    return Batch(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("x", "y", "phase")))
 
 
 def learn_nothing(fold: Fold, kind: NetworkKind = WITHOUT) -> Style:

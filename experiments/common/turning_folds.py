@@ -226,9 +226,21 @@ class Fold:
     @cached_property
     def driven_takes(self) -> list[DrivenTake]:
         """The test takes, as characters are driven along them."""
-        # Only layout and skeleton are read.
-        body = Body(self.layout, self.everything.skeleton, self.network().normaliser)
-        return load_driven_takes([self.everything.files[take.name] for take in self.test_takes], body)
+        return self.drivable(self.test_takes)
+
+    def drivable(self, takes: Sequence[Take]) -> list[DrivenTake]:
+        """Returns takes as characters are driven along them."""
+        # Only layout and skeleton of the body are read.
+        return load_driven_takes([self.everything.files[take.name] for take in takes], self.body(self.network()))
+
+    def body(self, network: TrainedNetwork) -> Body:
+        """Returns what a network of the fold was trained on."""
+        return Body(self.layout, self.everything.skeleton, network.normaliser)
+
+    def styled(self, style: Style, kind: NetworkKind) -> StyledNetwork:
+        """Returns a network with a style, at the speed of the adaptation clip."""
+        network = self.network(kind)
+        return StyledNetwork(network.shared, jax.tree.map(np.asarray, style), self.body(network), self.speed)
 
     def network(self, kind: NetworkKind = WITHOUT) -> TrainedNetwork:
         """Returns a network of this fold: the one that was kept, or one that is pretrained and kept now."""
@@ -259,28 +271,21 @@ class Fold:
     def judge(
         self,
         name: str,
-        learn: Callable[[], Any],
+        learn: Callable[[], Style],
         kind: NetworkKind = WITHOUT,
     ) -> None:
         """Learns the held-out style and judges it along the test takes, unless that was done before.
 
         Args:
             name: of the method.
-            learn: returns the parameters of the style, or (network, style) where the network changes too.
+            learn: returns the parameters of the style.
             kind: of the network.
         """
         file = judged_file(self.everything.config, self.style, self.seed, name)
         if file.exists():  # before networks and the recogniser are trained for nothing
             return
-        network = self.network(kind)
-
-        def styled() -> StyledNetwork:
-            learned = learn()
-            shared, style = learned if isinstance(learned, tuple) else (network.shared, learned)
-            body = Body(self.layout, self.everything.skeleton, network.normaliser)
-            return StyledNetwork(shared, jax.tree.map(np.asarray, style), body, self.speed)
-
-        judge_once(file, styled, self.driven_takes, self.style, self.everything.recogniser)
+        self.network(kind)  # not to be trained while learning is timed
+        judge_once(file, lambda: self.styled(learn(), kind), self.driven_takes, self.style, self.everything.recogniser)
 
 
 def judge_once(

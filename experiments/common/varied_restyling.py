@@ -6,14 +6,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from experiments.common.few_shot_recipes import Learning, clip_rows, join_batches, known_differences, learn_rows
+from experiments.common.few_shot_recipes import Learning, clip_rows, known_differences, learn_rows
 from experiments.common.style_takes import Take, TrainedNetwork, rows_of
 from experiments.common.turning_folds import Fold, NetworkKind
 from pfnn_jax.evaluation.style_test import is_turning
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.decode import median_speed, root_steps
 from pfnn_jax.motion.features.encode import Features, select_rows
-from pfnn_jax.training.data import Batch, to_batch
+from pfnn_jax.training.data import Batch, join_batches, to_batch
 from pfnn_jax.training.restyling import (
     StyleDifferences,
     fit_mean_row,

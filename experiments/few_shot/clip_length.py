@@ -13,13 +13,13 @@ from functools import partial
 
 import tyro
 
-from experiments.common.few_shot_recipes import join_batches, learn_rows
+from experiments.common.few_shot_recipes import learn_rows
 from experiments.common.style_takes import adaptation_clip, rows_of
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
 from experiments.common.turning_table import PAPER
 from experiments.common.varied_restyling import BASE, draw_rows, restyle_turns, straight_and_turning
 from pfnn_jax.models.style import Style
-from pfnn_jax.training.data import to_batch
+from pfnn_jax.training.data import join_batches, to_batch
 from pfnn_jax.training.restyling import COUNT
 
 

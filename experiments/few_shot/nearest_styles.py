@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import tyro
 
-from experiments.common.few_shot_recipes import clip_rows, join_batches, learn_rows
+from experiments.common.few_shot_recipes import clip_rows, learn_rows
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods, style_of
 from experiments.common.turning_table import PAPER
 from experiments.common.varied_restyling import (
@@ -23,6 +23,7 @@ from experiments.common.varied_restyling import (
     straight_and_turning,
 )
 from pfnn_jax.models.style import Style
+from pfnn_jax.training.data import join_batches
 from pfnn_jax.training.few_shot_learning import row_errors
 from pfnn_jax.training.restyling import COUNT
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from experiments.common.few_shot_recipes import Learning, clip_rows, join_batches, learn_rows
+from experiments.common.few_shot_recipes import Learning, clip_rows, learn_rows
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
 from experiments.common.turning_table import PAPER
 from experiments.common.varied_restyling import BASE, draw_rows, restyle_turns, straight_and_turning
@@ -33,6 +33,7 @@ from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features, join_rows
 from pfnn_jax.motion.features.layout import FrameLayout
+from pfnn_jax.training.data import join_batches
 from pfnn_jax.training.restyling import COUNT
 
 TURN_RATES = (0, 30, -30, 60, -60, 90, -90)

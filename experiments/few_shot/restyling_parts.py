@@ -19,11 +19,12 @@ from functools import partial
 
 import tyro
 
-from experiments.common.few_shot_recipes import clip_rows, join_batches, learn_rows
+from experiments.common.few_shot_recipes import clip_rows, learn_rows
 from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKind, run_methods
 from experiments.common.turning_table import PAPER
 from experiments.common.varied_restyling import BASE, draw_rows, learn_base, restyle_turns, straight_and_turning
 from pfnn_jax.models.style import Style
+from pfnn_jax.training.data import join_batches
 from pfnn_jax.training.restyling import COUNT
 
 COUNTS = (300, 4800)

@@ -19,7 +19,6 @@ from experiments.common.few_shot_recipes import (
     Learning,
     LearningData,
     clip_rows,
-    join_batches,
     learning_data,
     minimise,
     style_loss,
@@ -28,6 +27,7 @@ from experiments.common.turning_folds import Fold, FoldConfig, Method, NetworkKi
 from experiments.common.turning_table import PAPER
 from experiments.common.varied_restyling import BASE, default_rows
 from pfnn_jax.models.style import Style, mix_styles
+from pfnn_jax.training.data import join_batches
 
 WEIGHT_LEARNING = Learning(steps=300, learning_rate=2e-2)
 """Few numbers are learned: fewer and larger steps."""

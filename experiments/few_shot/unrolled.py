@@ -24,7 +24,6 @@ from experiments.common.few_shot_recipes import (
     Learning,
     LearningData,
     clip_rows,
-    join_batches,
     learn_rows,
     learning_data,
     minimise,
@@ -38,6 +37,7 @@ from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.encode import Features, join_rows, select_rows
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.training.data import join_batches
 from pfnn_jax.training.losses import l1_penalty
 
 SEQUENCE = 30

@@ -23,14 +23,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
-import jax
-import numpy as np
 import tyro
 
 from experiments.common.few_shot_recipes import (
     clip_rows,
-    join_batches,
     learn_paper,
     learn_restyled,
     learn_rows,
@@ -49,8 +47,7 @@ from experiments.common.turning_folds import (
     load_results,
     no_style,
 )
-from experiments.common.turning_judged import WAYS, Body, StyledNetwork
-from experiments.common.turning_judged import load_takes as load_driven_takes
+from experiments.common.turning_judged import WAYS, StyledNetwork
 from experiments.common.turning_table import NOISY_NONE, NONE, PAPER, Results, distance_table
 from experiments.few_shot.restyled_turns import MIDDLE
 from pfnn_jax.evaluation.turning_judge import mean_measures
@@ -58,7 +55,7 @@ from pfnn_jax.io.files import write_whole
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.style import Style
 from pfnn_jax.training.config import RESTYLED_FEW_SHOT
-from pfnn_jax.training.data import to_batch
+from pfnn_jax.training.data import join_batches, to_batch
 
 RUN = "run"
 """Content of the takes that are judged."""
@@ -97,18 +94,13 @@ def judge_runs(fold: Fold, config: FoldConfig) -> None:
     files = {method: judged_file(runs_config(config), fold.style, fold.seed, method) for method in methods}
     if all(file.exists() for file in files.values()):
         return
-    body = Body(fold.layout, fold.everything.skeleton, fold.network().normaliser)
-    takes = load_driven_takes([fold.everything.files[take.name] for take in runs_of(fold)[1]], body)
+    takes = fold.drivable(runs_of(fold)[1])
     for method, (kind, learn) in methods.items():
-        styled = lambda kind=kind, learn=learn: styled_network(fold, kind, learn())  # noqa: E731 - bound in the loop
-        judge_once(files[method], styled, takes, fold.style, fold.everything.recogniser)
+        judge_once(files[method], partial(_styled, fold, kind, learn), takes, fold.style, fold.everything.recogniser)
 
 
-def styled_network(fold: Fold, kind: NetworkKind, style: Style) -> StyledNetwork:
-    """Returns a network of a fold with a style."""
-    network = fold.network(kind)
-    body = Body(fold.layout, fold.everything.skeleton, network.normaliser)
-    return StyledNetwork(network.shared, jax.tree.map(np.asarray, style), body, fold.speed)
+def _styled(fold: Fold, kind: NetworkKind, learn: Callable[[], Style]) -> StyledNetwork:
+    return fold.styled(learn(), kind)
 
 
 def learn_own_runs(fold: Fold, kind: NetworkKind) -> Style:

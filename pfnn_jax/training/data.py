@@ -155,8 +155,7 @@ class Rows:
         """Returns the same rows read once, normalised and joined."""
         if self.is_normalised and len(self.parts) == 1:
             return self
-        parts = [self._normalise(part) for part in self.parts]
-        joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        joined = join_batches([self._normalise(part) for part in self.parts])
         return replace(self, parts=(joined,), is_normalised=True)
 
     def on_device(self) -> Batch:
@@ -268,6 +267,11 @@ def make_gather(layout: FrameLayout) -> Callable[[Batch, Draw], Batch]:
         return replace(batch, clip=data.x[window_rows(draw.windows, WINDOW_ROWS, jnp)][..., columns])
 
     return gather
+
+
+def join_batches(parts: Sequence[Batch]) -> Batch:
+    """Returns the rows [N, ...] of all parts, one after another."""
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
 def to_batch(parts: Sequence[Features], normaliser: Normaliser) -> Batch:

@@ -24,7 +24,7 @@ from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.network import Network, config_of, init_network
 from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.training.config import FewShotConfig
-from pfnn_jax.training.data import Batch, Rows
+from pfnn_jax.training.data import Batch, Rows, join_batches
 from pfnn_jax.training.loop import TrainState, chunks, no_progress, train_steps
 from pfnn_jax.training.losses import Bones, Objective
 from pfnn_jax.training.restyling import StyleDifferences, restyle
@@ -142,8 +142,7 @@ def _with_restyled(clip: Batch, rows: Rows, config: FewShotConfig, differences: 
         return clip
     if differences is None or rows.normaliser is None:
         raise ValueError("`differences`, and rows with a `normaliser`, are needed where `config.restyled` is set.")
-    restyled = restyle(differences, clip, rows.layout, rows.normaliser)
-    return Batch(*(np.concatenate([getattr(part, name) for part in (clip, restyled)]) for name in ("x", "y", "phase")))
+    return join_batches([clip, restyle(differences, clip, rows.layout, rows.normaliser)])
 
 
 def error_without_style(network: Network, held_out: Batch, start: Style | None = None) -> float:

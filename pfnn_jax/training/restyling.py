@@ -23,11 +23,11 @@ from flax import struct
 
 from pfnn_jax.io.checkpoint import load_record, save_record
 from pfnn_jax.io.files import locate, read_note
-from pfnn_jax.motion.features.decode import root_steps
+from pfnn_jax.motion.features.decode import median_speed, root_steps
 from pfnn_jax.motion.features.encode import Features, select_rows
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
-from pfnn_jax.training.data import Array, Batch, normalised
+from pfnn_jax.training.data import Array, Batch, to_batch
 
 HARMONICS = 6
 """Harmonics of the phase in a mean row: 10 Hz at a gait cycle of 0.6 s, beyond which walks hold little but noise."""
@@ -40,7 +40,7 @@ STRAIGHT = 10.0
 """Degrees that the trajectory of a straight walk may turn within the second before and after a row."""
 
 AHEAD = 30.0
-"""Degrees between travel and facing up to which a straight walk goes ahead; beyond, it steps aside or backwards."""
+"""Largest angle in degrees between travel and facing in a straight walk; beyond it are side and backward steps."""
 
 NATURAL_SPEED = 0.2
 """Share by which the speed of a row of the mean walk may differ from the style's usual speed."""
@@ -98,8 +98,8 @@ def find_differences(
     parts = {name: both for name, both in parts.items() if min(len(part.x) for part in both) >= FEWEST}
     if not parts:
         return None
-    speeds = {name: float(np.median(_speeds(layout, straight.y))) for name, (straight, _) in parts.items()}
-    batches = {name: [_normalised(part, normaliser) for part in both] for name, both in parts.items()}
+    speeds = {name: median_speed(layout, straight.y) for name, (straight, _) in parts.items()}
+    batches = {name: [to_batch([part], normaliser) for part in both] for name, both in parts.items()}
     means = {name: fit_mean_row(straight) for name, (straight, _) in batches.items()}
     scale = {name: speed_scale(layout, 1 / speed) for name, speed in speeds.items()}
     share = _shares_of(layout, parts, batches, means, scale)
@@ -121,8 +121,7 @@ def restyle(differences: StyleDifferences, clip: Batch, layout: FrameLayout, nor
             mirror image.
         layout, normaliser: of the rows.
     """
-    y = np.asarray(normaliser.outputs.invert(np.asarray(clip.y)))
-    speed = float(np.median(_speeds(layout, y)))
+    speed = median_speed(layout, np.asarray(normaliser.outputs.invert(np.asarray(clip.y))))
     values = np.concatenate([differences.x, differences.y], axis=1)
     values = mean_row(fit_mean_row(clip), differences.phase) + speed_scale(layout, speed) * values
     x, y = np.split(values.astype(np.float32), [layout.input_size], axis=1)
@@ -135,6 +134,11 @@ def save_differences(run: Path, differences: StyleDifferences) -> None:
     save_record(run / "differences", halves, NOTE, {"rows": len(differences.phase)})
 
 
+def has_differences(run: Path) -> bool:
+    """Returns whether there is RUN/differences/, without reading it."""
+    return locate(run / "differences") is not None
+
+
 def load_differences(run: Path, layout: FrameLayout) -> StyleDifferences | None:
     """Reads RUN/differences/, or returns None where there is none.
 
@@ -145,7 +149,7 @@ def load_differences(run: Path, layout: FrameLayout) -> StyleDifferences | None:
     Raises:
         InputError: if it is damaged or of another layout.
     """
-    if locate(run / "differences") is None:
+    if not has_differences(run):
         return None
     rows = read_note(run / "differences", NOTE, "must hold the number of rows")["rows"]
     sizes = (rows, layout.input_size), (rows, layout.output_size), (rows,)
@@ -250,11 +254,6 @@ def _bends(layout: FrameLayout, x: np.ndarray) -> np.ndarray:
     return np.rad2deg(np.arctan2(across, ahead))
 
 
-def _speeds(layout: FrameLayout, y: np.ndarray) -> np.ndarray:
-    """Returns the speeds [N] along the ground in metres per second of rows y [N, Dy] in layout units."""
-    return np.linalg.norm(root_steps(layout, y)[0], axis=1)
-
-
 def _mode(values: np.ndarray) -> float:
     """Returns the middle of the shortest interval that holds half of the values [N].
 
@@ -264,10 +263,6 @@ def _mode(values: np.ndarray) -> float:
     half = (len(ordered) + 1) // 2
     first = int(np.argmin(ordered[half - 1 :] - ordered[: len(ordered) - half + 1]))
     return float(ordered[first] + ordered[first + half - 1]) / 2
-
-
-def _normalised(rows: Features, normaliser: Normaliser) -> Batch:
-    return normalised(rows.x, rows.y, rows.phase, normaliser)
 
 
 def _columns(rows: Batch) -> np.ndarray:

@@ -15,7 +15,6 @@ from pfnn_jax.control.run_settings import loop_config
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
-from pfnn_jax.io.files import locate
 from pfnn_jax.models.config import CP_KINDS, AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import (
     labelled_features,
@@ -38,7 +37,7 @@ from pfnn_jax.training.data import Rows, hold_out
 from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style, row_errors
 from pfnn_jax.training.loop import Progress as TrainingProgress
 from pfnn_jax.training.loop import no_progress
-from pfnn_jax.training.restyling import load_differences
+from pfnn_jax.training.restyling import has_differences, load_differences
 from pfnn_jax.training.tuning import Tuned, tune_generator
 from pfnn_jax.workflows.clip_report import (
     ClipReport,
@@ -183,7 +182,7 @@ def default_config(run: Run) -> FewShotConfig:
     adapter = run.config.adapter
     if adapter.kind == "film":
         return FILM_FEW_SHOT
-    config = MASON2018_FEW_SHOT if load_differences(run.path, run.layout) is None else RESTYLED_FEW_SHOT
+    config = RESTYLED_FEW_SHOT if has_differences(run.path) else MASON2018_FEW_SHOT
     return replace(config, rank=adapter.rank) if adapter.kind in CP_KINDS else config
 
 
@@ -287,7 +286,7 @@ def _check_method(run: Run, config: FewShotConfig) -> None:
     if config.method in ("fine_tune", "scratch"):
         rule = "must be an adapter, a one-hot shift or FiLM parameters: a run has one whole network"
         raise InputError(run.path, "method", config.method, rule)
-    if config.restyled and locate(run.path / "differences") is None:
+    if config.restyled and not has_differences(run.path):
         rule = "must be a run that keeps differences of its styles: pretrain it again, or use --recipe mason2018"
         raise InputError(run.path, "differences", "absent", rule)
     check_adapter(run.config, AdapterConfig(config.method, config.rank), run.path)
