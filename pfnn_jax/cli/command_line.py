@@ -31,6 +31,7 @@ COMMANDS = {
     "style export": "Write a style of a run as one file.",
     "style import": "Save the style of a file in a run.",
     "style show": "Show what the file of a style says about it.",
+    "share": "Write a run as a folder to pass on, with a model card.",
     "import-released": "Make a run from the authors' released weights.",
     "predict": "Evaluate a run's network on rows of a file.",
     "skeleton": "Show which joints of a clip are taken for which parts of the body.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -125,18 +126,19 @@ def _skeleton_entries(skeleton: Skeleton) -> dict[str, Any]:
     return {key: np.asarray(getattr(skeleton, key)).tolist() for key in SKELETON}
 
 
-def _differing(found: Any, wanted: Any) -> str:
+def _differing(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """Returns what the first difference between two skeletons is, or nothing."""
-    if len(found["names"]) != len(wanted["names"]):
-        return f"{len(found['names'])} joints"
     for key in SKELETON:
-        for joint, one, other in zip(wanted["names"], found[key], wanted[key], strict=False):
+        if len(found[key]) != len(wanted["names"]):
+            return f"{key} of {len(found[key])} joints"
+    for key in SKELETON:
+        for joint, one, other in zip(wanted["names"], found[key], wanted[key], strict=True):
             if one != other:
                 return f"{key} of joint {joint}: {str(one)[:60]}"
     return ""
 
 
-def _to_style(arrays: dict[str, np.ndarray], card: StyleCard, run: Run, file: Path) -> Style:
+def _to_style(arrays: Mapping[str, np.ndarray], card: StyleCard, run: Run, file: Path) -> Style:
     """Returns the style with a file's arrays, each of which must have the shape that the run's network asks for."""
     abstract = abstract_style(run.config, card.adapter)
     expected = _named_leaves(abstract)
