@@ -42,7 +42,7 @@ def write_tensors(path: Path, arrays: Mapping[str, np.ndarray], metadata: Mappin
     """
     from safetensors.numpy import save
 
-    data = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    data = save({name: np.asarray(array, order="C") for name, array in arrays.items()})
     size = int.from_bytes(data[:8], "little")
     # The library writes metadata in random order.
     header = {METADATA: dict(metadata), **json.loads(data[8 : 8 + size])}

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 PATH = re.compile(
-    r"(?:file://|(?<![\w:/\\.~])//|(?<![\w/\\.~])(?:[A-Za-z]:[\\/]|~\w*[\\/]|/(?!/)|\\|\.\.?[\\/])).*[\\/]", re.DOTALL
+    r"(?:file://|(?<![\w:/\\.~])//|(?<![\w/\\.~])(?:[A-Za-z]:[\\/]|~\w*(?=[\\/])|/(?!/)|\\|\.\.?[\\/])).*[\\/]",
+    re.DOTALL,
 )
 """From the beginning of a path that is absolute, or relative to a home or the working directory, to its last separator.
 Names of folders may hold spaces, so that the last separator of the whole text counts. Addresses of the web are left

@@ -116,8 +116,10 @@ def card_from_metadata(metadata: Mapping[str, str], file: Path) -> StyleCard:
 
 def _adapter(entries: Mapping[str, Any], file: Path) -> AdapterConfig:
     """Returns the kind and rank of a style; its rank becomes a size of arrays, and is an integer therefore."""
-    if type(entries.get("rank")) is not int:
-        raise InputError(file, "adapter", f"rank {str(entries.get('rank'))[:60]}", "must be an integer")
+    if entries.keys() != {"kind", "rank"}:
+        raise InputError(file, "adapter", ", ".join(entries)[:60] or "no entries", "must have a kind and a rank alone")
+    if type(entries["rank"]) is not int:
+        raise InputError(file, "adapter", f"rank {str(entries['rank'])[:60]}", "must be an integer")
     try:
         return AdapterConfig(**entries)
     except (TypeError, ValueError) as error:
