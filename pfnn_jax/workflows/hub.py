@@ -14,8 +14,10 @@ from pfnn_jax.io.files import copy_once, failure
 from pfnn_jax.run_config import check_finished
 from pfnn_jax.workflows.base import data_folder
 
-ADDRESS = re.compile(r"hf:/{1,2}([\w.-]+)/([\w.-]+)(?:@([\w./-]+))?")
-"""A path object has merged the two slashes into one."""
+SCHEME = "hf:"
+
+ADDRESS = re.compile(r"(\w[\w.-]*)/(\w[\w.-]*)(?:@([\w./-]+))?")
+"""What follows the slashes: owner, name and revision."""
 
 PARTS = ("config.json", "*.md", "normaliser/*", "shared/*", "generator/*", "differences/*", "styles/*")
 """Files of a run that are downloaded; `*` stands for any characters, slashes included."""
@@ -26,7 +28,7 @@ DIGITS = 12
 
 def is_hub_address(path: str | Path) -> bool:
     """Returns whether what is given as a run is an address on the Hub."""
-    return Path(path).as_posix().startswith("hf:/")
+    return Path(path).parts[:1] == (SCHEME,)
 
 
 def hub_run(address: str | Path) -> Path:
@@ -38,8 +40,8 @@ def hub_run(address: str | Path) -> Path:
         InputError: if the address is malformed, the extra `hub` is not installed, nothing can be downloaded, it is not
             a trained run, or the data folder cannot be written.
     """
-    text = Path(address).as_posix().replace("hf:/", "hf://", 1)
-    found = ADDRESS.fullmatch(text)
+    parts = "/".join(Path(address).parts[1:])  # a path object has merged the two slashes
+    text, found = f"{SCHEME}//{parts}", ADDRESS.fullmatch(parts)
     if found is None:
         raise InputError(text, "address", text, "must be hf://OWNER/NAME or hf://OWNER/NAME@REVISION")
     owner, name, revision = found.groups()

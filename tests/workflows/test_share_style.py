@@ -1,4 +1,4 @@
-"""Laws of styles in files: export and import is the identity, files hold nothing private, what does not fit is named."""
+"""Laws of styles in files: export and import is the identity, nothing private is in them, a misfit is named."""
 
 from __future__ import annotations
 
