@@ -57,7 +57,7 @@ class Share(Command):
                 overwrite=self.overwrite,
             )
         size = sum(file.stat().st_size for file in self.out.rglob("*") if file.is_file())
-        print(f"{self.out}: {len(names)} styles, {size / 1e6:.1f} MB")
+        print(f"{self.out}: {len(names)} style{'s' * (len(names) != 1)}, {size / 1e6:.1f} MB")
         if has_differences(path) and not self.differences:
             print_notes(self.out, ["has no excerpts of the data (--differences): styles learned on it turn less well"])
         if self.licence is None:

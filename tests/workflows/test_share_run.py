@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from dataclasses import replace
@@ -142,8 +143,9 @@ def test_existing_folders_and_the_run_itself_are_not_written_over(run: Run, shar
 @pytest.fixture
 def hub(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """Returns the calls of a client of the Hub that has one run, and a folder that is no run."""
-    snapshot = shutil.copytree(shared, tmp_path / "cache" / "snapshots" / COMMIT)
-    (tmp_path / "cache" / "snapshots" / "empty").mkdir()
+    snapshots = tmp_path / "cache" / "snapshots"
+    snapshot = shutil.copytree(shared, snapshots / COMMIT, copy_function=os.symlink)  # as the real one lays them out
+    (snapshots / "empty").mkdir()
     calls: list[dict[str, Any]] = []
 
     def snapshot_download(repository: str, **options: Any) -> str:
@@ -151,7 +153,7 @@ def hub(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[d
         if repository == "jane/walker":
             return str(snapshot)
         if repository == "jane/model":
-            return str(snapshot.parent / "empty")
+            return str(snapshots / "empty")
         raise FileNotFoundError("there is no such repository\nwith details")
 
     monkeypatch.setattr("huggingface_hub.snapshot_download", snapshot_download)
@@ -164,6 +166,7 @@ def test_a_run_is_loaded_from_the_hub(run: Run, hub: list[dict[str, Any]], tmp_p
     loaded = runs.load_run(address)
     assert loaded.path == tmp_path / "home" / "pfnn_jax" / "hub" / f"jane--walker-{COMMIT[:12]}"
     assert_same(run, loaded)
+    assert not any(path.is_symlink() for path in loaded.path.rglob("*"))
     assert hub[0]["repository"] == "jane/walker"
     assert hub[0]["revision"] == ("v1.0" if "@" in str(address) else None)
 
