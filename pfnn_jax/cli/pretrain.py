@@ -17,6 +17,8 @@ from pfnn_jax.training.config import PretrainConfig
 class Pretrain(Command):
     """Train a network on a dataset, with one set of shared parameters and an adapter for each style.
 
+    Minibatches are split over all devices that JAX finds; a run may be resumed on another number of them.
+
     Attributes:
         dataset: folder that `prepare` has written.
         out: folder of the run.
@@ -39,8 +41,12 @@ class Pretrain(Command):
         if not self.resume:
             check_new_run(self.out, self.overwrite)
         dataset = load_dataset(self.dataset)
+        from pfnn_jax.training.sharding import describe_devices
         from pfnn_jax.workflows.pretrain import pretrain_run
 
+        devices = describe_devices(self.config.batch_size)
+        if devices is not None:
+            print(devices)
         with progress("training") as report:
             run = pretrain_run(
                 dataset,

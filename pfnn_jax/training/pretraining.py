@@ -31,7 +31,7 @@ def pretrain(
     *,
     key: jax.Array | None = None,
     state: TrainState | None = None,
-    devices: Sequence[jax.Device] | None = None,
+    devices: Sequence[Any] | None = None,
     progress_callback: Callable[[Progress], Any] = no_progress,
     state_callback: Callable[[TrainState, Progress], Any] = no_progress,
 ) -> TrainState:

@@ -23,12 +23,12 @@ DATA = "data"
 """Name of the mesh's axis, along which minibatches are split."""
 
 
-def data_mesh(batch_size: int, devices: Sequence[jax.Device] | None = None) -> Mesh | None:
+def data_mesh(batch_size: int, devices: Sequence[Any] | None = None) -> Mesh | None:
     """Returns the mesh on which minibatches are trained, or None for one device, where nothing is placed.
 
     Args:
         batch_size: B frames of a minibatch.
-        devices: by default as many of all as divide B.
+        devices: of JAX; by default as many of all as divide B.
 
     Raises:
         ValueError: if the number of devices given, or of all devices of several hosts, does not divide B.
@@ -45,6 +45,17 @@ def data_mesh(batch_size: int, devices: Sequence[jax.Device] | None = None) -> M
 def num_devices(batch_size: int, available: int) -> int:
     """Returns the largest number of devices, of those available, that divides a batch size."""
     return max(count for count in range(1, available + 1) if batch_size % count == 0)
+
+
+def describe_devices(batch_size: int) -> str | None:
+    """Returns which devices a training uses by default, for the user; None where there is but one."""
+    available = jax.device_count()
+    used = num_devices(batch_size, available)
+    if available == 1:
+        return None
+    if used == available:
+        return f"training on {used} devices"
+    return f"training on {used} of {available} devices: their number must divide batch_size {batch_size}"
 
 
 def shard_step(step: Callable, mesh: Mesh) -> Callable:
@@ -80,10 +91,9 @@ def local_draw(draw: Draw, mesh: Mesh) -> Draw:
     """Returns the part of the draws of n steps, leaves [n, B, ...], whose rows this process reads."""
 
     def part(leaf: Any) -> Any:
-        columns = [
-            index[1] for index in _along(mesh, leaf.shape, 1).addressable_devices_indices_map(leaf.shape).values()
-        ]
-        return leaf[:, min(c.start or 0 for c in columns) : max(c.stop or leaf.shape[1] for c in columns)]
+        owned = _along(mesh, leaf.shape, 1).addressable_devices_indices_map(leaf.shape).values()
+        columns = [index[1].indices(leaf.shape[1]) for index in owned if index is not None]
+        return leaf[:, min(first for first, _, _ in columns) : max(stop for _, stop, _ in columns)]
 
     return jax.tree.map(part, draw)
 

@@ -38,7 +38,7 @@ def tune_generator(
     config: TuningConfig | None = None,
     *,
     key: jax.Array | None = None,
-    devices: Sequence[jax.Device] | None = None,
+    devices: Sequence[Any] | None = None,
     progress_callback: Callable[[Progress], Any] = no_progress,
 ) -> Tuned:
     """Tunes a pretrained FiLM generator to the rows of one style, drawing clips independently of the frames.

@@ -101,7 +101,7 @@ def flops(devices: Any) -> float:
         return step(state, jax.tree.map(lambda leaf: leaf[numbers], data), frozen)
 
     numbers = draw.rows[0]
-    return float(jax.jit(one).lower(state, numbers, data, frozen).compile().cost_analysis()["flops"])
+    return float(jax.jit(one).lower(state, numbers, data, frozen).compile().cost_analysis()["flops"])  # pyright: ignore[reportOptionalSubscript]
 
 
 def numbers(tree: Any) -> list[float]:

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 import pytest
 
-from pfnn_jax.training.sharding import data_mesh, num_devices
+from pfnn_jax.training.sharding import data_mesh, describe_devices, num_devices
 
 ROOT = Path(__file__).resolve().parents[2]
 DEVICES = 8
@@ -70,6 +70,20 @@ def test_random_numbers_do_not_depend_on_devices():
 def test_the_number_of_devices_divides_the_batch():
     assert [num_devices(32, count) for count in range(1, 9)] == [1, 2, 2, 4, 4, 4, 4, 8]
     assert num_devices(7, 4) == 1
+
+
+@pytest.mark.parametrize(
+    ("available", "said"),
+    [
+        (1, None),
+        (4, "training on 4 devices"),
+        (6, "training on 4 of 6 devices: their number must divide batch_size 32"),
+        (3, "training on 2 of 3 devices: their number must divide batch_size 32"),
+    ],
+)
+def test_the_devices_of_a_training_are_named(monkeypatch, available, said):
+    monkeypatch.setattr(jax, "device_count", lambda: available)
+    assert describe_devices(32) == said
 
 
 def test_one_device_needs_no_mesh():
