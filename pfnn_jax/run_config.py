@@ -11,6 +11,8 @@ from typing import Any
 
 from pfnn_jax.errors import InputError, check_positive
 from pfnn_jax.io.files import locate, read_json, read_note, refuse_existing, saved_names, write_json
+from pfnn_jax.io.locks import RULE as LOCK_RULE
+from pfnn_jax.io.locks import writer_of
 from pfnn_jax.models.config import CP_KINDS, AdapterConfig, GeneratorConfig, NetworkConfig
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.motion.features.layout import LAYOUTS
@@ -157,6 +159,8 @@ def check_new_run(path: str | Path, overwrite: bool = False, kind: str = CONTROL
     if kind == CONTROLLER and is_run and not overwrite and not has_shared(path):
         step, steps = train_progress(path) or (0, None)
         value = f"unfinished at step {step}" + (f" of {steps}" if steps else "")
+        if writer := writer_of(path):
+            raise InputError(path, "run", f"{value}, being written by {writer}", LOCK_RULE)
         raise InputError(path, "run", value, "pass resume=True to continue, or overwrite=True to start again")
     refuse_existing(path, overwrite)
     if not is_run:

@@ -11,6 +11,7 @@ from pfnn_jax.interop.released.holden2016 import import_released_autoencoder
 from pfnn_jax.interop.released.holden2017 import import_released_pfnn
 from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
+from pfnn_jax.io.locks import writing
 from pfnn_jax.run import Run, load_run, load_style, save_style
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.transfer.run import TransferRun
@@ -41,7 +42,8 @@ def import_released(
         overwrite: replace an existing run.
 
     Raises:
-        InputError: for an unknown kind, a file that is absent or has the wrong size, or an existing run.
+        InputError: for an unknown kind, a file that is absent or has the wrong size, or an existing run or one
+            that another process is writing.
     """
     importers = {
         "pfnn": import_released_pfnn,
@@ -51,4 +53,5 @@ def import_released(
     }
     if kind not in importers:
         raise InputError("import_released", "kind", kind, f"must be one of {', '.join(get_args(ReleasedKind))}")
-    return importers[kind](directory, out, overwrite)
+    with writing(out):
+        return importers[kind](directory, out, overwrite)
