@@ -138,8 +138,19 @@ def has_shared(path: str | Path) -> bool:
     return locate(Path(path) / "shared") is not None
 
 
+def check_present(path: str | Path) -> None:
+    """Checks that a run is still there, before something is saved in it: a folder that was removed is not made again.
+
+    Raises:
+        InputError: if its configuration is gone.
+    """
+    if locate(Path(path)) is None or not (Path(path) / "config.json").is_file():
+        raise InputError(path, "run", "is no longer there", "must stay where it is while it is being written")
+
+
 def save_config(path: str | Path, config: RunConfig) -> None:
     """Replaces the configuration of an existing run."""
+    check_present(path)
     write_json(Path(path) / "config.json", asdict(config))
 
 

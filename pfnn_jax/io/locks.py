@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import failure, reporting_full_disk
+from pfnn_jax.io.files import failure, reporting_full_disk, undo_exchange
 
 RULE = "must be written by one process at a time: wait until that one has ended"
 
@@ -49,6 +49,8 @@ _entering = threading.Lock()
 def writing(run: str | Path) -> Iterator[None]:
     """Keeps other processes from writing a run during the block; blocks may be nested, in any threads of a process.
 
+    A run that was moved aside by a process that was killed while it replaced the run is moved back.
+
     Args:
         run: its directory, which need not exist; parents are made.
 
@@ -60,6 +62,8 @@ def writing(run: str | Path) -> Iterator[None]:
         held = _held.get(target)
         if held is None or held.process != os.getpid():  # a forked process has a copy of this record, not the lock
             held = _held[target] = _take(target, Path(run))
+            with suppress(OSError):  # what cannot be renamed cannot be written either, which is reported then
+                undo_exchange(target)
         held.count += 1
     try:
         yield
@@ -74,6 +78,9 @@ def writing(run: str | Path) -> Iterator[None]:
 def writer_of(run: str | Path) -> str | None:
     """Returns the other process that is writing a run, as "process NUMBER on MACHINE", or None."""
     target = Path(run).resolve()
+    held = _held.get(target)
+    if held is not None and held.process == os.getpid():
+        return None
     for path in _places(target):
         try:
             descriptor = os.open(path, os.O_RDWR)

@@ -58,6 +58,7 @@ def test_blocks_of_one_process_are_nested_and_shared_by_threads(tmp_path):
 
     thread = threading.Thread(target=work)
     with writing(run), writing(run):
+        assert writer_of(run) is None  # nobody else
         thread.start()
         assert entered.wait(10)
     assert (tmp_path / ".run.lock").exists()  # the thread is still writing
@@ -100,6 +101,14 @@ def test_a_run_in_a_folder_that_cannot_be_written_has_its_lock_inside(tmp_path, 
         found = subprocess.run(command, capture_output=True, text=True, cwd=ROOT).stdout
         assert found == f"process {os.getpid()} on {socket.gethostname()}\n"
     assert not list(run.iterdir())
+
+
+def test_a_run_that_was_moved_aside_by_a_killed_process_is_moved_back(tmp_path):
+    (tmp_path / ".run.old").mkdir()
+    (tmp_path / ".run.old" / "config.json").write_text("{}")
+    with writing(tmp_path / "run"):
+        assert (tmp_path / "run" / "config.json").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
