@@ -29,6 +29,9 @@ from pfnn_jax.errors import InputError
 _FULL = tuple((code, os.strerror(code)) for code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 """What the system reports when there is no room: on the disk, in a quota, or below the limit of a file's size."""
 
+MAX_JSON = 64 * 2**20
+"""Bytes of the largest JSON file that is read; configurations and notes have some kilobytes."""
+
 ABANDONED = 3600.0
 """Seconds after which the unfinished copy of a folder is that of a program that was killed."""
 
@@ -252,14 +255,22 @@ def read_json(path: Path, rule: str) -> dict[str, Any]:
         rule: what the file should be, for messages.
 
     Raises:
-        InputError: if the file does not exist, is not JSON (naming the line) or not an object.
+        InputError: if the file does not exist, is too large, not JSON (naming the line) or not an object.
     """
     try:
+        if (size := path.stat().st_size) > MAX_JSON:
+            raise InputError(path, "size", f"{size} bytes", f"must be at most {MAX_JSON}; {rule}")
         data = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
         raise InputError(path, f"line {error.lineno}", error.msg, rule) from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, "file", getattr(error, "strerror", None) or "not UTF-8 text", rule) from error
+    except RecursionError as error:
+        raise InputError(path, "file", "nested too deeply", rule) from error
+    except InputError:
+        raise
+    except ValueError as error:  # a whole number of thousands of digits
+        raise InputError(path, "file", failure(error)[:80], rule) from error
     if not isinstance(data, dict):
         raise InputError(path, "line 1", type(data).__name__, f"must be a JSON object; {rule}")
     return data
