@@ -185,7 +185,7 @@ def save_style(path: str | Path, name: str, adapter: Style, info: Mapping[str, A
     folder = check_new_style(path, name, overwrite)
     config, form = load_config(path), adapter.config
     check_adapter(config, form, folder)
-    shapes = [leaf.shape for leaf in jax.tree.leaves(_abstract_adapter(config, form))]
+    shapes = [leaf.shape for leaf in jax.tree.leaves(abstract_style(config, form))]
     if [leaf.shape for leaf in jax.tree.leaves(adapter)] != shapes:
         raise InputError(folder, "adapter", num_parameters(adapter), f"must fit {config.network.hidden} hidden units")
     note = {"name": name, "shared": shared_fingerprint(path), "adapter": asdict(form), "info": info}
@@ -215,7 +215,7 @@ def load_style(run: Run, name: str | None) -> Style | None:
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(folder / "style.json", "adapter", error, "must be a kind and a rank") from error
     check_adapter(run.config, form, folder)
-    return load_record(folder, _abstract_adapter(run.config, form))
+    return load_record(folder, abstract_style(run.config, form))
 
 
 STATE_FORMAT = 2
@@ -259,7 +259,8 @@ def _abstract(make: Callable[[], State]) -> State:
     return jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, np.float32), jax.eval_shape(make))
 
 
-def _abstract_adapter(config: RunConfig, form: AdapterConfig) -> Style:
+def abstract_style(config: RunConfig, form: AdapterConfig) -> Style:
+    """Returns the shapes of a style of a form for the run's network, as they are on disk."""
     return _abstract(lambda: init_style(form, config.network, key=jax.random.key(0)))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -79,13 +80,13 @@ def test_help_lists_every_command(capsys):
         run("--help")
     assert stopped.value.code == 0
     shown = capsys.readouterr().out
-    assert [line.split()[0] for line in shown.splitlines() if line.startswith("  ")] == list(COMMANDS)
+    assert [re.split("  +", line)[1] for line in shown.splitlines() if line.startswith("  ")] == list(COMMANDS)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_is_explained(name, capsys):
     with pytest.raises(SystemExit) as stopped:
-        run(name, "--help")
+        run(*name.split(), "--help")
     assert stopped.value.code == 0
     shown = capsys.readouterr().out
     explained = parse(load_command(name).__doc__ or "")
@@ -130,6 +131,10 @@ def test_what_needs_no_network_loads_no_jax(folder, tmp_path):
         f"few-shot {run_path} {clip} --name zombie",
         f"few-shot {new} {clip} --name sad",
         f"evaluate {new} {folder / 'bvh'}",
+        f"style export {run_path} sad --out {new}.safetensors",
+        f"style import {run_path} {new}.safetensors",
+        f"style show {new}.safetensors",
+        f"share {run_path} --out {new} --styles sad",
         f"play {folder / 'data'}",
         f"label-phase {clip} --out {new}.phase",
         f"skeleton {clip}",
@@ -505,6 +510,15 @@ def test_options_that_cannot_be_parsed_are_explained(capsys, words, what):
 def test_an_unknown_command_is_one_line(refused):
     assert "command: none; must be one of demo" in refused()
     assert "command: few_shot; did you mean few-shot?" in refused("few_shot")
+
+
+def test_a_command_of_two_words_is_found_by_its_first(refused, capsys):
+    assert "command: style; must be one of style export, style import, style show" in refused("style")
+    assert "command: style exprt; did you mean style export?" in refused("style", "exprt", "--out", "x")
+    with pytest.raises(SystemExit) as stopped:
+        run("style", "--help")
+    shown = capsys.readouterr().out
+    assert stopped.value.code == 0 and "style import" in shown and "few-shot" not in shown
 
 
 def test_messages_speak_of_options():

@@ -18,7 +18,7 @@ FLAT = tyro.conf.arg(name="")
 """The fields of a configuration become options without a prefix: --hidden, not --config.hidden."""
 
 Run = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(name="run", metavar="RUN")]
-"""A run directory, or the word `base`, as a positional argument; `open_run` returns the directory."""
+"""A run directory, the word `base` or `hf://OWNER/NAME`, as a positional argument; `open_run` returns the directory."""
 
 BASE = Path("base")
 """Word of the command line for the user's copy of the package's base network."""
@@ -52,13 +52,18 @@ def open_run(run: Path) -> Path:
     """Returns the directory of the run that a command line names, and checks that it can be loaded.
 
     The word `base` names the base network, unless the working directory holds something of that name, which is said.
-    When the base network is first copied into the user's data folder, a line says where.
+    When the base network is first copied into the user's data folder, a line says where. `hf://OWNER/NAME` names a run
+    on the Hugging Face Hub, which is copied there too.
 
     Raises:
-        InputError: if it is not a run directory or not yet trained, or if the base network cannot be copied.
+        InputError: if it is not a run directory or not yet trained, or if the base network or the run of the Hub cannot
+            be copied.
     """
     from pfnn_jax.run_config import check_finished
+    from pfnn_jax.workflows.hub import hub_run, is_hub_address
 
+    if is_hub_address(run):
+        return hub_run(run)
     if run == BASE and locate(run) is None:
         return _open_base()
     if run == BASE:

@@ -29,6 +29,10 @@ COMMANDS = {
     "render": "Draw clips as a page, a film or a picture.",
     "evaluate": "Measure one-step errors of a run on clips.",
     "export": "Export a run for game engines.",
+    "style export": "Write a style of a run as one file.",
+    "style import": "Save the style of a file in a run.",
+    "style show": "Show what the file of a style says about it.",
+    "share": "Write a run as a folder to pass on, with a model card.",
     "import-released": "Make a run from the authors' released weights.",
     "predict": "Evaluate a run's network on rows of a file.",
     "skeleton": "Show which joints of a clip are taken for which parts of the body.",
@@ -36,7 +40,8 @@ COMMANDS = {
     "plot-phase": "Plot the local phases of hands and toes.",
     "benchmark": "Time training and inference on this machine.",
 }
-"""Name and summary of every sub-command; NAME is the class Name in the module `pfnn_jax.cli.name`."""
+"""Name and summary of every sub-command; FIRST-SECOND and FIRST SECOND are the class FirstSecond in the module
+`pfnn_jax.cli.first_second`."""
 
 PREFIXES = {"AdapterConfig": "adapter.", "TuningConfig": "tuning.", "GeneratorConfig": "generator-"}
 """Configurations whose fields are options with a prefix."""
@@ -51,6 +56,10 @@ def run(args: Sequence[str] | None) -> None:
     words = list(sys.argv[1:] if args is None else args)
     try:
         command = parse(words)
+        if args is None and getattr(command, "keep_compiled", True):  # a program that calls `main` has its own settings
+            from pfnn_jax.io.compilation_cache import name_private_cache
+
+            name_private_cache()
         with command.ending():
             try:
                 result = command.run()
@@ -78,7 +87,7 @@ def parse(words: list[str]):
         InputError: for an unknown sub-command, or an option that breaks a rule of its configuration.
         SystemExit: after `--help` and `--version`, and for options that cannot be parsed, which tyro explains.
     """
-    name = words[0] if words else ""
+    name, options = split_command(words)
     if name in ("--help", "-h"):
         print(usage())
         raise SystemExit(0)
@@ -86,26 +95,31 @@ def parse(words: list[str]):
         print(f"pfnn-jax {__version__}")
         raise SystemExit(0)
     if name not in COMMANDS:
-        near = difflib.get_close_matches(name, COMMANDS, 1)
-        rule = f"did you mean {near[0]}?" if near else f"must be one of {', '.join(COMMANDS)}"
-        raise InputError("command line", "command", name or "none", f"{rule}; see pfnn-jax --help" if near else rule)
+        _refuse_command(name, options)
     import tyro
 
     try:
         command = tyro.cli(
-            load_command(name), args=words[1:], prog=f"pfnn-jax {name}", config=(tyro.conf.FlagCreatePairsOff,)
+            load_command(name), args=options, prog=f"pfnn-jax {name}", config=(tyro.conf.FlagCreatePairsOff,)
         )
     except InputError:
         raise
     except ValueError as error:  # from a configuration's own checks
         raise InputError("command line", "options", str(error).removesuffix("."), "see --help") from error
-    return replace(command, given=given_options(words[1:]))
+    return replace(command, given=given_options(options))
+
+
+def split_command(words: Sequence[str]) -> tuple[str, list[str]]:
+    """Returns the name of a sub-command, of one word or two, and the words after it; the name need not be known."""
+    count = 2 if " ".join(words[:2]) in COMMANDS else 1
+    return " ".join(words[:count]), list(words[count:])
 
 
 def load_command(name: str) -> type:
     """Returns the class of a sub-command."""
-    module = import_module(f"pfnn_jax.cli.{name.replace('-', '_')}")
-    return getattr(module, "".join(word.capitalize() for word in name.split("-")))
+    words = re.split("[- ]", name)
+    module = import_module(f"pfnn_jax.cli.{'_'.join(words)}")
+    return getattr(module, "".join(word.capitalize() for word in words))
 
 
 def given_options(words: Iterable[str]) -> frozenset[str]:
@@ -117,9 +131,10 @@ def given_options(words: Iterable[str]) -> frozenset[str]:
     return frozenset(option.removeprefix("no-").replace("-", "_") for option in options)
 
 
-def usage() -> str:
-    """Returns the help of the command itself."""
-    commands = "\n".join(f"  {name:<16} {summary}" for name, summary in COMMANDS.items())
+def usage(group: str = "") -> str:
+    """Returns the help of the command itself, or of the sub-commands that begin with a word."""
+    listed = {name: summary for name, summary in COMMANDS.items() if name.startswith(group)}
+    commands = "\n".join(f"  {name:<16} {summary}" for name, summary in listed.items())
     return f"""usage: pfnn-jax [--help] [--version] COMMAND ...
 
 Stylised character locomotion from short clips.
@@ -138,6 +153,18 @@ def in_options(message: str) -> str:
 
     message = re.sub(r"\b(\w+Config)\.(\w+)", option, message)
     return re.sub(r"\b([a-z_]+)=True\b", lambda match: f"--{match[1].replace('_', '-')}", message)
+
+
+def _refuse_command(name: str, words: Sequence[str]) -> NoReturn:
+    """Refuses the name of a sub-command that is unknown, or is only the first word of several."""
+    group = [command for command in COMMANDS if name and command.startswith(f"{name} ")]
+    if group and words[:1] in (["--help"], ["-h"]):
+        print(usage(f"{name} "))
+        raise SystemExit(0)
+    found = " ".join([name, *words[:1]]) if group else name
+    near = difflib.get_close_matches(found, COMMANDS, 1) if found != name or not group else []
+    rule = f"did you mean {near[0]}?" if near else f"must be one of {', '.join(group or COMMANDS)}"
+    raise InputError("command line", "command", found or "none", f"{rule}; see pfnn-jax --help" if near else rule)
 
 
 def _refuse(message: str) -> NoReturn:

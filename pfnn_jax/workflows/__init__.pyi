@@ -13,6 +13,11 @@ from .runs import load_run as load_run
 from .runs import load_style as load_style
 from .runs import save_style as save_style
 from .samples import sample_clips as sample_clips
+from .share_run import share_run as share_run
+from .share_style import export_style as export_style
+from .share_style import import_style as import_style
+from .style_card import StyleCard as StyleCard
+from .style_card import read_style_card as read_style_card
 from .transfer import TransferResult as TransferResult
 from .transfer import transfer_clip as transfer_clip
 from .transfer_training import train_transfer as train_transfer

@@ -76,10 +76,11 @@ def is_base(run: Path) -> bool:
 
 
 def _copy_path() -> Path:
-    return _data_folder() / f"base-{_fingerprint(BASE_NETWORK)[:DIGITS]}"
+    return data_folder() / f"base-{_fingerprint(BASE_NETWORK)[:DIGITS]}"
 
 
-def _data_folder() -> Path:
+def data_folder() -> Path:
+    """Returns the folder in which the package keeps a user's own copies of runs; it need not exist."""
     from platformdirs import user_data_path
 
     return user_data_path("pfnn_jax", appauthor=False)

@@ -14,13 +14,30 @@ from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
 from pfnn_jax.io.files import failure
 from pfnn_jax.io.locks import writing
-from pfnn_jax.run import Run, load_run, load_style, save_style
+from pfnn_jax.run import Run, load_style, save_style
+from pfnn_jax.run import load_run as load_local_run
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.transfer.run import TransferRun
+from pfnn_jax.workflows.hub import hub_run, is_hub_address
 
 __all__ = ["Run", "export_run", "import_released", "list_styles", "load_run", "load_style", "save_style"]
 
 ReleasedKind = Literal["pfnn", "cp", "lpn", "autoencoder"]
+
+
+def load_run(path: str | Path, layout: str | None = None) -> Run:
+    """Loads a run as it was after its last complete save.
+
+    Args:
+        path: the run directory; or `hf://OWNER/NAME`, optionally with `@REVISION`, for a run on the Hugging Face Hub,
+            which is copied to the user's data folder first.
+        layout: name of the layout that it must have, or None for any.
+
+    Raises:
+        InputError: if it is not a run, is damaged, has another layout, or has no shared parameters yet; if it cannot be
+            downloaded, or the extra `hub` is not installed.
+    """
+    return load_local_run(hub_run(path) if is_hub_address(path) else path, layout)
 
 
 @overload

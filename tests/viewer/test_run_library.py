@@ -65,7 +65,7 @@ def test_names_of_runs_are_short_and_distinct(library, two_runs):
 
 
 def test_the_base_network_is_called_base(monkeypatch, tmp_path):
-    monkeypatch.setattr("pfnn_jax.workflows.base._data_folder", lambda: tmp_path / "data")
+    monkeypatch.setattr("pfnn_jax.workflows.base.data_folder", lambda: tmp_path / "data")
     copy = open_base().path
     assert RunLibrary([copy]).runs == ("base",)
     own = shutil.copytree(copy, tmp_path / "own" / "base")

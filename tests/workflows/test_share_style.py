@@ -1,0 +1,289 @@
+"""Laws of styles in files: export and import is the identity, nothing private is in them, a misfit is named."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from pfnn_jax.io.tensors import read_metadata, read_tensors, write_tensors
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.layers import style_kinds
+from pfnn_jax.models.network import init_network
+from pfnn_jax.run import Run, load_run, load_style, save_shared, save_style
+from pfnn_jax.run_config import list_styles, save_config, style_note
+from pfnn_jax.workflows.generate import generate_clip
+from pfnn_jax.workflows.private_paths import without_folders
+from pfnn_jax.workflows.share_style import export_style, import_style
+from pfnn_jax.workflows.style_card import read_style_card
+from tests.interop.small_runs import make_run
+from tests.raising import assert_refused
+
+INFO = {
+    "source": "/home/jane doe/clips/tired.bvh",
+    "speed": 1.25,
+    "held_out_error": 0.4,
+    "notes": ["retargeted from 25 joints"],
+    "config": {"learning_rates": [1e-3], "method": "cp"},
+}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Run:
+    """A run whose second style is like one that was learned from a clip."""
+    run = make_run(tmp_path_factory.mktemp("runs") / "run", "mason2018", "cp")
+    save_style(run.path, "tired", load_style(run, "style1"), INFO)
+    return run
+
+
+@pytest.fixture(scope="module")
+def file(run: Run, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("files") / "tired.safetensors"
+    export_style(run, "tired", path, licence="CC BY 4.0")
+    return path
+
+
+@pytest.fixture
+def copy(run: Run, tmp_path: Path) -> Path:
+    """A copy of the run without the style."""
+    shutil.copytree(run.path, tmp_path / "copy")
+    shutil.rmtree(tmp_path / "copy" / "styles" / "tired")
+    return tmp_path / "copy"
+
+
+def assert_bitwise(one: Any, other: Any) -> None:
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+@pytest.mark.parametrize("kind", style_kinds())
+def test_a_style_of_every_kind_goes_through_a_file_bit_for_bit(tmp_path: Path, kind: str):
+    run = make_run(tmp_path / "run", "mason2018", kind, num_styles=1)
+    card = export_style(run, "style0", tmp_path / "a.safetensors")
+    assert import_style(run, tmp_path / "a.safetensors", "again").adapter == card.adapter
+    assert_bitwise(load_style(run, "again"), load_style(run, "style0"))
+
+
+def test_a_character_walks_the_same_in_an_imported_style(run: Run, file: Path, copy: Path):
+    import_style(copy, file)
+    settings = {"seconds": 0.5, "foot_ik": False, "published_loop": True}
+    walks = [generate_clip(where, "tired", "straight", **settings) for where in (run, load_run(copy))]
+    np.testing.assert_array_equal(walks[0].rotations, walks[1].rotations)
+    np.testing.assert_array_equal(walks[0].root_positions, walks[1].root_positions)
+
+
+def test_an_imported_style_exports_the_same_bytes(file: Path, copy: Path, tmp_path: Path):
+    import_style(copy, file)
+    export_style(copy, "tired", tmp_path / "again.safetensors")
+    assert (tmp_path / "again.safetensors").read_bytes() == file.read_bytes()
+
+
+def test_a_run_keeps_what_it_knows_of_a_style(file: Path, copy: Path):
+    import_style(copy, file)
+    found = style_note(copy, "tired")["info"]
+    assert found == {**INFO, "source": "tired.bvh", "licence": "CC BY 4.0"}
+
+
+def test_the_card_says_what_a_style_is_and_where_it_fits(run: Run, file: Path):
+    card, text = read_style_card(file), read_metadata(file)
+    assert (card.name, card.source, card.licence, card.layout) == ("tired", "tired.bvh", "CC BY 4.0", "mason2018")
+    assert card.network == run.fingerprint and card.skeleton["names"] == list(run.skeleton.names)
+    assert card.info["held_out_error"] == 0.4 and card.info["speed"] == 1.25
+    assert list(text)[:4] == ["format", "format_version", "name", "source"]
+    assert card.to_metadata() == text
+
+
+def test_no_folder_of_the_writer_is_in_a_file(run: Run, file: Path):
+    content = file.read_bytes()
+    assert b"jane" not in content and str(run.path).encode() not in content
+
+
+@pytest.mark.parametrize(
+    ("text", "shared"),
+    [
+        ("/home/jane doe/data", "data"),
+        ("/home/jane/data/", "data"),
+        ("LPN weights in /home/jane doe/x/lpn", "LPN weights in lpn"),
+        ("C:\\Users\\jane\\x.bvh", "x.bvh"),
+        ("\\\\server\\jane\\x.bvh", "x.bvh"),
+        ("file:///home/jane/x.bvh", "x.bvh"),
+        ("~/jane/x.bvh", "x.bvh"),
+        ("~jane/x.bvh", "x.bvh"),
+        ("../jane/x.bvh", "x.bvh"),
+        ("note:/home/jane/x.bvh", "note:x.bvh"),
+        (["(/home/jane/x)", {"a": "/jane/b"}], ["(x)", {"a": "b"}]),
+        ("procedural walker", "procedural walker"),
+        ("60 fps and/or 30, 1/2", "60 fps and/or 30, 1/2"),
+        ("https://doi.org/10.5281/zenodo", "https://doi.org/10.5281/zenodo"),
+        (1.5, 1.5),
+        (None, None),
+    ],
+)
+def test_texts_name_files_by_their_last_part(text: Any, shared: Any):
+    assert without_folders(text) == shared
+
+
+def other_network(path: Path) -> None:
+    save_shared(path, init_network(load_run(path).config.network, key=jax.random.key(5)))
+
+
+def other_statistics(path: Path) -> None:
+    np.save(path / "normaliser" / "x_mean.npy", load_run(path).normaliser.inputs.mean + 1)
+
+
+def other_skeleton(change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
+    def apply(path: Path) -> None:
+        data = json.loads((path / "config.json").read_text())
+        change(data["skeleton"])
+        (path / "config.json").write_text(json.dumps(data))
+
+    return apply
+
+
+def lengthen(skeleton: dict[str, Any]) -> None:
+    skeleton["offsets"][3][1] += 0.01
+
+
+def rename(skeleton: dict[str, Any]) -> None:
+    skeleton["names"][4] = "Head_01"
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        (other_network, "shared network"),
+        (other_statistics, "normaliser"),
+        (other_skeleton(lengthen), "skeleton"),
+        (other_skeleton(rename), "skeleton"),
+    ],
+)
+def test_a_style_of_another_network_is_refused(file: Path, copy: Path, change: Callable[[Path], None], place: str):
+    change(copy)
+    refused = assert_refused(lambda: import_style(copy, file), file="tired.safetensors", place=place)
+    assert "tired" not in list_styles(copy)
+    if place == "shared network":
+        assert refused.value == read_style_card(file).network and load_run(copy).fingerprint in refused.rule
+
+
+@pytest.mark.parametrize(
+    ("layout", "kind", "place"),
+    [("pfnn2017", "cp", "layout"), ("mason2022", "film", "layout"), ("mason2018", "film", "adapter kind")],
+)
+def test_a_style_of_another_layout_or_way_of_styling_is_refused(tmp_path: Path, file: Path, layout, kind, place):
+    run = make_run(tmp_path / "run", layout, kind)
+    assert_refused(lambda: import_style(run, file), file="tired.safetensors", place=place)
+
+
+def test_a_rank_other_than_the_runs_is_refused(file: Path, copy: Path):
+    save_config(copy, replace(load_run(copy).config, adapter=AdapterConfig("cp", 2)))
+    assert_refused(lambda: import_style(copy, file), place="adapter rank", value=3, rule_mentions="must be 2")
+
+
+def entry(name: str, value: Any) -> Callable[[dict, dict], None]:
+    """Returns a change of one entry of the metadata, which is removed for None."""
+
+    def apply(arrays: dict, text: dict) -> None:
+        text.pop(name)
+        if value is not None:
+            text[name] = value if isinstance(value, str) else json.dumps(value)
+
+    return apply
+
+
+def info(**entries: Any) -> Callable[[dict, dict], None]:
+    return entry("info", {**INFO, **entries})
+
+
+def parameter(name: str, change: Callable[[np.ndarray], Any] | None) -> Callable[[dict, dict], None]:
+    def apply(arrays: dict, text: dict) -> None:
+        value = arrays.pop(name, np.zeros(3, np.float32))
+        if change is not None:
+            arrays[name] = change(value)
+
+    return apply
+
+
+def with_nan(array: np.ndarray) -> np.ndarray:
+    array = array.copy()
+    array.flat[1] = np.nan
+    return array
+
+
+TAMPERED = {
+    "another format": (entry("format", "lora"), "format"),
+    "no format": (entry("format", None), "format"),
+    "a later version": (entry("format_version", "2"), "format version"),
+    "no version": (entry("format_version", None), "format version"),
+    "no name": (entry("name", None), "name"),
+    "a name with a slash": (entry("name", "../escape"), "style name"),
+    "an empty name": (entry("name", ""), "style name"),
+    "no network": (entry("network", None), "network"),
+    "an unknown kind": (entry("adapter", {"kind": "cubic", "rank": 3}), "adapter"),
+    "no kind": (entry("adapter", {"rank": 3}), "adapter"),
+    "an adapter of more entries": (entry("adapter", {"kind": "cp", "rank": 3, "x": 1}), "adapter"),
+    "a rank of words": (entry("adapter", {"kind": "cp", "rank": "3"}), "adapter"),
+    "a rank of none": (entry("adapter", {"kind": "cp", "rank": 0}), "adapter"),
+    "another kind than the arrays'": (entry("adapter", {"kind": "full", "rank": 3}), "parameter weights"),
+    "a rank without end": (entry("adapter", {"kind": "cp_output", "rank": 10**30}), "adapter rank"),
+    "an adapter that is a list": (entry("adapter", [1]), "adapter"),
+    "an adapter that is no JSON": (entry("adapter", "{"), "adapter"),
+    "a deep nesting": (entry("info", "[" * 100_000), "info"),
+    "a skeleton without offsets": (entry("skeleton", {"names": [], "parents": []}), "skeleton"),
+    "a skeleton of other lengths": (entry("skeleton", {"names": ["a"], "parents": [], "offsets": []}), "skeleton"),
+    "a speed of words": (info(speed="fast"), "info: speed"),
+    "an error that is true": (info(held_out_error=True), "info: held_out_error"),
+    "notes of numbers": (info(notes=[1]), "info: notes"),
+    "a warning that is no list": (info(warnings="none"), "info: warnings"),
+    "a parameter too few": (parameter("bias", None), "parameter bias"),
+    "a parameter too many": (parameter("more", lambda array: array), "parameter more"),
+    "another shape": (parameter("a", lambda array: array[:-1]), "parameter a"),
+    "a transposed matrix": (parameter("a", lambda array: array.T), "parameter a"),
+    "another type": (parameter("a", lambda array: array.astype(np.float64)), "parameter a"),
+    "not a number": (parameter("b", with_nan), "parameter b"),
+    "infinity": (parameter("d", lambda array: array / np.float32(0)), "parameter d"),
+}
+
+
+@pytest.mark.parametrize("name", TAMPERED)
+def test_a_tampered_file_is_refused_and_leaves_the_run_as_it_was(file: Path, copy: Path, tmp_path: Path, name: str):
+    change, place = TAMPERED[name]
+    arrays, text = read_tensors(file)
+    with np.errstate(divide="ignore"):
+        change(arrays, text)
+    write_tensors(tmp_path / "bad.safetensors", arrays, text)
+    before = sorted(copy.rglob("*"))
+    refused = assert_refused(lambda: import_style(copy, tmp_path / "bad.safetensors"))
+    assert refused.place == place, refused
+    assert sorted(copy.rglob("*")) == before
+
+
+def test_a_name_that_exists_needs_overwrite(run: Run, file: Path, copy: Path):
+    import_style(copy, file)
+    save_style(copy, "tired", load_style(run, "style0"), {}, overwrite=True)
+    refused = assert_refused(lambda: import_style(copy, file), file="styles/tired", place="output", value="exists")
+    assert "overwrite=True" in refused.rule
+    assert_bitwise(load_style(load_run(copy), "tired"), load_style(run, "style0"))
+    import_style(copy, file, overwrite=True)
+    assert_bitwise(load_style(load_run(copy), "tired"), load_style(run, "tired"))
+
+
+def test_a_style_can_be_imported_under_another_name(file: Path, copy: Path):
+    assert import_style(copy, file, "weary").name == "weary"
+    assert {"weary"} == set(list_styles(copy)) - {"style0", "style1"}
+    assert style_note(copy, "weary")["name"] == "weary"
+    assert_refused(lambda: import_style(copy, file, "a/b"), place="style name")
+
+
+def test_what_cannot_be_exported_is_refused(run: Run, file: Path, tmp_path: Path):
+    assert_refused(lambda: export_style(run, "sad", tmp_path / "a.safetensors"), place="style", value="sad")
+    assert_refused(lambda: export_style(run, "tired", tmp_path / "a.npz"), place="suffix", value=".npz")
+    assert_refused(lambda: export_style(run, "tired", file), place="output", value="exists")
+    assert_refused(lambda: export_style(run, "tired", tmp_path / "no" / "a.safetensors"), place="output")
+    assert not list(tmp_path.iterdir())
