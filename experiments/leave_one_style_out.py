@@ -117,7 +117,7 @@ def bound(shared, normaliser: Normaliser, fold: Fold, config: Config, seed: int)
     The result is a bound for methods that do not see turns.
     """
     epochs = min(10, config.epochs)
-    grid = FewShotConfig("cp", learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(epochs,), seed=seed)
+    grid = FewShotConfig("cp", 30, (1e-3,), (0.0,), (0.3,), eval_epochs=(epochs,), seed=seed)
     results = []
     for half in (0, 1):
         learn = [part for take in fold.turns[half::2] for part in (take.rows, take.mirrored)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from pfnn_jax.benchmarks.transfer import TransferSizes
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from tests.raising import assert_refused
 
+ROOT = Path(__file__).resolve().parents[1]
 PAPERS_DIGITS = 0.03  # the paper gives two or three digits, and rounds up once
 MEGABYTE = 2**20 / 10**6  # the paper's megabytes are 2^20 bytes, but those of CP 10^6
 
@@ -79,3 +81,13 @@ def test_few_shot_dropout(tmp_path):
 def test_dataset_without_a_clip_is_refused(tmp_path):
     make = partial(few_shot_dropout.Config, tmp_path, dataset=tmp_path)
     assert_refused(make, place="dataset", value=tmp_path, rule_mentions="--clip")
+
+
+def test_every_experiment_is_in_the_table_of_commands():
+    table = (ROOT / "docs" / "results_appendix.md").read_text().partition("\n\nAll numbers")[0]
+    files = [file for file in (ROOT / "experiments").rglob("[!_]*.py") if "common" not in file.parts]
+    assert len(files) > 30
+    for file in files:
+        module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
+        assert f"python -m {module} " in table or f"`{file.stem}`" in table, f"{module} is not in the table"
+        assert f"python -m {module} " in file.read_text(), f"{module} does not say how to run it"

@@ -141,6 +141,7 @@ def optimised(method: Method) -> Learner:
             rank=model.config.adapter.rank,
             learning_rates=budget.learning_rates,
             main_dropouts=(0.0,),
+            adapter_dropouts=(0.3,),
             eval_epochs=budget.eval_epochs,
             held_out=budget.held_out,
             tolerance=budget.tolerance,

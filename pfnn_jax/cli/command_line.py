@@ -55,6 +55,10 @@ def run(args: Sequence[str] | None) -> None:
     words = list(sys.argv[1:] if args is None else args)
     try:
         command = parse(words)
+        if args is None and getattr(command, "keep_compiled", True):  # a program that calls `main` has its own settings
+            from pfnn_jax.io.compilation_cache import name_private_cache
+
+            name_private_cache()
         with command.ending():
             try:
                 result = command.run()

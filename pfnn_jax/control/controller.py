@@ -30,6 +30,7 @@ from pfnn_jax.control.controller_state import (
     follow_body,
     network_step,
     predicted_frame,
+    standing_point,
     style_speed,
 )
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
@@ -321,7 +322,7 @@ def _advance_network(
         distance, stands = feet_distance(setup.rig, motion.joint_positions), state.standing.weight >= 1.0
         tracking = update_tracking(tracking, before, motion, command, distance, stands, config)
         angle = heading_correction(tracking, command, config)
-        motion = turn_state(motion, angle)
+        motion = turn_state(motion, angle, standing_point(setup, params, motion, y))
     frame = predicted_frame(setup, params, motion, y, facing, angle)
     progress = state.progress - 1.0
     return replace(state, motion=motion, tracking=tracking, previous=state.next, next=frame, progress=progress)

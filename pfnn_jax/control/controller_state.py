@@ -19,7 +19,7 @@ from flax import struct
 from pfnn_jax.control.ik.foot_lock import FootLockConfig, FootLocks, needed_drop, place_feet, plan_feet
 from pfnn_jax.control.ik.limb import reach_arms
 from pfnn_jax.control.ik.pose import Pose, Rig, forward_kinematics, pose_from_world
-from pfnn_jax.control.loop.state import CharacterState, carry_state, contacts_of_output, joint_root, read_block
+from pfnn_jax.control.loop.state import ROOT, CharacterState, carry_state, contacts_of_output, joint_root, read_block
 from pfnn_jax.control.loop.step import Command, LoopConfig, published_step
 from pfnn_jax.control.standing import (
     GROUND,
@@ -424,6 +424,26 @@ def follow_body(setup: ControllerSetup, state: ControllerState, moving: jax.Arra
     foot, there = (jnp.mean(jnp.take(points, lower, axis=0), axis=0)[GROUND] for points in (feet, standing.feet))
     place, target = jnp.where(moving, foot, root), jnp.where(moving, there, state.root)
     return carry(state, angle, jnp.where(standing.stopped, target - turn(place, angle), 0.0))
+
+
+def standing_point(setup: ControllerSetup, params: ControllerParams, motion: CharacterState, y: jax.Array) -> jax.Array:
+    """Returns the point [2] on the ground about which a frame can be rotated without sliding the foot that stands.
+
+    Args:
+        setup, params: of a controller with command tracking.
+        motion: state of the loop after the frame.
+        y: [Dy] its output, in layout units.
+
+    Returns:
+        The middle of the foot with more contact, the point between both where they are equal, and the root where no
+        foot is in contact.
+    """
+    assert setup.tracking is not None
+    feet = jnp.mean(motion.joint_positions[np.array(setup.rig.feet)].reshape(2, 2, 3), axis=1)[:, GROUND]
+    contacts = jnp.mean(_predicted_contacts(setup, params, motion, y).reshape(2, 2), axis=1)
+    most = jnp.max(contacts)
+    stands = (contacts >= most).astype(feet.dtype)
+    return jnp.where(most > setup.tracking.standing_contact, stands @ feet / jnp.sum(stands), motion.positions[ROOT])
 
 
 def feet_distance(rig: Rig, joints: jax.Array) -> jax.Array:

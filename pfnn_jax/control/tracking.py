@@ -8,8 +8,8 @@ at all. The published loop leaves it at that. Command tracking wraps it in three
   the inputs of the network do not change. When commanded to stop, the drawn body leaves the network's motion
   (`standing`); the network goes on unseen until its feet pass each other, and waits there (time scale 0).
 - Heading correction. With every network frame the whole character, including its feet and its past trajectory, is
-  rotated about its root towards the commanded heading at a bounded rate. Network inputs are relative to the root, so
-  they do not change. A standing character is never rotated. The foot lock removes what this slides a planted foot.
+  rotated towards the commanded heading at a bounded rate, about the foot on which it stands, so that this foot does not
+  slide. Network inputs are relative to the root, so they do not change. A standing character is never rotated.
 - Look-ahead limit. A network reads a future trajectory that it predicted itself. One trained on walks and runs can
   drift from a walk into a run (positive feedback through its own trajectory input), so the speed of the future
   trajectory is limited to what the style allows.
@@ -51,9 +51,10 @@ class TrackingConfig:
         passing_tolerance: metres above the recent minimum of the distance between the feet within which they pass.
         velocity_rate: of the running mean of the character's velocity, which spans about one step.
         heading_rate: of the running mean of the heading error: over a gait cycle, so that the sway of a slow walk is
-            not corrected. A correction within a step turns planted feet with the body until their locks give way.
+            not corrected.
         correction_gain: radians per second of heading correction per radian of heading error.
         max_correction_rate: radians per second, upper bound of the heading correction.
+        standing_contact: contact, the mean of heel and toe, above which a foot stands and can be turned about.
         max_requested_turn: radians, the largest turn that is requested from the network at once.
         speed_tolerance: largest relative difference between the speed requested from a network and the natural speed
             of its style.
@@ -73,6 +74,7 @@ class TrackingConfig:
     heading_rate: float = 0.03
     correction_gain: float = 1.0
     max_correction_rate: float = 1.0
+    standing_contact: float = 0.5
     max_requested_turn: float = 0.5
     speed_tolerance: float = 0.25
     max_lookahead_ratio: float = 1.25
@@ -81,7 +83,7 @@ class TrackingConfig:
     fps: float = 60.0
 
     def __post_init__(self) -> None:
-        check_share(self, "time_scale_rate", "velocity_rate", "heading_rate")
+        check_share(self, "time_scale_rate", "velocity_rate", "heading_rate", "standing_contact")
         check_positive(self, "min_time_scale", "stopping_time_scale", "strafe_timeout", "max_lookahead_ratio", "fps")
         if self.max_time_scale < self.min_time_scale:
             found = f"got {self.max_time_scale}"

@@ -26,17 +26,30 @@ CONSERVATIVE_ROW = "CP, most conservative within 50 %, refit"
 """The row of the most conservative CP candidate within the tolerance, refit on the clip: the best choice by held-out
 frames of the clip alone."""
 
+SEARCH = FewShotConfig(
+    learning_rates=(1e-4, 1e-3),
+    main_dropouts=(0.0, 0.3),
+    adapter_dropouts=(0.3,),
+    eval_epochs=(5, 10, 25, 50, 100),
+    tolerance=0.5,
+)
+"""Settings of every kind of adapter, from which its row is chosen."""
+
 GRIDS: dict[str, FewShotConfig] = {
-    "CP": FewShotConfig(),
+    "CP": SEARCH,
     "CP, the paper's recipe": MASON2018_FEW_SHOT,
-    "bias": FewShotConfig("bias", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,)),
-    "diagonal": FewShotConfig("diagonal", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,)),
-    "full": FewShotConfig("full", main_dropouts=(0.0,), eval_epochs=(2, 5, 10, 25, 50)),
-    "fine-tune, stopped early": FewShotConfig(
-        "fine_tune", learning_rates=(1e-4,), main_dropouts=(0.3,), eval_epochs=(1, 2, 5, 10, 25, 50, 100)
+    "bias": replace(SEARCH, method="bias", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,)),
+    "diagonal": replace(SEARCH, method="diagonal", learning_rates=(1e-3, 3e-3), main_dropouts=(0.0,)),
+    "full": replace(SEARCH, method="full", main_dropouts=(0.0,), eval_epochs=(2, 5, 10, 25, 50)),
+    "fine-tune, stopped early": replace(
+        SEARCH,
+        method="fine_tune",
+        learning_rates=(1e-4,),
+        main_dropouts=(0.3,),
+        eval_epochs=(1, 2, 5, 10, 25, 50, 100),
     ),
-    "from scratch": FewShotConfig(
-        "scratch", learning_rates=(1e-3,), main_dropouts=(0.3,), eval_epochs=(10, 25, 50, 100)
+    "from scratch": replace(
+        SEARCH, method="scratch", learning_rates=(1e-3,), main_dropouts=(0.3,), eval_epochs=(10, 25, 50, 100)
     ),
 }
 """Grids trained on the clip; the row of a grid is its candidate with the least error on the held-out frames."""

@@ -144,10 +144,11 @@ def _are_increasing(epochs: tuple[int, ...]) -> bool:
 
 @dataclass(frozen=True)
 class FewShotConfig:
-    """How a style is learned from a clip.
+    """How a style is learned from a clip: by default as in Mason 2018 §7.2.
 
-    Every combination of rates is one setting of the grid; all are trained at once by `vmap`, each is evaluated after
-    every number of epochs in `eval_epochs`, and one (setting, number of epochs) is chosen.
+    Every combination of rates is one setting of a grid; all are trained at once by `vmap`, each is evaluated after
+    every number of epochs in `eval_epochs`, and one (setting, number of epochs) is chosen. Their recipe is a grid over
+    the rates of adapter dropout alone. What a run learns with is chosen by `pfnn_jax.workflows.learn.default_config`.
 
     Attributes:
         method: `cp`, `full`, `diagonal`, `bias` or `dense` adapters; `cp_output`, a CP adapter of the last layer;
@@ -167,23 +168,24 @@ class FewShotConfig:
         held_out: share of the clip's frames, at its end, that choose among the settings.
         tolerance: how much larger than the best a setting's held-out error may be; of those within it that remove at
             least half as much error as the best, the most conservative is taken (least learning rate times epochs).
-            The frames of a straight walk favour settings that fit straight walks; 0 takes the best of them.
+            0 takes the best. Where rates and epochs differ, the frames of a straight walk favour settings that fit
+            straight walks.
         seed: of initialisation, shuffling and dropout.
     """
 
     method: Method = "cp"
     rank: int = 30
-    learning_rates: tuple[float, ...] = (1e-4, 1e-3)
-    main_dropouts: tuple[float, ...] = (0.0, 0.3)
-    adapter_dropouts: tuple[float, ...] = (0.3,)
-    eval_epochs: tuple[int, ...] = (5, 10, 25, 50, 100)
+    learning_rates: tuple[float, ...] = (1e-4,)
+    main_dropouts: tuple[float, ...] = (0.3,)
+    adapter_dropouts: tuple[float, ...] = (0.3, 0.5, 0.7)
+    eval_epochs: tuple[int, ...] = (100,)
     decay: bool = False
     restyled: bool = False
     batch_size: int = 32
     l1: float = 0.01
     bone_length: float = 1.0
     held_out: float = 0.2
-    tolerance: float = 0.5
+    tolerance: float = 0.0
     seed: int = 0
 
     def __post_init__(self):
@@ -199,9 +201,7 @@ class FewShotConfig:
         check_field(self, "learning_rates", "be positive", lambda rates: rates and all(rate > 0 for rate in rates))
 
 
-MASON2018_FEW_SHOT = FewShotConfig(
-    learning_rates=(1e-4,), main_dropouts=(0.3,), adapter_dropouts=(0.3, 0.5, 0.7), eval_epochs=(100,)
-)
+MASON2018_FEW_SHOT = FewShotConfig()
 """Mason 2018 §7.2: CP of rank 30, 100 epochs at 1e-4, a grid over the authors' rates of adapter dropout alone."""
 
 RESTYLED_FEW_SHOT = FewShotConfig(
@@ -213,12 +213,19 @@ RESTYLED_FEW_SHOT = FewShotConfig(
     decay=True,
     restyled=True,
     batch_size=128,
-    tolerance=0.0,
 )
 """The clip and the known styles' turns in the new style: about 600 steps (docs/research/few_shot.md)."""
 
-FILM_FEW_SHOT = FewShotConfig("film", learning_rates=(1e-4, 1e-3, 3e-3), main_dropouts=(0.0,))
-"""For a network trained with FiLM: the 4H parameters of a FiLM style, at rates that move them in a few epochs."""
+FILM_FEW_SHOT = FewShotConfig(
+    method="film",
+    learning_rates=(1e-4, 1e-3, 3e-3),
+    main_dropouts=(0.0,),
+    adapter_dropouts=(0.0,),  # FiLM parameters have no dropout of their own
+    eval_epochs=(5, 10, 25, 50, 100),
+    tolerance=0.5,
+)
+"""For a network trained with FiLM: the 4H parameters of a FiLM style, at rates that move them in a few epochs, and the
+most conservative of those that fit the clip."""
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ def fit_style(
     Args:
         network: pretrained parameters, not changed.
         rows: of the clip and, where that belongs to the style, of its mirror image (S = 1).
-        config: the grid of settings; `FewShotConfig()` by default.
+        config: how to learn; `FewShotConfig()`, the paper's recipe, by default.
         key: of initialisation, shuffling and dropout; by default from `config.seed`.
         start: style to begin with, see `initial_parameters`.
         differences: of the styles that the network knows, for a config that is `restyled`.

@@ -71,7 +71,7 @@ def learn_style(
     Args:
         run: a pretrained run, or its directory.
         clip_file: the clip, its frames and the style's name; or a BVH or glTF file, after which the style is named.
-        config: the grid of settings, with a method that trains an adapter; `default_config` of the run by default.
+        config: how to learn, by a method that trains an adapter; `default_config` of the run by default.
         mirror: also learn from the mirrored clip; by default unless its left and right differ, see `inspect_clip`.
         roles_file: JSON naming the joints' roles.
         overwrite: replace a style of this name.

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control.controller import Controller, make_controller, rollout_commands, step, with_calibrated_speeds
-from pfnn_jax.control.controller_state import ControllerState, style_speed
+from pfnn_jax.control.controller_state import ControllerState, standing_point, style_speed
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
+from pfnn_jax.control.loop.state import ROOT, turn_state
 from pfnn_jax.control.loop.step import Command, published_step
-from pfnn_jax.control.vectors import orthonormal
+from pfnn_jax.control.vectors import length, orthonormal
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import evaluate
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
@@ -181,6 +182,29 @@ def test_a_style_changes_gradually(controller):
     np.testing.assert_allclose(weights.sum(1), 1.0, atol=2e-3)  # while the last thousandth is snapped
     assert (np.diff(weights[:, 1]) >= 0).all() and np.abs(np.diff(weights, axis=0)).max() < 0.06
     np.testing.assert_array_equal(weights[-1], [0.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("standing", [[0], [1], [0, 1], []])
+def test_a_heading_correction_turns_about_the_foot_that_stands(run, controller, standing):
+    """So that it does not slide: without a foot in contact it is the root that keeps its place."""
+    setup, params, motion = controller.setup, controller.params, controller.start((1.0, 2.0), 0.4).motion
+    feet, lifted = np.array(setup.rig.feet), np.array([side not in standing for side in (0, 0, 1, 1)])
+    motion = replace(  # this layout has no contacts: they are found by height and speed
+        motion,
+        joint_positions=motion.joint_positions.at[feet, 1].set(params.foot_heights + 0.5 * lifted),
+        joint_velocities=jnp.zeros_like(motion.joint_velocities),
+    )
+
+    def place(motion):
+        middles = motion.joint_positions[feet].reshape(2, 2, 3).mean(1)[:, np.array([0, 2])]
+        return middles[np.array(standing)].mean(0) if standing else motion.positions[ROOT]
+
+    centre = standing_point(setup, params, motion, jnp.zeros(run.layout.output_size))
+    np.testing.assert_allclose(centre, place(motion), atol=FLOAT32)
+    turned = turn_state(motion, jnp.float32(0.3), centre)
+    np.testing.assert_allclose(place(turned), centre, atol=FLOAT32)
+    moved = float(length(turned.positions[ROOT] - motion.positions[ROOT]))
+    assert moved > 0.01 if len(standing) == 1 else moved < 0.1
 
 
 def test_speeds_of_a_mixture_are_means_over_its_styles(controller):

@@ -68,7 +68,10 @@ def test_tracking_is_equivariant_under_mirroring():
         requested = network_command(command, before.directions[ROOT], speed, tracking, CONFIG)
         found = update_tracking(tracking, before, after, command, NEAR, jnp.asarray(False), CONFIG)
         angle = heading_correction(found, command, CONFIG)
-        return (requested, turn_state(after, angle), found.velocity), (found.heading_error, angle)
+        return (requested, turn_state(after, angle, after.positions[ROOT]), found.velocity), (
+            found.heading_error,
+            angle,
+        )
 
     vectors, angles = track(before, after, command, tracking)
     other = replace(mirrored(tracking), heading_error=-tracking.heading_error)

@@ -132,6 +132,15 @@ def test_a_network_tells_the_sizes_it_was_made_with(rank):
     assert config_of(init_network(config, key=jax.random.key(0))) == config
 
 
+def test_by_default_a_style_is_learned_as_in_the_paper():
+    """Mason 2018 §7.2 and the authors' code: 100 epochs at 1e-4, variable dropout of the adapter alone."""
+    grid, config = settings_grid(FewShotConfig()), FewShotConfig()
+    assert (config.method, config.rank, config.eval_epochs, config.batch_size) == ("cp", 30, (100,), 32)
+    np.testing.assert_allclose(grid.adapter_dropout, [0.3, 0.5, 0.7])
+    np.testing.assert_allclose(grid.learning_rate, 1e-4)
+    np.testing.assert_allclose(grid.main_dropout, 0.3)
+
+
 def test_the_grid_holds_every_combination_once():
     config = FewShotConfig(learning_rates=(1e-4, 1e-3), main_dropouts=(0.0, 0.3), adapter_dropouts=(0.1, 0.5, 0.9))
     rows = np.stack(jax.tree.leaves(settings_grid(config)), axis=1)

@@ -42,7 +42,7 @@ from pfnn_jax.workflows.learn import default_config, learn_style
 from tests.raising import assert_refused
 
 FRAME = 1.0 / 60.0
-SMALL = FewShotConfig("cp", 4, learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(1,))
+SMALL = FewShotConfig("cp", 4, (1e-3,), (0.0,), (0.3,), eval_epochs=(1,))
 
 
 @pytest.fixture(scope="module")

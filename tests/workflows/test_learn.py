@@ -20,6 +20,7 @@ from pfnn_jax.motion.synthetic.walks import STYLES, synthesise, synthetic_clips
 from pfnn_jax.run import load_run, load_style
 from pfnn_jax.run_config import style_note
 from pfnn_jax.training.config import (
+    FILM_FEW_SHOT,
     MASON2018_FEW_SHOT,
     RESTYLED_FEW_SHOT,
     FewShotConfig,
@@ -45,7 +46,7 @@ def angry(mocap, style="cross"):
 
 def test_a_film_is_learned_from_a_clip(run, mocap, monkeypatch):
     monkeypatch.setattr(turning, "SECONDS", 1.2)  # whether it is stable is not the question here
-    config = FewShotConfig("film", learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(1,), tolerance=0.0)
+    config = replace(FILM_FEW_SHOT, learning_rates=(1e-3,), eval_epochs=(1,), tolerance=0.0)
     info = learn_style(run, angry(mocap), config, mirror=False)
     film, start = load_style(run, "cross"), load_choice(run, None)
     assert isinstance(film, FiLMStyle) and isinstance(start, FiLMStyle)
@@ -59,7 +60,7 @@ def test_a_film_is_learned_from_a_clip(run, mocap, monkeypatch):
 
 def test_a_side_step_is_learned_with_warnings(run, mocap, monkeypatch):
     monkeypatch.setattr(turning, "SECONDS", 1.2)
-    config = FewShotConfig("film", learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(1,), tolerance=0.0)
+    config = replace(FILM_FEW_SHOT, learning_rates=(1e-3,), eval_epochs=(1,), tolerance=0.0)
     clip = ClipFile(mocap / "bandai-namco-1" / "dataset-1_walk-left_tired_001.bvh", "sideways")
     info = learn_style(run, clip, config)
     assert any("to the left of where the body faces" in line for line in info["warnings"])
@@ -70,7 +71,7 @@ def test_a_side_step_is_learned_with_warnings(run, mocap, monkeypatch):
 
 def test_a_plain_walk_has_no_warning_and_one_whose_joints_shake_has_one(tmp_path_factory, tmp_path):
     shutil.copytree(walking_run(tmp_path_factory).path, tmp_path / "run")
-    config = FewShotConfig(learning_rates=(1e-3,), main_dropouts=(0.0,), eval_epochs=(10,))
+    config = FewShotConfig("cp", 30, (1e-3,), (0.0,), (0.3,), eval_epochs=(10,))
     clip, _ = synthesise("proud", np.zeros(240), np.full(240, STYLES["proud"].speed), seed=9)
     write_bvh(tmp_path / "plain.bvh", clip)
     shaken, shake = clip.rotations.copy(), np.random.default_rng(0).normal(scale=0.5, size=(240, 12, 3))

@@ -132,11 +132,12 @@ def place_state(state: CharacterState, position: jax.Array, yaw: jax.Array) -> C
     return replace(moved, target_velocity=target[0], target_direction=target[1])
 
 
-def turn_state(state: CharacterState, angle: jax.Array) -> CharacterState:
-    """Rotates a character and its past trajectory about its root by an angle [] radians.
+def turn_state(state: CharacterState, angle: jax.Array, centre: jax.Array) -> CharacterState:
+    """Rotates a character and its trajectory by an angle [] radians about a point [2] metres on the ground.
 
     Relative to its root nothing changes. Its targets in the world stay."""
-    return _moved(state, lambda v: to_world(v, facing_of(angle)), state.positions[ROOT])
+    turned = partial(to_world, facing=facing_of(angle))
+    return _moved(state, turned, centre + turned(state.positions[ROOT] - centre))
 
 
 def carry_state(state: CharacterState, angle: jax.Array, shift: jax.Array) -> CharacterState:

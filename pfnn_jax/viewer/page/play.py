@@ -16,14 +16,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io.compilation_cache import use_private_cache
 from pfnn_jax.run_config import check_finished
 from pfnn_jax.viewer.draw.palette import ACCENT, rgb
 from pfnn_jax.viewer.page import background, widgets
-from pfnn_jax.viewer.page.compilation_cache import StartTimes, use_private_cache
 from pfnn_jax.viewer.page.guard import guarded
 from pfnn_jax.viewer.page.run_library import RunLibrary, run_names
 from pfnn_jax.viewer.page.scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TARGET
 from pfnn_jax.viewer.page.start_screen import StandingBody, StartProgress, Ticker, WaitingTab, standing_body
+from pfnn_jax.viewer.page.start_times import StartTimes
 from pfnn_jax.viewer.page.tab import Tab
 from pfnn_jax.viewer.page.uploads import cancel_learning, prepare_learning
 
@@ -188,7 +189,7 @@ def play(
         port: TCP port; 0 takes a free one.
         open_browser: whether to open the page in this machine's browser.
         keep_compiled: whether to keep compiled code and the seconds of this start in the user's cache folder, so that
-            later starts are faster; see `compilation_cache`.
+            later starts are faster; see `pfnn_jax.io.compilation_cache`.
 
     Raises:
         InputError: for a folder that is not a run directory, if the address cannot be used, or if viser is missing.

@@ -111,7 +111,7 @@ class Character:
         distance, stands = self._feet_distance(loop.pose["joint_position"]), self.standing.weight >= 1.0
         tracking.update(loop.positions[NOW] - root, facing, velocity, direction, distance, stands)
         angle = tracking.heading_correction(velocity)
-        loop.rotate(angle)
+        loop.rotate(angle, self._standing_point(out))
         self.previous, self.next = self.next, self._frame(out, facing * np.exp(1j * angle))
 
     def _carry(self, turned, shift):
@@ -165,6 +165,14 @@ class Character:
         speed = np.linalg.norm(pose["joint_velocity"][feet], axis=-1) / k["contact_speed"]
         height = (pose["joint_position"][feet, 1] - self.foot_heights) / k["contact_height"]
         return np.clip(1.5 - np.maximum(speed, height), 0.0, 1.0)
+
+    def _standing_point(self, out):
+        """Returns the point about which a turn does not slide the foot that stands; the root if none does."""
+        contacts = self._predicted_contacts(out).reshape(2, 2).mean(1)
+        if contacts.max() <= self.constants["tracking"]["standing_contact"]:
+            return self.loop.positions[NOW]
+        feet = middle(self.loop.pose["joint_position"][self.body.feet].reshape(2, 2, 3))
+        return feet[contacts == contacts.max()].mean()
 
     def _feet_distance(self, joints):
         """Returns the metres on the ground between the middles of both feet."""

@@ -132,10 +132,10 @@ class PublishedLoop:
         positions = mix(self.positions[NOW::10], here + out["position"] * facing, rate)
         return fill(positions), fill(turn_towards(self.directions[NOW::10], out["direction"] * facing, rate))
 
-    def rotate(self, angle):
-        """Rotates the character and its trajectory about its root by an angle in radians; its command stays."""
-        root, turned = self.positions[NOW], np.exp(1j * angle)
-        self._move(turned, root - root * turned)
+    def rotate(self, angle, centre):
+        """Rotates the character and its trajectory about a point by an angle in radians; its command stays."""
+        turned = np.exp(1j * angle)
+        self._move(turned, centre - centre * turned)
 
     def carry(self, turned, shift):
         """Rotates the character with its command about the origin by a unit number, then shifts it by a point."""

@@ -2,7 +2,8 @@
 
 - Time scaling: frames are drawn faster or slower than the network predicts them, so that root, feet and phase change
   speed together. After a command to stop the network goes on unseen until its feet pass each other, and waits there.
-- Heading correction: the character is rotated as one rigid body about its root towards the commanded heading.
+- Heading correction: the character is rotated as one rigid body towards the commanded heading, about the foot on which
+  it stands.
 - The future trajectory that the network reads is limited to the speed that its style allows.
 """
 

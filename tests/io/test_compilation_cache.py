@@ -1,17 +1,19 @@
-"""The folder of compiled code: private, refused otherwise; and how long earlier starts have taken."""
+"""The folder of compiled code: private, refused otherwise, bounded in size, and used by every command."""
 
 from __future__ import annotations
 
-import contextlib
 import os
+import subprocess
+import sys
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from pfnn_jax.viewer.page import compilation_cache
-from pfnn_jax.viewer.page.compilation_cache import FIRST_SECONDS, KEPT_SHARE, StartTimes, private_folder
+from pfnn_jax.io import compilation_cache
+from pfnn_jax.io.compilation_cache import REJECTED, VARIABLE, name_private_cache, private_folder
 from tests.raising import assert_refused
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="modes and owners of POSIX")
@@ -104,7 +106,7 @@ def config(folder: str | None, enabled: bool = True) -> Any:
 
 def test_jax_keeps_compiled_code_unless_configured_otherwise(tmp_path: Path, monkeypatch):
     own = tmp_path / "cache" / "compiled"
-    monkeypatch.setattr(compilation_cache, "cache_folder", lambda: own)
+    monkeypatch.setattr(compilation_cache, "compiled_folder", lambda: own)
     for given, expected in (
         (config("/somewhere"), Path("/somewhere")),
         (config(None, enabled=False), None),
@@ -115,61 +117,84 @@ def test_jax_keeps_compiled_code_unless_configured_otherwise(tmp_path: Path, mon
         assert given.jax_compilation_cache_dir == (None if expected is None else str(expected))
 
 
-@pytest.mark.parametrize("keep", [True, False])
-def test_the_seconds_of_a_start_are_kept_only_with_its_compiled_code(monkeypatch, keep: bool):
-    pytest.importorskip("viser", reason="viser is not installed")
-    from pfnn_jax.viewer.page import background, play
-
-    class Library:
-        runs = ()
-
-        def warm_up(self) -> None: ...
-
-        def empty_trash(self) -> None: ...
-
-        @property
-        def styles(self) -> None:
-            raise KeyboardInterrupt  # as soon as the page is announced
-
-    noted: list[float] = []
-    page = SimpleNamespace(url="", begin=lambda library: None)
-    times = SimpleNamespace(expected=1.0, note=noted.append)
-    stubs = {"standing_body": None, "RunLibrary": Library(), "Page": contextlib.nullcontext(page), "StartTimes": times}
-    for name, value in (stubs | {"check_finished": None, "cancel_learning": None, "_cache": None}).items():
-        monkeypatch.setattr(play, name, lambda *_, value=value, **__: value)
-    monkeypatch.setattr(background, "leave_work", lambda code: None)
-    play.play(["run"], port=0, keep_compiled=keep)
-    assert len(noted) == keep
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch) -> Path:
+    """Returns the folder in which compiled code is kept, of an environment that says nothing about it."""
+    for name in (VARIABLE, "JAX_ENABLE_COMPILATION_CACHE", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
+        # Both, so that what the test sets is removed afterwards.
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    monkeypatch.setattr(compilation_cache, "cache_folder", lambda: tmp_path / "compiled")
+    return compilation_cache.compiled_folder()
 
 
-def test_old_compiled_code_is_removed(tmp_path: Path, monkeypatch):
-    old, new = tmp_path / "a-cache", tmp_path / "b-cache"
-    for file in (old, new):
+def test_a_command_names_a_private_folder_for_its_version_of_jax_and_its_processor(own: Path, monkeypatch):
+    name_private_cache()
+    assert os.environ[VARIABLE] == str(own) and own.is_dir()
+    assert own.name.startswith(f"jax-{compilation_cache.jax_version()}-")
+    monkeypatch.setattr(compilation_cache.platform, "machine", lambda: "another")
+    assert compilation_cache.compiled_folder() != own
+
+
+@pytest.mark.parametrize("variable", [VARIABLE, "JAX_ENABLE_COMPILATION_CACHE"])
+def test_what_the_user_has_set_stays(own: Path, monkeypatch, variable: str):
+    monkeypatch.setenv(variable, "0")
+    name_private_cache()
+    assert os.environ.get(VARIABLE) == ("0" if variable == VARIABLE else None) and not own.exists()
+
+
+@POSIX
+def test_a_refused_folder_stops_no_command(own: Path):
+    own.parent.mkdir(mode=0o700)
+    own.parent.chmod(0o777)
+    name_private_cache()
+    assert VARIABLE not in os.environ and not own.exists()
+
+
+def test_unreadable_code_is_no_warning_and_a_processor_that_rejects_its_own_code_keeps_none(own: Path, recwarn):
+    name_private_cache()
+    for text in ("Target machine feature +prefer-no-gather is not supported", "Error -3 while decompressing data"):
+        warnings.showwarning(f"Error reading persistent compilation cache entry for 'f': {text}", UserWarning, "", 0)
+        assert (own / REJECTED).exists()
+    assert not recwarn.list
+    del os.environ[VARIABLE]
+    name_private_cache()
+    assert VARIABLE not in os.environ
+
+
+def test_a_damaged_entry_alone_does_not_switch_the_cache_off(own: Path):
+    name_private_cache()
+    warnings.showwarning("Error reading persistent compilation cache entry for 'f': Error -3", UserWarning, "", 0)
+    assert not (own / REJECTED).exists()
+
+
+def test_old_compiled_code_and_what_exceeds_the_bound_is_removed(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(compilation_cache, "MOST_BYTES", 10)
+    (tmp_path / "jax").mkdir()
+    files = [tmp_path / "jax" / f"{name}-cache" for name in ("old", "first", "second", "third")]
+    for age, file in zip((10**9, 300, 200, 100), files, strict=True):
         file.write_bytes(b"code")
-    os.utime(old, (0, 0))
+        written = compilation_cache.time.time() - age
+        os.utime(file, (written, written))
     compilation_cache._remove_unused(tmp_path)
-    assert not old.exists() and new.exists()
+    assert [file.exists() for file in files] == [False, False, True, True]
 
 
-def test_a_start_is_expected_to_take_as_long_as_the_last(tmp_path: Path):
-    file, kept = tmp_path / "times.json", tmp_path / "kept"
-    kept.mkdir()
-    assert StartTimes(["run"], kept, file).expected == FIRST_SECONDS
-    StartTimes(["run"], kept, file).note(60.0)
-    assert StartTimes(["run"], kept, file).expected == 60.0, "nothing was kept"
-    (kept / "step-cache").write_bytes(b"code")
-    assert StartTimes(["run"], kept, file).expected == pytest.approx(60.0 * KEPT_SHARE)
-    StartTimes(["run"], kept, file).note(12.0)
-    assert StartTimes(["run"], kept, file).expected == 12.0
-    assert StartTimes(["run"], None, file).expected == 60.0
-    assert StartTimes(["other"], kept, file).expected == FIRST_SECONDS
-
-
-@pytest.mark.parametrize("text", ["", "[1]", '{"jax": 3}', "{"])
-def test_a_damaged_file_of_times_is_as_none(tmp_path: Path, text: str):
-    file = tmp_path / "times.json"
-    file.write_text(text)
-    times = StartTimes(["run"], None, file)
-    assert times.expected == FIRST_SECONDS
-    times.note(5.0)
-    assert StartTimes(["run"], None, file).expected == 5.0
+def test_a_command_keeps_what_it_compiles(tmp_path: Path):
+    """In a program of its own, since JAX reads the variables once, and with the user's folder elsewhere."""
+    code = (
+        "import sys; from pfnn_jax.cli import command_line, main\n"
+        "class Compile:\n"
+        "    json = None\n"
+        "    def ending(self):\n        import contextlib; return contextlib.nullcontext()\n"
+        "    def run(self):\n        import jax; print(jax.jit(lambda x: 2 * x)(3.0))\n"
+        "command_line.parse = lambda words: Compile()\n"
+        "main()\n"
+    )
+    home = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path)}
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE} | home
+    environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "6.0" and not done.stderr
+    assert list(tmp_path.rglob("compiled/jax-*/*-cache"))
