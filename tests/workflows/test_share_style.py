@@ -61,6 +61,14 @@ def copy(run: Run, tmp_path: Path) -> Path:
     return tmp_path / "copy"
 
 
+@pytest.fixture(scope="module")
+def untouched(run: Run, tmp_path_factory) -> Run:
+    """A copy of the run without the style, for what must not change it."""
+    path = shutil.copytree(run.path, tmp_path_factory.mktemp("untouched") / "copy")
+    shutil.rmtree(path / "styles" / "tired")
+    return load_run(path)
+
+
 def assert_bitwise(one: Any, other: Any) -> None:
     assert jax.tree.structure(one) == jax.tree.structure(other)
     jax.tree.map(np.testing.assert_array_equal, one, other)
@@ -257,16 +265,16 @@ TAMPERED = {
 
 
 @pytest.mark.parametrize("name", TAMPERED)
-def test_a_tampered_file_is_refused_and_leaves_the_run_as_it_was(file: Path, copy: Path, tmp_path: Path, name: str):
+def test_a_tampered_file_is_refused_and_leaves_the_run_as_it_was(file: Path, untouched: Run, tmp_path: Path, name: str):
     change, place = TAMPERED[name]
     arrays, text = read_tensors(file)
     with np.errstate(divide="ignore"):
         change(arrays, text)
     write_tensors(tmp_path / "bad.safetensors", arrays, text)
-    before = sorted(copy.rglob("*"))
-    refused = assert_refused(lambda: import_style(copy, tmp_path / "bad.safetensors"))
+    before = sorted(untouched.path.rglob("*"))
+    refused = assert_refused(lambda: import_style(untouched, tmp_path / "bad.safetensors"))
     assert refused.place == place and str(refused).isprintable(), refused
-    assert sorted(copy.rglob("*")) == before
+    assert sorted(untouched.path.rglob("*")) == before
 
 
 @given(data=st.data())
