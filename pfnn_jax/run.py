@@ -40,6 +40,7 @@ from pfnn_jax.run_config import (
     check_adapter,
     check_new_run,
     check_new_style,
+    check_present,
     load_config,
     style_note,
 )
@@ -131,7 +132,12 @@ def load_run(path: str | Path, layout: str | None = None) -> Run:
 
 
 def save_shared(path: str | Path, shared: Network) -> None:
-    """Saves the style-agnostic parameters; styles that were trained for other ones are refused from then on."""
+    """Saves the style-agnostic parameters; styles that were trained for other ones are refused from then on.
+
+    Raises:
+        InputError: if the disk is full or cannot be written, or the run has been removed.
+    """
+    check_present(path)
     note = {"fingerprint": fingerprint(shared), "parameters": num_parameters(shared)}
     save_record(Path(path) / "shared", shared, "shared.json", note)
 
@@ -217,7 +223,12 @@ STATE_FORMAT = 2
 
 
 def save_train_state(path: str | Path, state: Any, step: int, steps: int | None = None) -> None:
-    """Saves the state of training after `step` of `steps`; the last good one is replaced when this one is complete."""
+    """Saves the state of training after `step` of `steps`; the last good one is replaced when this one is complete.
+
+    Raises:
+        InputError: if the disk is full or cannot be written, or the run has been removed.
+    """
+    check_present(path)
     note = {"step": int(step), "steps": steps, "format": STATE_FORMAT}
     save_record(Path(path) / "train_state", state, STATE_NOTE, note)
 

@@ -11,6 +11,8 @@ from typing import Any
 
 from pfnn_jax.errors import InputError, check_positive
 from pfnn_jax.io.files import locate, read_json, read_note, refuse_existing, saved_names, write_json
+from pfnn_jax.io.locks import RULE as LOCK_RULE
+from pfnn_jax.io.locks import writer_of
 from pfnn_jax.models.config import CP_KINDS, AdapterConfig, GeneratorConfig, NetworkConfig
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.motion.features.layout import LAYOUTS
@@ -136,8 +138,19 @@ def has_shared(path: str | Path) -> bool:
     return locate(Path(path) / "shared") is not None
 
 
+def check_present(path: str | Path) -> None:
+    """Checks that a run is still there, before something is saved in it: a folder that was removed is not made again.
+
+    Raises:
+        InputError: if its configuration is gone.
+    """
+    if locate(Path(path)) is None or not (Path(path) / "config.json").is_file():
+        raise InputError(path, "run", "is no longer there", "must stay where it is while it is being written")
+
+
 def save_config(path: str | Path, config: RunConfig) -> None:
     """Replaces the configuration of an existing run."""
+    check_present(path)
     write_json(Path(path) / "config.json", asdict(config))
 
 
@@ -157,6 +170,8 @@ def check_new_run(path: str | Path, overwrite: bool = False, kind: str = CONTROL
     if kind == CONTROLLER and is_run and not overwrite and not has_shared(path):
         step, steps = train_progress(path) or (0, None)
         value = f"unfinished at step {step}" + (f" of {steps}" if steps else "")
+        if writer := writer_of(path):
+            raise InputError(path, "run", f"{value}, being written by {writer}", LOCK_RULE)
         raise InputError(path, "run", value, "pass resume=True to continue, or overwrite=True to start again")
     refuse_existing(path, overwrite)
     if not is_run:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
@@ -68,6 +69,13 @@ def run(args: Sequence[str] | None) -> None:
                     write_whole(command.json, json_text(result))
             except (InputError, TrainingError) as error:
                 _refuse(str(error))
+            except OSError as error:
+                if isinstance(error, BrokenPipeError) or error.errno is None:
+                    raise
+                from pfnn_jax.io.files import failure
+
+                file = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "system"
+                _refuse(f"{file}: file: {failure(error)}; must be readable, and what is written writable")
     except InputError as error:
         _refuse(str(error))
 

@@ -26,7 +26,11 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+_FULL = tuple((code, os.strerror(code)) for code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+"""What the system reports when there is no room: on the disk, in a quota, or below the limit of a file's size."""
+
+MAX_JSON = 64 * 2**20
+"""Bytes of the largest JSON file that is read; configurations and notes have some kilobytes."""
 
 ABANDONED = 3600.0
 """Seconds after which the unfinished copy of a folder is that of a program that was killed."""
@@ -74,11 +78,12 @@ def replacing(target: Path) -> Iterator[Path]:
         A temporary path next to `target`, at which nothing exists yet. The block writes a file or a folder there.
 
     Raises:
-        InputError: if the disk is full; nothing is left of the attempt, and an earlier output stays.
+        InputError: if the disk is full or the target cannot be written; nothing is left of the attempt, and an earlier
+            output stays.
     """
     new = target.with_name(f".{target.name}.{os.getpid()}.new")
     try:
-        with reporting_full_disk(target):
+        with reporting_disk_errors(target):
             target.parent.mkdir(parents=True, exist_ok=True)
             _remove_stale(target)
             remove(new)
@@ -105,8 +110,20 @@ def copy_once(source: Path, target: Path) -> bool:
         InputError: if the disk is full; nothing is left of the attempt.
         OSError: if the folder cannot be made for another reason.
     """
-    if target.exists():
-        return False
+    for last in (False, True):
+        try:
+            return not target.exists() and _copy_into_place(source, target)
+        except OSError as error:
+            if target.exists():  # another process has made it in the meantime
+                return False
+            # A process whose clock is an hour ahead has taken the copy for an abandoned one: it is made once more.
+            if last or not isinstance(error, FileNotFoundError):
+                raise
+    raise AssertionError("the last attempt returns or raises")
+
+
+def _copy_into_place(source: Path, target: Path) -> bool:
+    """Copies a folder, and returns True; nothing is left of an attempt that fails."""
     new = target.with_name(f".{target.name}.{uuid.uuid4().hex}.copy")
     try:
         with reporting_full_disk(target):
@@ -114,10 +131,6 @@ def copy_once(source: Path, target: Path) -> bool:
             _remove_abandoned(target)
             _copy_files(source, new)
             os.rename(new, target)
-    except OSError:
-        if not target.exists():  # else another process has made it in the meantime
-            raise
-        return False
     finally:
         remove(new)
     return True
@@ -131,11 +144,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
     """
     if not path.parent.is_dir():
         raise InputError(path, "output", "No such file or directory", "its folder must exist")
-    try:
-        with replacing(path) as new:
-            new.write_bytes(content.encode() if isinstance(content, str) else content)
-    except OSError as error:
-        raise InputError(path, "output", failure(error), "must be writable and the disk have room") from None
+    with replacing(path) as new:
+        new.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def exchange(new: Path, target: Path) -> None:
@@ -162,6 +172,15 @@ def exchange(new: Path, target: Path) -> None:
             os.rename(old, target)
         raise
     remove(old)
+
+
+def undo_exchange(target: Path) -> None:
+    """Moves the last complete output back to its place, if a kill has interrupted its replacement.
+
+    Nobody else may be writing it meanwhile.
+    """
+    if not target.exists() and _old(target).exists():
+        os.rename(_old(target), target)
 
 
 def locate(target: Path) -> Path | None:
@@ -191,10 +210,35 @@ def reporting_full_disk(target: Path) -> Iterator[None]:
         yield
     except (OSError, ValueError) as error:
         # Orbax writes through tensorstore, which reports the system's error only as text.
-        if getattr(error, "errno", None) in _FULL or "No space left on device" in str(error):
-            rule = "write aborted; free some disk space"
-            raise InputError(target, "disk", "No space left on device", rule) from error
+        found = (text for code, text in _FULL if getattr(error, "errno", None) == code or text in str(error))
+        if full := next(found, None):
+            raise InputError(target, "disk", full, "write aborted; free some disk space") from error
         raise
+
+
+@contextmanager
+def reporting_disk_errors(target: Path) -> Iterator[None]:
+    """Turns what the system reports about a file or folder that is being written into an `InputError` that names it.
+
+    Errors that name a file elsewhere pass.
+    """
+    try:
+        with reporting_full_disk(target):
+            yield
+    except OSError as error:
+        elsewhere = error.filename is not None and not _is_near(error.filename, target)
+        if isinstance(error, BrokenPipeError) or error.errno is None or elsewhere:
+            raise
+        rule = "must be writable and the disk have room"
+        raise InputError(target, "output", failure(error), rule) from error
+
+
+def _is_near(path: str | bytes | int, target: Path) -> bool:
+    """Returns whether a path is in the folder of a target, or one above it."""
+    if isinstance(path, int):
+        return False
+    place, folder = Path(os.fsdecode(path)).absolute(), target.parent.absolute()
+    return place.is_relative_to(folder) or folder.is_relative_to(place)
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
@@ -211,14 +255,22 @@ def read_json(path: Path, rule: str) -> dict[str, Any]:
         rule: what the file should be, for messages.
 
     Raises:
-        InputError: if the file does not exist, is not JSON (naming the line) or not an object.
+        InputError: if the file does not exist, is too large, not JSON (naming the line) or not an object.
     """
     try:
+        if (size := path.stat().st_size) > MAX_JSON:
+            raise InputError(path, "size", f"{size} bytes", f"must be at most {MAX_JSON}; {rule}")
         data = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
         raise InputError(path, f"line {error.lineno}", error.msg, rule) from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, "file", getattr(error, "strerror", None) or "not UTF-8 text", rule) from error
+    except RecursionError as error:
+        raise InputError(path, "file", "nested too deeply", rule) from error
+    except InputError:
+        raise
+    except ValueError as error:  # a whole number of thousands of digits
+        raise InputError(path, "file", failure(error)[:80], rule) from error
     if not isinstance(data, dict):
         raise InputError(path, "line 1", type(data).__name__, f"must be a JSON object; {rule}")
     return data

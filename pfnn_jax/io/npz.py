@@ -12,6 +12,10 @@ from numpy.lib.format import MAGIC_PREFIX
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import failure
+from pfnn_jax.io.npy import check_size
+
+MAX_EXPANDED = 2**29
+"""Bytes to which an array of a compressed archive may expand."""
 
 ZIP = b"PK"  # first bytes of an archive
 
@@ -25,18 +29,35 @@ def read_arrays(file: Path, names: Sequence[str], rule: str) -> dict[str, np.nda
         rule: what the file should be, for messages.
 
     Raises:
-        InputError: if the file cannot be read, or is not an archive.
+        InputError: if the file cannot be read, is not an archive, or holds an array that states another size than it
+            has or expands too far.
     """
     try:
         with file.open("rb") as stream:  # opened here, because NumPy leaves a damaged file open
             arrays = _load(stream)
             if not isinstance(arrays, np.lib.npyio.NpzFile):
                 raise InputError(file, "file", "a single array", rule)
-            return {name: arrays[name] for name in names if name in arrays}
+            found = [name for name in names if name in arrays]
+            for name in found:
+                _check_member(arrays.zip, name)
+            return {name: arrays[name] for name in found}
     except InputError:
         raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(file, "file", failure(error), rule) from error
+    except Exception as error:  # damaged archives raise a dozen kinds, from `zlib.error` to `NotImplementedError`
+        raise InputError(file, "file", failure(error)[:200], rule) from error
+
+
+def _check_member(archive: zipfile.ZipFile, name: str) -> None:
+    """Refuses an array that needs more bytes than it has, or than are taken of a compressed one.
+
+    Raises:
+        ValueError: naming the array.
+    """
+    info = archive.getinfo(f"{name}.npy" if f"{name}.npy" in archive.NameToInfo else name)
+    if info.file_size > max(MAX_EXPANDED, info.compress_size):
+        raise ValueError(f"array {name} expands to {info.file_size} bytes; must be at most {MAX_EXPANDED}")
+    with archive.open(info) as stream:
+        check_size(stream, info.file_size)  # type: ignore[arg-type] # reads as a binary file
 
 
 def _load(stream: BinaryIO) -> Any:

@@ -46,13 +46,18 @@ LIMIT = 1e7  # far above any length or angle of a person, far below where square
 CHANNELS = {f"{axis}{kind}": f"{kind[0]}{axis}" for axis in "XYZ" for kind in ("POSITION", "ROTATION")}
 LONGEST_FRAME, SHORTEST_FRAME = 1.0, 1e-5  # seconds
 STRETCH = 0.02  # share of the longest limb by which bones may vary and still count as rigid
+MAX_BYTES = 512 * 2**20  # of a file
+MAX_HIERARCHY = 4 * 2**20  # characters of a hierarchy; those of persons have some thousands
+MAX_JOINTS = 2_000  # persons have at most a few hundred
+MAX_POSES = 4_000_000  # joints times frames, unless there is a number for each: joints without channels are free
 NO_OFFSET = 1e-4  # share of OFFSET's length up to which position channels count as zero
 NUM_POSES = 20  # at most; enough to tell left from right in a walk or a run
 HIERARCHY = re.compile(r"\s*HIERARCHY\b", re.IGNORECASE)
 MOTION = re.compile(r"^[ \t]*MOTION[ \t]*$|(?<=\})\s*MOTION\b", re.IGNORECASE | re.MULTILINE)
-# tools that cut files may leave the old number of frames next to the new one
-COUNT = re.compile(r"\s*Frames\s*:[ \t]*(\S*)\s+", re.IGNORECASE)
-HEAD = re.compile(rf"((?:{COUNT.pattern})+)Frame\s+Time\s*:[ \t]*(\S*)[^\S\n]*\n?", re.IGNORECASE)
+# Tools that cut files may leave the old number of frames next to the new one. Possessive, because a hostile file could
+# repeat what is ambiguous otherwise, and take for ever.
+COUNT = re.compile(r"Frames\s*:[ \t]*+(\S*+)\s++", re.IGNORECASE)
+HEAD = re.compile(rf"\s*((?:{COUNT.pattern}){{1,8}})Frame\s+Time\s*:[ \t]*(\S*)[^\S\n]*\n?", re.IGNORECASE)
 RATE_STEP = 2e-4  # relative; printed frame times have few decimals: 0.008333 means 120 fps
 
 
@@ -105,6 +110,9 @@ def parse_bvh(path: Path, *, need_rate: bool = True) -> BvhText:
     joints = _parse_hierarchy(path, hierarchy)
     columns = sum(len(joint.channels or ()) for joint in joints)
     values = _parse_frames(path, numbers, first_line, counts, columns)
+    if len(values) * len(joints) > max(MAX_POSES, values.size):
+        rule = f"must be at most {MAX_POSES} joints times frames, where most joints have no channels"
+        raise InputError(path, "frames", f"{len(values)} of {len(joints)} joints", rule)
     return BvhText(joints, frame_time, values, tuple(counts))
 
 
@@ -182,6 +190,9 @@ def shorten(value: str) -> str:
 
 def _read_text(path: Path) -> str:
     try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise InputError(path, "size", f"{size} bytes", f"must be at most {MAX_BYTES}")
         raw = path.read_bytes()
     except OSError as error:
         raise InputError(path, "file", error.strerror or error, "must be a readable BVH file") from None
@@ -264,6 +275,8 @@ def _parse_frame_time(path: Path, place: str, word: str, need_rate: bool) -> flo
 
 
 def _parse_hierarchy(path: Path, text: str) -> list[BvhJoint]:
+    if len(text) > MAX_HIERARCHY:
+        raise InputError(path, "hierarchy", f"{len(text)} characters", f"must be at most {MAX_HIERARCHY}")
     tokens = _Tokens(path, text)
     tokens.take("must start with HIERARCHY", "HIERARCHY")
     tokens.take("HIERARCHY must be followed by ROOT", "ROOT")
@@ -301,6 +314,8 @@ def _open_joint(tokens: _Tokens, joints: list[BvhJoint], open_joints: list[int])
     if name in tokens.names:
         raise tokens.fail(name, "joint names must differ")
     tokens.take(f"joint {shorten(name)} must be opened by a brace", "{")
+    if len(joints) == MAX_JOINTS:
+        raise tokens.fail(f"joint {len(joints) + 1}", f"must be at most {MAX_JOINTS} joints")
     tokens.names.add(name)
     joints.append(BvhJoint(name, open_joints[-1] if open_joints else -1, line))
     open_joints.append(len(joints) - 1)

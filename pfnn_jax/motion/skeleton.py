@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io.files import failure
 from pfnn_jax.motion.humanoid.map import HumanoidMap, map_from_json, map_to_json
 
 ALIKE = 10.0
@@ -224,7 +225,24 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         source: file it was read from, for messages.
 
     Raises:
+        InputError: if an entry is missing, of another kind, or does not have one value for each joint.
+    """
+    try:
+        skeleton = _from_json(data, source)
+        _check_indices(skeleton, source)
+        return skeleton
+    except InputError:
+        raise
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError, IndexError) as error:
+        raise InputError(source, "skeleton", failure(error)[:80], "must be as `skeleton_to_json` writes it") from error
+
+
+def _from_json(data: Mapping[str, Any], source: str | Path) -> Skeleton:
+    """Returns the skeleton as it is described, whatever its values.
+
+    Raises:
         InputError: if an entry is missing, or does not have one value for each joint.
+        TypeError, ValueError and others: if one is of another kind.
     """
     missing = [k for k in ("names", "parents", "offsets", "end_sites", "mirror", "roles") if k not in data]
     if missing:
@@ -247,6 +265,35 @@ def skeleton_from_json(data: Mapping[str, Any], source: str | Path = "skeleton")
         reference=None if reference is None else np.array(reference, np.float64).reshape(joints, 4),
         resting_heights=None if heights is None else np.array(heights, np.float64).reshape(2, 2),
     )
+
+
+def _check_indices(skeleton: Skeleton, source: str | Path) -> None:
+    """Refuses a skeleton whose joints are not a tree with parents first, or that names joints it does not have.
+
+    Raises:
+        InputError: naming the entry.
+    """
+    joints, parents, mirror = skeleton.num_joints, skeleton.parents, skeleton.mirror
+    own, body = np.arange(joints), skeleton.humanoid
+    roles = {} if skeleton.roles is None else asdict(skeleton.roles)
+    wrong = {
+        "names": not joints or not all(isinstance(name, str) for name in skeleton.names),
+        "parents": parents.shape != own.shape or parents[0] != -1 or ((parents < 0) | (parents >= own))[1:].any(),
+        "mirror": mirror.shape != own.shape or ((mirror < 0) | (mirror >= joints)).any(),
+        "end_sites": not all(0 <= joint < joints and offset.shape == (3,) for joint, offset in skeleton.end_sites),
+        "offsets": not np.isfinite(skeleton.offsets).all(),
+        "roles": not _are_joints(roles, joints),
+        "humanoid": body is not None and not _are_joints(body.joints(), joints),
+    }
+    if found := [entry for entry, is_wrong in wrong.items() if is_wrong]:
+        rule = "must be finite, and name joints of the skeleton, parents before their children"
+        raise InputError(source, f"skeleton.{found[0]}", "out of range", rule)
+
+
+def _are_joints(named: Mapping[str, Any], joints: int) -> bool:
+    """Returns whether all values are joints, tuples of joints, or None."""
+    values = [joint for value in named.values() for joint in (value if isinstance(value, tuple) else (value,))]
+    return all(isinstance(joint, int) and 0 <= joint < joints for joint in values if joint is not None)
 
 
 def _reference(skeleton: Skeleton) -> np.ndarray | None:

@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import replacing, reporting_full_disk, to_plain
+from pfnn_jax.io.files import replacing, reporting_disk_errors, to_plain
 
 
 def append_metrics(path: str | Path, record: Mapping[str, Any]) -> None:
     """Adds one line to RUN/metrics.jsonl; numbers that are not finite become null.
 
     Raises:
-        InputError: if the disk is full.
+        InputError: if the disk is full or the run's folder cannot be written, or has been removed.
     """
     line = json.dumps(to_plain(record), allow_nan=False) + "\n"
     target = Path(path) / "metrics.jsonl"
-    with reporting_full_disk(target), target.open("a", encoding="utf-8") as file:
+    with reporting_disk_errors(target), target.open("a", encoding="utf-8") as file:
         file.write(line)
 
 

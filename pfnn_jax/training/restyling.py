@@ -27,6 +27,7 @@ from pfnn_jax.motion.features.decode import median_speed, root_steps
 from pfnn_jax.motion.features.encode import Features, select_rows
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
+from pfnn_jax.run_config import check_present
 from pfnn_jax.training.data import Array, Batch, to_batch
 
 HARMONICS = 6
@@ -130,6 +131,7 @@ def restyle(differences: StyleDifferences, clip: Batch, layout: FrameLayout, nor
 
 def save_differences(run: Path, differences: StyleDifferences) -> None:
     """Saves differences in RUN/differences/, in half precision: they are normalised."""
+    check_present(run)
     halves = jax.tree.map(lambda leaf: np.asarray(leaf, np.float16), differences)
     save_record(run / "differences", halves, NOTE, {"rows": len(differences.phase)})
 

@@ -15,6 +15,7 @@ from pfnn_jax.control.run_settings import loop_config
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
+from pfnn_jax.io.locks import writing
 from pfnn_jax.models.config import CP_KINDS, AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import (
     labelled_features,
@@ -84,32 +85,33 @@ def learn_style(
 
     Raises:
         InputError: for a bad clip, a clip without steps or of a skeleton that is not a humanoid, a style that exists,
-            a method that trains a whole network, or an adapter of another rank than the run's. Nothing is trained
-            before.
+            a method that trains a whole network, an adapter of another rank than the run's, or a run that another
+            process is writing. Nothing is trained before.
     """
     started = time.perf_counter()
     run, clip_file = _as_run(run), _as_clip_file(clip_file)
-    config = default_config(run) if config is None else config
-    check_new_style(run.path, clip_file.style, overwrite)
-    _check_method(run, config)
-    labelled, report, parts = _read_clip(run, clip_file, mirror, roles_file, progress_callback)
-    learn = hold_out(parts, config.held_out, str(clip_file.path))[0]
-    if not config.restyled:  # restyled rows fill the minibatches of the shortest clip
-        _check_length(learn, config.batch_size, clip_file.path)
-    reference = run_error(run)
-    found = _fit(run, parts, config, progress_callback)
-    result = StyleResult(found.choice.held_out_error, found.error_without_style, bool(found.stable_on_turns))
-    info = {
-        **_about_clip(run, labelled, parts, report),
-        **_about_result(result, report, reference),
-        "config": asdict(config),
-        "choice": found.choice._asdict(),
-        "ranking": [choice._asdict() for choice in found.ranking],
-        "seconds": time.perf_counter() - started,
-    }
-    progress_callback(0.98, "saving")
-    save_style(run.path, clip_file.style, found.style, info, overwrite)
-    return info
+    with writing(run.path):
+        config = default_config(run) if config is None else config
+        check_new_style(run.path, clip_file.style, overwrite)
+        _check_method(run, config)
+        labelled, report, parts = _read_clip(run, clip_file, mirror, roles_file, progress_callback)
+        learn = hold_out(parts, config.held_out, str(clip_file.path))[0]
+        if not config.restyled:  # restyled rows fill the minibatches of the shortest clip
+            _check_length(learn, config.batch_size, clip_file.path)
+        reference = run_error(run)
+        found = _fit(run, parts, config, progress_callback)
+        result = StyleResult(found.choice.held_out_error, found.error_without_style, bool(found.stable_on_turns))
+        info = {
+            **_about_clip(run, labelled, parts, report),
+            **_about_result(result, report, reference),
+            "config": asdict(config),
+            "choice": found.choice._asdict(),
+            "ranking": [choice._asdict() for choice in found.ranking],
+            "seconds": time.perf_counter() - started,
+        }
+        progress_callback(0.98, "saving")
+        save_style(run.path, clip_file.style, found.style, info, overwrite)
+        return info
 
 
 def tune_style(
@@ -137,40 +139,41 @@ def tune_style(
         `notes` and `warnings` as in `learn_style`.
 
     Raises:
-        InputError: for a bad clip or one whose skeleton is not a humanoid, a style that exists, or a run without a
-            generator.
+        InputError: for a bad clip or one whose skeleton is not a humanoid, a style that exists, a run without a
+            generator, or one that another process is writing.
         TrainingError: when a loss is not finite.
     """
     started = time.perf_counter()
     run, clip_file = _as_run(run), _as_clip_file(clip_file)
-    config = TuningConfig() if config is None else config
-    check_new_style(run.path, clip_file.style, overwrite)
-    generator = load_generator(run)
-    labelled, report, parts = _read_clip(run, clip_file, mirror, roles_file, progress_callback)
-    learn, held = hold_out(parts, HELD_OUT, str(clip_file.path))
-    _check_length(learn, config.batch_size, clip_file.path)
-    reference = run_error(run)
+    with writing(run.path):
+        config = TuningConfig() if config is None else config
+        check_new_style(run.path, clip_file.style, overwrite)
+        generator = load_generator(run)
+        labelled, report, parts = _read_clip(run, clip_file, mirror, roles_file, progress_callback)
+        learn, held = hold_out(parts, HELD_OUT, str(clip_file.path))
+        _check_length(learn, config.batch_size, clip_file.path)
+        reference = run_error(run)
 
-    def tune(rows: Rows, begin: float, what: str) -> Tuned:
-        def show(progress: TrainingProgress) -> None:
-            progress_callback(begin + 0.45 * progress.step / progress.steps, what)
+        def tune(rows: Rows, begin: float, what: str) -> Tuned:
+            def show(progress: TrainingProgress) -> None:
+                progress_callback(begin + 0.45 * progress.step / progress.steps, what)
 
-        return tune_generator(run.shared, generator, rows, config, progress_callback=show)
+            return tune_generator(run.shared, generator, rows, config, progress_callback=show)
 
-    tried, tuned = tune(_rows(run, learn), 0.0, "trying"), tune(_rows(run, parts), 0.45, "tuning")
-    progress_callback(0.9, "walking in circles")
-    error, without = _held_out_errors(run, [tried.style, load_choice(run, None)], held)
-    result = StyleResult(error, without, _stability_check(run, parts)(tuned.style))
-    info = {
-        **_about_clip(run, labelled, parts, report),
-        **_about_result(result, report, reference),
-        "config": asdict(config),
-        "loss": float(tuned.losses[-1]),
-        "seconds": time.perf_counter() - started,
-    }
-    progress_callback(0.98, "saving")
-    save_style(run.path, clip_file.style, tuned.style, info, overwrite)
-    return info
+        tried, tuned = tune(_rows(run, learn), 0.0, "trying"), tune(_rows(run, parts), 0.45, "tuning")
+        progress_callback(0.9, "walking in circles")
+        error, without = _held_out_errors(run, [tried.style, load_choice(run, None)], held)
+        result = StyleResult(error, without, _stability_check(run, parts)(tuned.style))
+        info = {
+            **_about_clip(run, labelled, parts, report),
+            **_about_result(result, report, reference),
+            "config": asdict(config),
+            "loss": float(tuned.losses[-1]),
+            "seconds": time.perf_counter() - started,
+        }
+        progress_callback(0.98, "saving")
+        save_style(run.path, clip_file.style, tuned.style, info, overwrite)
+        return info
 
 
 def default_config(run: Run) -> FewShotConfig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import jax
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io.locks import writing
 from pfnn_jax.models.network import Network
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.datasets.dataset import Dataset, load_dataset
@@ -78,13 +80,34 @@ def pretrain_run(
 
     Raises:
         InputError: if `out` exists (without `resume` or `overwrite`), or holds a run with other settings; for sizes
-            that the dataset's layout cannot have, and for a style with fewer rows than a minibatch.
+            that the dataset's layout cannot have, and for a style with fewer rows than a minibatch; if another process
+            is writing the run.
         TrainingError: when a loss is not finite; the last good state stays.
     """
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(Path(dataset))
     config, out = PretrainConfig() if config is None else config, Path(out)
     run_config = run_config_of(dataset, config)
     _check_rows(dataset, config)
+    with _only_writer(out):
+        _train(dataset, out, config, run_config, resume, overwrite, progress_callback)
+    return load_run(out)
+
+
+def _only_writer(out: Path) -> AbstractContextManager[None]:
+    """Returns the lock of a run; of several processes that train one run together, the first holds it."""
+    return writing(out) if jax.process_index() == 0 else nullcontext()
+
+
+def _train(
+    dataset: Dataset,
+    out: Path,
+    config: PretrainConfig,
+    run_config: RunConfig,
+    resume: bool,
+    overwrite: bool,
+    progress_callback: Callable[[Progress], Any],
+) -> None:
+    """Trains from the first step or from the last save, and writes the run."""
     if resume:
         _check_resumable(out, run_config)
     else:
@@ -104,7 +127,6 @@ def pretrain_run(
     if differences is not None:
         save_differences(out, differences)
     _save_result(out, state, dataset, styles_of(state, rows))
-    return load_run(out)
 
 
 def dataset_differences(dataset: Dataset, seed: int, styles: Sequence[str] | None = None) -> StyleDifferences | None:

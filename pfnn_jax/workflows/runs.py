@@ -7,10 +7,13 @@ from typing import Literal, get_args, overload
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.interop.export.run import export_run
+from pfnn_jax.interop.released.files import DESCRIPTION
 from pfnn_jax.interop.released.holden2016 import import_released_autoencoder
 from pfnn_jax.interop.released.holden2017 import import_released_pfnn
 from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
+from pfnn_jax.io.files import failure
+from pfnn_jax.io.locks import writing
 from pfnn_jax.run import Run, load_style, save_style
 from pfnn_jax.run import load_run as load_local_run
 from pfnn_jax.run_config import list_styles
@@ -58,7 +61,8 @@ def import_released(
         overwrite: replace an existing run.
 
     Raises:
-        InputError: for an unknown kind, a file that is absent or has the wrong size, or an existing run.
+        InputError: for an unknown kind, a file that is absent or has the wrong size, or an existing run or one
+            that another process is writing.
     """
     importers = {
         "pfnn": import_released_pfnn,
@@ -68,4 +72,14 @@ def import_released(
     }
     if kind not in importers:
         raise InputError("import_released", "kind", kind, f"must be one of {', '.join(get_args(ReleasedKind))}")
-    return importers[kind](directory, out, overwrite)
+    try:
+        with writing(out):
+            return importers[kind](directory, out, overwrite)
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        file = Path(directory) / DESCRIPTION
+        if not file.exists():
+            raise
+        rule = "must be as `pfnn-jax export --format bins` writes it"
+        raise InputError(file, "entries", failure(error)[:80], rule) from error

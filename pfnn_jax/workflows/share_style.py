@@ -13,7 +13,8 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.checkpoint import fingerprint
 from pfnn_jax.io.files import refuse_existing, require_suffix
-from pfnn_jax.io.tensors import SUFFIX, read_tensors, write_tensors
+from pfnn_jax.io.locks import writing
+from pfnn_jax.io.tensors import SUFFIX, read_tensors, shown, write_tensors
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
@@ -69,15 +70,16 @@ def import_style(
     Raises:
         InputError: if the file is damaged or too large; if the style is for another shared network, layout or skeleton,
             is of an unknown kind, has a parameter that is missing, unknown, of another shape or not finite; if the name
-            is taken or cannot be a folder's. The run is as before then.
+            is taken or cannot be a folder's; if another process is writing the run. The run is as before then.
     """
     run, file = run if isinstance(run, Run) else load_run(run), Path(file)
     arrays, metadata = read_tensors(file)
     card = card_from_metadata(metadata, file)
     card = card if name is None else replace(card, name=name)
-    check_new_style(run.path, card.name, overwrite)
-    check_fits(card, run, file)
-    save_style(run.path, card.name, _to_style(arrays, card, run, file), card.style_info(), overwrite)
+    with writing(run.path):
+        check_new_style(run.path, card.name, overwrite)
+        check_fits(card, run, file)
+        save_style(run.path, card.name, _to_style(arrays, card, run, file), card.style_info(), overwrite)
     return card
 
 
@@ -134,7 +136,7 @@ def _differing(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     for key in SKELETON:
         for joint, one, other in zip(wanted["names"], found[key], wanted[key], strict=True):
             if one != other:
-                return f"{key} of joint {joint}: {str(one)[:60]}"
+                return f"{key} of joint {joint}: {ascii(one)[:60]}"
     return ""
 
 
@@ -145,9 +147,9 @@ def _to_style(arrays: Mapping[str, np.ndarray], card: StyleCard, run: Run, file:
     for name in (*expected, *arrays):
         found, wanted = (list(side[name].shape) if name in side else "absent" for side in (arrays, expected))
         if found != wanted:
-            raise InputError(file, f"parameter {name[:60]}", found, f"must be {wanted}")
+            raise InputError(file, f"parameter {shown(name)}", found, f"must be {wanted}")
         if not np.isfinite(arrays[name]).all():
-            raise InputError(file, f"parameter {name}", "nan or infinity", "all numbers must be finite")
+            raise InputError(file, f"parameter {shown(name)}", "nan or infinity", "all numbers must be finite")
     return jax.tree.unflatten(jax.tree.structure(abstract), [arrays[name] for name in expected])
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io.locks import writing
 from pfnn_jax.motion.datasets.labelled import read_cut_clip
 from pfnn_jax.motion.datasets.sources import ClipFile, list_clips, select_styles
 from pfnn_jax.run_config import check_new_style
@@ -58,37 +59,40 @@ def train_transfer(
 
     Raises:
         InputError: for a style that the data do not have, data of one style only, bad clips, a style that exists, or an
-            `out` that is not a run of style transfer. Nothing is trained before.
+            `out` that is not a run of style transfer or is being written by another process. Nothing is trained before.
         TrainingError: when a loss is not finite.
     """
     started = time.perf_counter()
     others, targets, source = _split_by_style(data, style)
     config = TransformationTrainingConfig() if config is None else config
-    run, is_new = _run_to_train(Path(out), style, autoencoder, overwrite)
-    rows, notes = _read_all(
-        [*others, *targets], run, roles_file, lambda share: progress_callback(0.1 * share, "reading")
-    )
-    contents, styles = ([rows[file] for file in files if file in rows] for files in (others, targets))
-    _require_clips(contents, styles, source, style)
-    pairing = pair_by_gait(contents, styles, run.layout)
+    with writing(out):
+        run, is_new = _run_to_train(Path(out), style, autoencoder, overwrite)
+        rows, notes = _read_all(
+            [*others, *targets], run, roles_file, lambda share: progress_callback(0.1 * share, "reading")
+        )
+        contents, styles = ([rows[file] for file in files if file in rows] for files in (others, targets))
+        _require_clips(contents, styles, source, style)
+        pairing = pair_by_gait(contents, styles, run.layout)
 
-    def report(now: TrainingProgress) -> None:
-        progress_callback(0.1 + 0.9 * now.step / now.steps, f"loss {now.loss:.4f}")
+        def report(now: TrainingProgress) -> None:
+            progress_callback(0.1 + 0.9 * now.step / now.steps, f"loss {now.loss:.4f}")
 
-    network, metrics = train_transformation(run, contents, styles, pairing, config, progress_callback=report)
-    info = {
-        "sources": [Path(clip.name).name for clip in styles],
-        "contents": len(contents),
-        "gaits": dict(zip(pairing.groups, map(len, pairing.members), strict=True)),
-        "config": asdict(config),
-        "metrics": metrics,
-        "notes": [*notes, *_grouped(pairing.notes)],
-        "seconds": time.perf_counter() - started,
-    }
-    if is_new:
-        run = create_transfer_run(out, run.layout, run.skeleton, run.statistics, run.autoencoder, run.config.training)
-    save_transformation(run, style, network, info, overwrite=overwrite)
-    return info
+        network, metrics = train_transformation(run, contents, styles, pairing, config, progress_callback=report)
+        info = {
+            "sources": [Path(clip.name).name for clip in styles],
+            "contents": len(contents),
+            "gaits": dict(zip(pairing.groups, map(len, pairing.members), strict=True)),
+            "config": asdict(config),
+            "metrics": metrics,
+            "notes": [*notes, *_grouped(pairing.notes)],
+            "seconds": time.perf_counter() - started,
+        }
+        if is_new:
+            run = create_transfer_run(
+                out, run.layout, run.skeleton, run.statistics, run.autoencoder, run.config.training
+            )
+        save_transformation(run, style, network, info, overwrite=overwrite)
+        return info
 
 
 def _split_by_style(

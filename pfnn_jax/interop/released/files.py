@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,12 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io.files import read_json
 from pfnn_jax.motion.features.normaliser import Statistics
 from pfnn_jax.motion.skeleton import skeleton_from_json
+
+MAX_BYTES = 512 * 2**20
+"""Bytes of the largest file that is read; the largest that were released have 1 MB."""
 
 DESCRIPTION = "description.json"
 """File written by `pfnn-jax export --format bins` next to the weights; absent in the authors' own releases."""
@@ -27,16 +30,14 @@ def read_description(directory: Path, layout: str) -> dict[str, Any] | None:
     if not file.exists():
         return None
     rule = f"must describe an export of layout {layout} in format bins"
+    data = read_json(file, rule)
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
         found = data["layout"]["name"], data["format"]
         if found != (layout, "bins"):
             raise InputError(file, "layout, format", ", ".join(map(str, found)), rule)
         return {key: data[key] for key in ("network", "styles", "loop")} | {
             "skeleton": skeleton_from_json(data["skeleton"], file)
         }
-    except (OSError, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(file, "file", str(error).splitlines()[0], rule) from error
     except (KeyError, TypeError) as error:
         raise InputError(file, "entry", f"{error.args[0]}", rule) from error
 
@@ -52,13 +53,16 @@ def read_array(file: Path, shape: tuple[int, ...] | None) -> np.ndarray:
         InputError: if the file is absent, has another size, or holds a value that is not finite.
     """
     try:
+        found = file.stat().st_size
+        size = math.prod(shape) * 4 if shape else max(found - found % 4, 4)
+        if found != size:
+            of = f" of {' x '.join(map(str, shape))} float32" if shape else ", a multiple of 4"
+            raise InputError(file, "size", f"{found} bytes", f"must be {size} bytes{of}")
+        if size > MAX_BYTES:
+            raise InputError(file, "size", f"{found} bytes", f"must be at most {MAX_BYTES}")
         data = file.read_bytes()
     except OSError as error:
         raise InputError(file, "file", error.strerror, "must be part of the released weights") from error
-    size = math.prod(shape) * 4 if shape else max(len(data) - len(data) % 4, 4)
-    if len(data) != size:
-        of = f" of {' x '.join(map(str, shape))} float32" if shape else ", a multiple of 4"
-        raise InputError(file, "size", f"{len(data)} bytes", f"must be {size} bytes{of}")
     values = np.frombuffer(data, "<f4")
     if not np.isfinite(values).all():
         where = int(np.argmin(np.isfinite(values)))

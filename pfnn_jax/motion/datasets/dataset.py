@@ -11,7 +11,6 @@ DATASET/
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,13 +18,16 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import failure
+from pfnn_jax.io.files import read_json
+from pfnn_jax.io.npy import load_array
 from pfnn_jax.motion.features.layout import FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, load_normaliser
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
 
 FORMAT = 2
 """Version of the files on disk."""
+
+RULE = "must be a folder written by `pfnn-jax prepare`"
 
 ARRAYS = ("x", "y", "phase", "clip", "frame")
 """Arrays with one entry per row; `windows` has one per window."""
@@ -117,10 +119,9 @@ class Dataset:
         if split not in self.rows:
             raise InputError(self.path, "split", split, f"must be one of {', '.join(self.rows)}, as prepared")
         path, rows = split_folder(self.path, style, split) / f"{name}.npy", self.rows[split][style]
-        try:
-            array = np.load(path, mmap_mode="r" if rows else None, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise InputError(path, "array", failure(error), "corrupt; run `pfnn-jax prepare` again") from error
+        array = load_array(path, "corrupt; run `pfnn-jax prepare` again", mapped=bool(rows))
+        if array.dtype.kind not in "fiu" or array.ndim == 0:
+            raise InputError(path, "array", f"shape {array.shape} of {array.dtype}", "must hold rows of numbers")
         if name != "windows" and len(array) != rows:
             raise InputError(path, "rows", len(array), f"must be {rows}, as in dataset.json")
         return array
@@ -134,18 +135,29 @@ def load_dataset(path: str | Path) -> Dataset:
     """
     path = Path(path)
     file = path / "dataset.json"
+    data = read_json(file, RULE)
+    if data.get("format") != FORMAT:
+        raise InputError(file, "format", data.get("format"), f"must be {FORMAT}; run `pfnn-jax prepare` again")
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        rule = "must be a folder written by `pfnn-jax prepare`"
-        raise InputError(file, "file", failure(error), rule) from error
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        found = data.get("format") if isinstance(data, dict) else type(data).__name__
-        raise InputError(file, "format", found, f"must be {FORMAT}; run `pfnn-jax prepare` again")
-    skeleton = skeleton_from_json(data["skeleton"], file)
+        return _dataset(path, data)
+    except (KeyError, TypeError) as error:
+        raise InputError(file, "entry", f"{error.args[0]}"[:80] if error.args else "absent", RULE) from error
+
+
+def _dataset(path: Path, data: dict[str, Any]) -> Dataset:
+    """Returns the dataset of a folder, from the content of its `dataset.json`.
+
+    Raises:
+        InputError, KeyError, TypeError: if an entry is missing or of another kind.
+    """
+    skeleton = skeleton_from_json(data["skeleton"], path / "dataset.json")
     layout = layout_for(data["layout"], skeleton)
     normaliser = load_normaliser(path / "normaliser")
     _check_sizes(path / "normaliser", normaliser, layout)
+    for style in data["styles"]:
+        for split, rows in {"train": {}, **data["rows"]}.items():
+            if not isinstance(rows[style], int) or rows[style] < 0:
+                raise TypeError(f"rows of {split}, {style}")
     return Dataset(
         path=path,
         layout=layout,

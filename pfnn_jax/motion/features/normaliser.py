@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io.npy import load_array
 from pfnn_jax.motion.features.layout import FrameLayout
 
 JOINT_INPUT_WEIGHT = 0.1
@@ -256,10 +257,7 @@ def _guard(found: Statistics) -> Statistics:
 
 
 def _load(path: Path) -> np.ndarray:
-    try:
-        value = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(path, "array", error, "must be a file that save_normaliser wrote") from error
-    if value.ndim != 1 or not np.isfinite(value).all():
+    value = load_array(path, "must be a file that save_normaliser wrote")
+    if value.ndim != 1 or value.dtype.kind != "f" or not np.isfinite(value).all():
         raise InputError(path, "array", f"shape {value.shape}", "must have one axis and finite values")
     return value

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import failure, is_running, read_note, write_json
+from pfnn_jax.io.locks import writing
 from pfnn_jax.motion.clip_files import CLIP_SUFFIXES
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run_config import check_new_style, list_styles
@@ -45,9 +46,9 @@ def rename_style(run: Path, old: str, new: str) -> None:
 
     Raises:
         InputError: for an unknown style, a note that cannot be read, a name that cannot be a folder's or is taken, a
-            link, or a run that cannot be written.
+            link, or a run that cannot be written or that another process is writing.
     """
-    with _system_errors(run, old), ExitStack() as undo:
+    with _changing(run, old), ExitStack() as undo:
         before, clip = _saved_folder(run, old), uploaded_clip(run, old)
         if new.lower() == old.lower():
             check_style_name(new, run)
@@ -67,9 +68,10 @@ def delete_style(run: Path, name: str) -> DeletedStyle:
     """Moves a style of a run, and its uploaded clip, into the hidden folder; if that fails, both stay.
 
     Raises:
-        InputError: for an unknown style, a link, or a run that cannot be written.
+        InputError: for an unknown style, a link, or a run that cannot be written or that
+            another process is writing.
     """
-    with _system_errors(run, name), ExitStack() as undo:
+    with _changing(run, name), ExitStack() as undo:
         folder, clip = _saved_folder(run, name), uploaded_clip(run, name)
         hidden = own_folder(run, f".deleted.{os.getpid()}")
         hidden.mkdir(exist_ok=True)
@@ -86,9 +88,10 @@ def restore_style(run: Path, deleted: DeletedStyle) -> None:
     """Moves a deleted style and its clip back; if that fails, both stay deleted.
 
     Raises:
-        InputError: if its name has been taken meanwhile, for a link, or a run that cannot be written.
+        InputError: if its name has been taken meanwhile, for a link, or a run that cannot be written or that
+            another process is writing.
     """
-    with _system_errors(run, deleted.name), ExitStack() as undo:
+    with _changing(run, deleted.name), ExitStack() as undo:
         _check_free(run, deleted.name)
         folder, uploads = own_folder(run, "styles", deleted.name), own_folder(run, "uploads")
         deleted.folder.rename(folder)
@@ -132,10 +135,11 @@ def taken_names(run: Path) -> set[str]:
 
 
 @contextmanager
-def _system_errors(run: Path, style: str) -> Iterator[None]:
-    """Turns errors of the file system into `InputError`, which the page shows."""
+def _changing(run: Path, style: str) -> Iterator[None]:
+    """Keeps other processes from writing the run, and turns errors of the file system into `InputError`."""
     try:
-        yield
+        with writing(run):
+            yield
     except OSError as error:
         raise InputError(
             run / "styles" / style, "style", failure(error), "the run's folder must be writable"

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import write_whole
+from pfnn_jax.io.locks import writing
 from pfnn_jax.motion.clip_files import CLIP_SUFFIXES
 from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
 from pfnn_jax.run import Run
@@ -148,8 +149,8 @@ def learn_upload(
     Raises:
         InputError: for an unknown run, or a name that cannot be a file's; for a file that is too large, not of its
             kind, without a clip, with too many joints or frames, too short or long, without steps if the run needs
-            them, or of a skeleton that is not a humanoid; for a run's folder that cannot be written. Nothing has
-            changed then.
+            them, or of a skeleton that is not a humanoid; for a run's folder that cannot be written, or that
+            another process is writing. Nothing has changed then.
         LearningCancelled: if the page ends meanwhile.
     """
     style, suffix = check_style_name(name, "upload") if name else style_name(filename), suffix_of(filename)
@@ -165,7 +166,11 @@ def learn_upload(
         progress(share, what)
 
     try:
-        with _system_errors(loaded.path), _kept_upload(library.get(run), style, suffix, data) as clip:
+        with (
+            _system_errors(loaded.path),
+            writing(loaded.path),
+            _kept_upload(library.get(run), style, suffix, data) as clip,
+        ):
             style = clip.style
             with library.preparation(run):
                 info = background.do(partial(_learn, loaded, clip, report), niceness=NICENESS)
