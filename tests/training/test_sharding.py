@@ -16,7 +16,8 @@ from pfnn_jax.training.sharding import data_mesh, describe_devices, num_devices
 
 ROOT = Path(__file__).resolve().parents[2]
 DEVICES = 8
-SUMS = 1e-6  # a few ulp of numbers near one: gradients are summed device by device, through four steps of Adam
+SUMS = 1e-6  # relative, of losses: a few ulp, because devices are summed in another order
+PARAMETERS = 1e-5  # of numbers near one: Adam divides by the size of gradients, and rounding decides where that is tiny
 OVERHEAD = 1.6  # flops of a device over its share: Adam and the penalty are computed on every device
 
 
@@ -33,7 +34,7 @@ def found() -> dict:
 
 def assert_same(first: dict, second: dict) -> None:
     np.testing.assert_allclose(first["losses"], second["losses"], rtol=SUMS)
-    np.testing.assert_allclose(first["state"], second["state"], atol=SUMS)
+    np.testing.assert_allclose(first["state"], second["state"], atol=PARAMETERS)
 
 
 @pytest.mark.parametrize(
