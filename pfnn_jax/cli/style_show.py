@@ -10,6 +10,7 @@ import tyro
 from tyro.conf import Positional
 
 from pfnn_jax.cli.command import Command
+from pfnn_jax.io.tensors import shown
 
 if TYPE_CHECKING:
     from pfnn_jax.workflows.style_card import StyleCard
@@ -22,6 +23,9 @@ SHOWN = {
     "error": "error {:.3f}",
 }
 """Entries of a style's record that are shown, where they are there."""
+
+MOST_LETTERS = 1000
+"""Of a line that is printed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,4 +58,4 @@ def print_card(file: Path, card: StyleCard) -> None:
         *(f"warning: {warning}" for warning in card.info.get("warnings", ())),
     ]
     for line in filter(None, lines):
-        print("".join(letter if letter.isprintable() else "?" for letter in line))
+        print(shown(line, MOST_LETTERS))

@@ -67,11 +67,11 @@ def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     except OSError as error:
         raise InputError(path, "file", failure(error), RULE) from error
     except SafetensorError as error:
-        raise InputError(path, "file", str(error).partition("\n")[0][:120], RULE) from error
+        raise InputError(path, "file", shown(str(error), 120), RULE) from error
     arrays = {}
     for name, tensor in sorted(tensors, key=lambda item: item[0]):
         if tensor["dtype"] != "F32":
-            raise InputError(path, f"parameter {name[:60]}", tensor["dtype"], "must be F32 (float32)")
+            raise InputError(path, f"parameter {shown(name)}", tensor["dtype"], "must be F32 (float32)")
         arrays[name] = np.frombuffer(tensor["data"], "<f4").reshape(tensor["shape"])
     return arrays, metadata
 
@@ -98,6 +98,11 @@ def read_metadata(path: Path) -> dict[str, str]:
     if len(text) < size or total < 8:
         raise InputError(path, "header", f"ends after {len(text)} of {size} bytes", RULE)
     return _metadata(path, text)
+
+
+def shown(text: str, most: int = 60) -> str:
+    """Returns text of a stranger's file as messages show it: short, in one line, without control characters."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text[:most])
 
 
 def _metadata(path: Path, text: bytes) -> dict[str, str]:

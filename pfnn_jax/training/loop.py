@@ -11,10 +11,12 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import numpy as np
 from flax import struct
+from jax.sharding import Mesh
 
 from pfnn_jax.errors import TrainingError
 from pfnn_jax.training.data import Batch, Draw, Rows, make_gather
 from pfnn_jax.training.order import StepOrder
+from pfnn_jax.training.sharding import first_copy, join_local, local_draw, replicate, shard_step, split_draw
 
 State = TypeVar("State")
 
@@ -124,6 +126,7 @@ class RowTraining:
         steps: in all.
         steps_per_dispatch: steps of one chunk.
         device_bytes: largest rows that are kept on the device.
+        mesh: of the devices that minibatches are split over; None for one device.
     """
 
     step: Callable[[Any, Batch, Any], tuple[Any, jax.Array]]
@@ -132,6 +135,7 @@ class RowTraining:
     steps: int
     steps_per_dispatch: int
     device_bytes: int = 2**32
+    mesh: Mesh | None = None
 
     def run(
         self,
@@ -160,34 +164,44 @@ class RowTraining:
             check_finite(losses, step - losses.size, self.rows.styles)
             found.append(losses)
             rate = losses.size * self.order.batch_size / (time.perf_counter() - started)
-            callback(state, Progress(step, self.steps, float(losses.mean()), rate))
+            copy = state if self.mesh is None else first_copy(state)
+            callback(copy, Progress(step, self.steps, float(losses.mean()), rate))
             started = time.perf_counter()  # the time of saving does not count
 
+        if self.mesh is not None:
+            state, frozen = replicate((state, frozen), self.mesh)
         state = train_steps(state, self._scan(plan, frozen), plan, report)
-        return state, np.concatenate(found)
+        return state if self.mesh is None else first_copy(state), np.concatenate(found)
 
     def _scan(self, plan: Sequence[tuple[int, int]], frozen: Any) -> Callable:
         """Returns (state, first step, number of steps) -> (state, losses), to be called for the chunks of the plan."""
-        rolled = not self.order.num_clips  # clips go through convolutions
+        rolled, mesh = not self.order.num_clips, self.mesh  # clips go through convolutions
+        step = self.step if mesh is None else shard_step(self.step, mesh)
         if self.rows.is_normalised and self.rows.nbytes <= self.device_bytes:
-            scan = scan_steps(self.step, make_gather(self.rows.layout), rolled=rolled)
-            data = self.rows.on_device()
-            return lambda state, first, count: scan(state, self.order.draw(first, count), data, frozen)
-        scan = scan_steps(self.step, lambda _, batch: batch, rolled=rolled)
-        batches = stream_batches(self.rows, self.order, plan)
+            scan = scan_steps(step, make_gather(self.rows.layout), rolled=rolled)
+            data = self.rows.on_device() if mesh is None else replicate(self.rows.in_memory().parts[0], mesh)
+            place = (lambda draw: draw) if mesh is None else partial(split_draw, mesh=mesh)
+            return lambda state, first, count: scan(state, place(self.order.draw(first, count)), data, frozen)
+        scan = scan_steps(step, lambda _, batch: batch, rolled=rolled)
+        batches = stream_batches(self.rows, self.order, plan, mesh)
         return lambda state, first, count: scan(state, next(batches), None, frozen)
 
 
-def stream_batches(rows: Rows, order: StepOrder, plan: Sequence[tuple[int, int]]) -> Iterator[Batch]:
+def stream_batches(
+    rows: Rows, order: StepOrder, plan: Sequence[tuple[int, int]], mesh: Mesh | None = None
+) -> Iterator[Batch]:
     """Reads the minibatches of each chunk, leaves [n, B, ...], ahead of their use in threads.
 
-    They are the same numbers as with the rows on the device: a minibatch is a function of its step alone.
+    They are the same numbers as with the rows on the device: a minibatch is a function of its step alone. On a mesh
+    every process reads the rows of its own devices.
     """
     import grain  # takes two seconds to import, which only data of this size should cost
 
     def batches(chunk: tuple[int, int]) -> Batch:
         draw: Draw = order.draw(*chunk)
-        return rows.gather(draw)
+        if mesh is None:
+            return rows.gather(draw)
+        return join_local(rows.gather(local_draw(draw, mesh)), draw, mesh)
 
     options = grain.ReadOptions(num_threads=AHEAD, prefetch_buffer_size=AHEAD)
     return iter(grain.MapDataset.source(list(plan)).map(batches).to_iter_dataset(options))

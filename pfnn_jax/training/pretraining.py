@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -18,6 +18,7 @@ from pfnn_jax.training.film_styles import mean_styles
 from pfnn_jax.training.loop import Progress, RowTraining, TrainState, no_progress
 from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import StepOrder, order_of
+from pfnn_jax.training.sharding import data_mesh
 from pfnn_jax.training.steps import Frozen, equal_dropout, init_train_state, make_pretrain_step, with_pose_noise
 
 POSE_NOISE = 0.05
@@ -30,6 +31,7 @@ def pretrain(
     *,
     key: jax.Array | None = None,
     state: TrainState | None = None,
+    devices: Sequence[jax.Device] | None = None,
     progress_callback: Callable[[Progress], Any] = no_progress,
     state_callback: Callable[[TrainState, Progress], Any] = no_progress,
 ) -> TrainState:
@@ -43,6 +45,8 @@ def pretrain(
         config: how to train; `PretrainConfig()` by default. The order of minibatches follows `config.seed`.
         key: of initialisation and dropout; by default from `config.seed`.
         state: where to begin, as an earlier call with the same config and key left it; donated: read the returned one.
+        devices: that share each minibatch; by default as many of all as divide `config.batch_size`. Their number may
+            change when a training is resumed: it changes the order of sums, and no random number.
         progress_callback: called after every `config.steps_per_dispatch` steps.
         state_callback: called at the same moments with the state too, e.g. to save it.
 
@@ -52,7 +56,8 @@ def pretrain(
 
     Raises:
         TrainingError: when a loss is not finite, before the callbacks see that state.
-        ValueError: if a style has fewer rows than a batch, or windows or bones are needed and absent.
+        ValueError: if a style has fewer rows than a batch, windows or bones are needed and absent, or the number of
+            `devices` does not divide a batch.
     """
     config = PretrainConfig() if config is None else config
     key = jax.random.key(config.seed) if key is None else key
@@ -65,7 +70,8 @@ def pretrain(
     frozen = Frozen(jax.random.fold_in(key, 1), rows.bones() if objective.bone_length else None)
     state = init_state(config, rows.layout, len(rows.styles), key=key) if state is None else state
     steps = total_steps(config, order)
-    training = RowTraining(step, rows, order, steps, config.steps_per_dispatch, config.device_bytes)
+    mesh = data_mesh(config.batch_size, devices)
+    training = RowTraining(step, rows, order, steps, config.steps_per_dispatch, config.device_bytes, mesh)
 
     def callback(state: TrainState, progress: Progress) -> None:
         state_callback(state, progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -19,6 +19,7 @@ from pfnn_jax.training.film_styles import window_styles
 from pfnn_jax.training.loop import Progress, RowTraining, TrainState, no_progress
 from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import order_of
+from pfnn_jax.training.sharding import data_mesh
 from pfnn_jax.training.steps import Frozen, PretrainParams, Step, descend, equal_dropout, pretrain_loss
 
 
@@ -37,6 +38,7 @@ def tune_generator(
     config: TuningConfig | None = None,
     *,
     key: jax.Array | None = None,
+    devices: Sequence[jax.Device] | None = None,
     progress_callback: Callable[[Progress], Any] = no_progress,
 ) -> Tuned:
     """Tunes a pretrained FiLM generator to the rows of one style, drawing clips independently of the frames.
@@ -47,10 +49,12 @@ def tune_generator(
         rows: rows and windows of one style (S = 1).
         config: how to tune; `TuningConfig()` by default. The order of minibatches follows `config.seed`.
         key: of dropout; by default from `config.seed`.
+        devices: that share each minibatch; by default as many of all as divide `config.batch_size`.
         progress_callback: called after every `config.steps_per_dispatch` steps.
 
     Raises:
-        ValueError: if there are fewer rows than a minibatch, or no windows.
+        ValueError: if there are fewer rows than a minibatch, or no windows, or the number of `devices` does not divide
+            a minibatch.
         TrainingError: when a loss is not finite.
     """
     config = TuningConfig() if config is None else config
@@ -61,7 +65,8 @@ def tune_generator(
     bones = rows.bones() if objective.bone_length else None
     copied = jax.tree.map(lambda leaf: jnp.array(leaf, copy=True), generator)  # training donates its state
     steps = config.epochs * order.steps_per_epoch if config.steps is None else config.steps
-    training = RowTraining(_make_step(tx, objective, config), rows, order, steps, config.steps_per_dispatch)
+    step, mesh = _make_step(tx, objective, config), data_mesh(config.batch_size, devices)
+    training = RowTraining(step, rows, order, steps, config.steps_per_dispatch, mesh=mesh)
     state = TrainState(copied, tx.init(copied), jnp.zeros((), jnp.int32))
     frozen = Frozen(jax.random.fold_in(key, 1), bones, shared)
     state, losses = training.run(state, 0, frozen, lambda _, progress: progress_callback(progress))

@@ -14,7 +14,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.io.checkpoint import fingerprint
 from pfnn_jax.io.files import refuse_existing, require_suffix
 from pfnn_jax.io.locks import writing
-from pfnn_jax.io.tensors import SUFFIX, read_tensors, write_tensors
+from pfnn_jax.io.tensors import SUFFIX, read_tensors, shown, write_tensors
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
@@ -136,7 +136,7 @@ def _differing(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     for key in SKELETON:
         for joint, one, other in zip(wanted["names"], found[key], wanted[key], strict=True):
             if one != other:
-                return f"{key} of joint {joint}: {str(one)[:60]}"
+                return f"{key} of joint {joint}: {ascii(one)[:60]}"
     return ""
 
 
@@ -147,9 +147,9 @@ def _to_style(arrays: Mapping[str, np.ndarray], card: StyleCard, run: Run, file:
     for name in (*expected, *arrays):
         found, wanted = (list(side[name].shape) if name in side else "absent" for side in (arrays, expected))
         if found != wanted:
-            raise InputError(file, f"parameter {name[:60]}", found, f"must be {wanted}")
+            raise InputError(file, f"parameter {shown(name)}", found, f"must be {wanted}")
         if not np.isfinite(arrays[name]).all():
-            raise InputError(file, f"parameter {name}", "nan or infinity", "all numbers must be finite")
+            raise InputError(file, f"parameter {shown(name)}", "nan or infinity", "all numbers must be finite")
     return jax.tree.unflatten(jax.tree.structure(abstract), [arrays[name] for name in expected])
 
 

@@ -23,6 +23,9 @@ SKELETON = ("names", "parents", "offsets")
 """Entries of a run's skeleton on which its network depends."""
 
 TEXTS = ("name", "layout", "network", "normaliser")
+"""Entries that messages show as they are: one line each."""
+
+MOST_LETTERS = 200
 
 NUMBERS = ("frames", "speed", "steps", "error", "held_out_error", "error_without_style", "loss", "seconds")
 """Entries of `info` that other functions calculate with."""
@@ -97,11 +100,16 @@ def card_from_metadata(metadata: Mapping[str, str], file: Path) -> StyleCard:
         InputError: if an entry is absent or malformed, or was written by a later version.
     """
     if metadata.get("format") != FORMAT:
-        raise InputError(file, "format", metadata.get("format", "absent")[:60], RULE)
+        raise InputError(file, "format", ascii(metadata.get("format", "absent"))[:60], RULE)
     if metadata.get("format_version") != str(VERSION):
-        found = metadata.get("format_version", "absent")[:60]
+        found = ascii(metadata.get("format_version", "absent"))[:60]
         raise InputError(file, "format version", found, f"must be {VERSION}: it needs another version of pfnn_jax")
     texts = {key: _entry(metadata, key, file) for key in TEXTS}
+    for key, text in texts.items():
+        if not text.isprintable() or len(text) > MOST_LETTERS:
+            raise InputError(
+                file, key, ascii(text)[:60], f"must be a line of at most {MOST_LETTERS} characters; {RULE}"
+            )
     info = _object(metadata, "info", file)
     _check_info(info, file)
     return StyleCard(
@@ -117,9 +125,9 @@ def card_from_metadata(metadata: Mapping[str, str], file: Path) -> StyleCard:
 def _adapter(entries: Mapping[str, Any], file: Path) -> AdapterConfig:
     """Returns the kind and rank of a style; its rank becomes a size of arrays, and is an integer therefore."""
     if entries.keys() != {"kind", "rank"}:
-        raise InputError(file, "adapter", ", ".join(entries)[:60] or "no entries", "must have a kind and a rank alone")
+        raise InputError(file, "adapter", ascii(list(entries))[:60], "must have a kind and a rank alone")
     if type(entries["rank"]) is not int:
-        raise InputError(file, "adapter", f"rank {str(entries['rank'])[:60]}", "must be an integer")
+        raise InputError(file, "adapter", f"rank {ascii(entries['rank'])[:60]}", "must be an integer")
     try:
         return AdapterConfig(**entries)
     except (TypeError, ValueError) as error:
@@ -137,11 +145,11 @@ def _check_info(info: Mapping[str, Any], file: Path) -> None:
     for key in NUMBERS:
         value = info.get(key)
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise InputError(file, f"info: {key}", str(value)[:60], "must be a number")
+            raise InputError(file, f"info: {key}", ascii(value)[:60], "must be a number")
     for key in LINES:
         value = info.get(key, [])
         if not isinstance(value, list) or not all(isinstance(line, str) for line in value):
-            raise InputError(file, f"info: {key}", str(value)[:60], "must be a list of lines")
+            raise InputError(file, f"info: {key}", ascii(value)[:60], "must be a list of lines")
 
 
 def _entry(metadata: Mapping[str, str], key: str, file: Path) -> str:

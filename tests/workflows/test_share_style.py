@@ -12,7 +12,10 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from pfnn_jax.errors import InputError
 from pfnn_jax.io.tensors import read_metadata, read_tensors, write_tensors
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.layers import style_kinds
@@ -22,7 +25,7 @@ from pfnn_jax.run_config import list_styles, save_config, style_note
 from pfnn_jax.workflows.generate import generate_clip
 from pfnn_jax.workflows.private_paths import without_folders
 from pfnn_jax.workflows.share_style import export_style, import_style
-from pfnn_jax.workflows.style_card import read_style_card
+from pfnn_jax.workflows.style_card import card_from_metadata, read_style_card
 from tests.interop.small_runs import make_run
 from tests.raising import assert_refused
 
@@ -56,6 +59,14 @@ def copy(run: Run, tmp_path: Path) -> Path:
     shutil.copytree(run.path, tmp_path / "copy")
     shutil.rmtree(tmp_path / "copy" / "styles" / "tired")
     return tmp_path / "copy"
+
+
+@pytest.fixture(scope="module")
+def untouched(run: Run, tmp_path_factory) -> Run:
+    """A copy of the run without the style, for what must not change it."""
+    path = shutil.copytree(run.path, tmp_path_factory.mktemp("untouched") / "copy")
+    shutil.rmtree(path / "styles" / "tired")
+    return load_run(path)
 
 
 def assert_bitwise(one: Any, other: Any) -> None:
@@ -225,6 +236,8 @@ TAMPERED = {
     "a name with a slash": (entry("name", "../escape"), "style name"),
     "an empty name": (entry("name", ""), "style name"),
     "no network": (entry("network", None), "network"),
+    "a name of two lines": (entry("name", "a\nb"), "name"),
+    "a layout of a million letters": (entry("layout", "m" * 10**5), "layout"),
     "an unknown kind": (entry("adapter", {"kind": "cubic", "rank": 3}), "adapter"),
     "no kind": (entry("adapter", {"rank": 3}), "adapter"),
     "an adapter of more entries": (entry("adapter", {"kind": "cp", "rank": 3, "x": 1}), "adapter"),
@@ -252,16 +265,37 @@ TAMPERED = {
 
 
 @pytest.mark.parametrize("name", TAMPERED)
-def test_a_tampered_file_is_refused_and_leaves_the_run_as_it_was(file: Path, copy: Path, tmp_path: Path, name: str):
+def test_a_tampered_file_is_refused_and_leaves_the_run_as_it_was(file: Path, untouched: Run, tmp_path: Path, name: str):
     change, place = TAMPERED[name]
     arrays, text = read_tensors(file)
     with np.errstate(divide="ignore"):
         change(arrays, text)
     write_tensors(tmp_path / "bad.safetensors", arrays, text)
-    before = sorted(copy.rglob("*"))
-    refused = assert_refused(lambda: import_style(copy, tmp_path / "bad.safetensors"))
-    assert refused.place == place, refused
-    assert sorted(copy.rglob("*")) == before
+    before = sorted(untouched.path.rglob("*"))
+    refused = assert_refused(lambda: import_style(untouched, tmp_path / "bad.safetensors"))
+    assert refused.place == place and str(refused).isprintable(), refused
+    assert sorted(untouched.path.rglob("*")) == before
+
+
+@given(data=st.data())
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_file_with_bytes_changed_is_read_or_refused(file: Path, tmp_path: Path, data: st.DataObject):
+    """Whatever happens to a file on its way, nothing but an `InputError` comes of reading it."""
+    content = bytearray(file.read_bytes())
+    header = 8 + int.from_bytes(content[:8], "little")
+    for _ in range(data.draw(st.integers(1, 4), "changes")):
+        at = data.draw(st.integers(0, header), "place")
+        content[at : at + data.draw(st.integers(0, 8), "removed")] = data.draw(st.binary(max_size=8), "written")
+    changed = tmp_path / "changed.safetensors"
+    changed.write_bytes(
+        content[: data.draw(st.integers(0, len(content)), "kept")] if data.draw(st.booleans()) else content
+    )
+    try:
+        arrays, text = read_tensors(changed)
+        assert all(array.dtype == np.float32 for array in arrays.values())
+        assert card_from_metadata(text, changed).to_metadata().keys() <= read_metadata(file).keys()
+    except InputError as error:
+        assert str(error).isprintable()
 
 
 def test_a_name_that_exists_needs_overwrite(run: Run, file: Path, copy: Path):
