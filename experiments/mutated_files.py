@@ -12,6 +12,7 @@ Run       python -m experiments.mutated_files --out runs/mutated --count 10000 -
 from __future__ import annotations
 
 import faulthandler
+import functools
 import json
 import os
 import resource
@@ -37,6 +38,7 @@ from pfnn_jax.errors import InputError
 from pfnn_jax.interop.released.files import read_array, read_description
 from pfnn_jax.io.files import read_json, write_json
 from pfnn_jax.io.npz import as_floats, read_arrays
+from pfnn_jax.io.tensors import read_tensors, write_tensors
 from pfnn_jax.io.text_rows import read_rows
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip_files import read_clip
@@ -117,6 +119,13 @@ def read_archive(file: Path) -> None:
         as_floats(file, name, values)
 
 
+def read_shared_style(file: Path) -> None:
+    """Reads a shared style as `style import` does, up to its card."""
+    from pfnn_jax.workflows.style_card import card_from_metadata  # JAX, which most of the other readers do not need
+
+    card_from_metadata(read_tensors(file)[1], file)
+
+
 def read_run(file: Path) -> None:
     """Loads the run that a file is part of, with its styles and its state of training."""
     from pfnn_jax.run import load_run, load_style, load_train_state  # JAX, which the other readers do not need
@@ -145,6 +154,7 @@ TARGETS = (
     Target("body.gltf", "json", 0.05, read_motion),
     Target("rows.npz", "binary", 0.03, read_archive),
     Target("packed.npz", "binary", 0.03, read_archive),
+    Target("style.safetensors", "binary", 0.02, read_shared_style),
     Target("roles.json", "json", 0.02, lambda file: choose_joints(read_overrides_file(file), ("Hips", "Head"), file)),
     Target("skeleton.json", "json", 0.03, lambda file: skeleton_from_json(read_json(file, "a skeleton"), file)),
     Target("walk.phase", "text", 0.01, lambda file: read_rows(file, 1)),
@@ -165,8 +175,16 @@ TARGETS = (
 def make_corpus(folder: Path) -> None:
     """Writes the files that are changed; all are small and made here."""
     from pfnn_jax.training.config import PretrainConfig
-    from pfnn_jax.viewer.body.grow import grow_body
     from pfnn_jax.workflows.pretrain import pretrain_run
+
+    make_files(folder)
+    takes = [clip for style in ("neutral", "old") for clip in synthetic_clips(style, 2.0)]
+    pretrain_run(prepare(takes, folder / "data", PrepareConfig()), folder / "run", PretrainConfig(**TINY))
+
+
+def make_files(folder: Path) -> None:
+    """Writes the files of the corpus that stand alone."""
+    from pfnn_jax.viewer.body.grow import grow_body
 
     folder.mkdir(parents=True)
     walk = synthesise("old", np.zeros(90), np.full(90, 1.0), seed=1)[0]
@@ -184,8 +202,7 @@ def make_corpus(folder: Path) -> None:
     np.ones((8, 16), np.float32).tofile(folder / "weights.bin")
     network = {"network": {}, "styles": [], "loop": {}, "layout": {"name": "pfnn2017"}, "format": "bins"}
     write_json(folder / "description.json", {**network, "skeleton": skeleton_to_json(walk.skeleton)})
-    takes = [clip for style in ("neutral", "old") for clip in synthetic_clips(style, 2.0)]
-    pretrain_run(prepare(takes, folder / "data", PrepareConfig()), folder / "run", PretrainConfig(**TINY))
+    write_tensors(folder / "style.safetensors", {"gamma": np.ones((4, 8), np.float32)}, {"name": "old"})
 
 
 def as_gltf(body: bytes) -> bytes:
@@ -198,10 +215,17 @@ def as_gltf(body: bytes) -> bytes:
     return json.dumps({**data, "buffers": [{"byteLength": len(binary), "uri": uri}]}).encode()
 
 
+@functools.cache
+def targets_in(corpus: Path) -> tuple[Target, ...]:
+    """Returns the targets whose files a corpus has."""
+    return tuple(target for target in TARGETS if any(corpus.glob(target.file)))
+
+
 def changed(corpus: Path, number: int) -> tuple[Target, Path, bytes]:
     """Returns the target of a number, its file in the corpus, and what is in it after the change."""
     random = Random(number)
-    target = random.choices(TARGETS, [target.share for target in TARGETS])[0]
+    targets = targets_in(corpus)
+    target = random.choices(targets, [target.share for target in targets])[0]
     file = random.choice(sorted(path for path in corpus.glob(target.file) if path.is_file()))
     return target, file, mutated(file.read_bytes(), target.kind, random)
 
