@@ -11,6 +11,7 @@ import struct
 import warnings
 import zipfile
 import zlib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -206,7 +207,8 @@ def test_skeletons_that_are_no_tree_are_refused(entry, value):
 
 
 def test_skeletons_of_another_kind_are_refused():
-    for data in (None, 5, [], "a"):
+    others: tuple[Any, ...] = (None, 5, [], "a")
+    for data in others:
         assert_refused(lambda data=data: skeleton_from_json(data, "config.json"), file="config.json")
     assert skeleton_from_json(SKELETON).names == tuple(SKELETON["names"])
 

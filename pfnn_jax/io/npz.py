@@ -35,7 +35,7 @@ def read_arrays(file: Path, names: Sequence[str], rule: str) -> dict[str, np.nda
     try:
         with file.open("rb") as stream:  # opened here, because NumPy leaves a damaged file open
             arrays = _load(stream)
-            if not isinstance(arrays, np.lib.npyio.NpzFile):
+            if not isinstance(arrays, np.lib.npyio.NpzFile) or arrays.zip is None:
                 raise InputError(file, "file", "a single array", rule)
             found = [name for name in names if name in arrays]
             for name in found:

@@ -3,6 +3,9 @@
 Any site can open a websocket to any address, including this machine's. Browsers send the site's origin (`Origin`) and
 the name under which they reach the server (`Host`). A request is accepted if both agree, which rejects other sites,
 and if the name is one of this machine's, to prevent DNS rebinding.
+
+What a connection sends must be messages that viser can read. One that sends anything else is closed: viser would end it
+as well, but with a traceback on the terminal of whoever runs the page.
 """
 
 from __future__ import annotations
@@ -16,6 +19,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 from urllib.parse import urlsplit
+
+NOT_A_MESSAGE = 1007
+"""Code with which a connection is closed: of data that do not fit the type of message (RFC 6455, section 7.4.1)."""
 
 _installing = threading.Lock()
 
@@ -35,6 +41,19 @@ def objection(origin: str | None, host: str | None, names: frozenset[str]) -> st
     return None
 
 
+def is_message(frame: bytes | str) -> bool:
+    """Returns whether viser can read what a browser has sent."""
+    from viser._messages import Message
+
+    if not isinstance(frame, bytes):
+        return False
+    try:
+        Message.deserialize(frame)
+    except Exception:  # of any kind: the bytes are decoded, and a class is made with what they name
+        return False
+    return True
+
+
 def names_of(host: str) -> frozenset[str]:
     """Returns the names of a server that listens at `host`, in lower case."""
     names = {host.lower()}
@@ -52,6 +71,8 @@ def names_of(host: str) -> frozenset[str]:
 def guarded(host: str) -> Iterator[list[Any]]:
     """Makes websocket servers that are started within the block refuse requests by `objection`; yields those started.
 
+    They also close connections that send what is not a message.
+
     `websockets` can check requests (`process_request`), but viser does not pass this option on. The public `serve` of
     `websockets` is therefore replaced while the server starts.
 
@@ -62,9 +83,18 @@ def guarded(host: str) -> Iterator[list[Any]]:
 
     names, started = names_of(host), []
 
+    class Connection(module.ServerConnection):
+        async def recv(self, *args: Any, **options: Any) -> Any:
+            frame = await super().recv(*args, **options)
+            if is_message(frame):
+                return frame
+            await self.close(NOT_A_MESSAGE, "not a message")
+            return await super().recv()  # raises that it is closed, which viser expects
+
     class Serve(module.serve):
         def __init__(self, *args: Any, process_request: Any = None, **options: Any) -> None:
-            super().__init__(*args, process_request=_checked(process_request, names), **options)
+            checked = {"process_request": _checked(process_request, names), "create_connection": Connection}
+            super().__init__(*args, **options, **checked)
             started.append(self)
 
     with _installing:

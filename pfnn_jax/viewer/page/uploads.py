@@ -355,7 +355,8 @@ def drop_large(transfers: MutableMapping[str, Any]) -> list[str]:
     for state in list(transfers.values()):
         if isinstance(state["parts"], _DroppedParts):
             continue
-        size = max(state["total_bytes"], state["transferred_bytes"])
+        stated = state["total_bytes"] if isinstance(state["total_bytes"], int) else MOST_BUFFERED + 1
+        size = max(stated, state["transferred_bytes"])
         if buffered + size <= MOST_BUFFERED:
             buffered += size
             continue
@@ -363,5 +364,5 @@ def drop_large(transfers: MutableMapping[str, Any]) -> list[str]:
             state["parts"] = _DroppedParts(dict.fromkeys(state["parts"], b""))
         limits = f"{MOST_BYTES / 1e6:g} MB for clips, {MOST_CHARACTER_BYTES / 1e6:g} MB for characters"
         rule = f"is far larger than what is taken: {limits}" if size > MOST_BUFFERED else "comes with too many others"
-        messages.append(f"{state['filename'][:80]}: the file {rule}")
+        messages.append(f"{str(state['filename'])[:80]}: the file {rule}")
     return messages
