@@ -183,6 +183,7 @@ def test_saved_differences_are_those_saved_in_half_precision(tmp_path: Path, pro
     styles, layout, normaliser = procedural
     found = find_differences(styles, layout, normaliser, count=64)
     assert found is not None and load_differences(tmp_path, layout) is None
+    (tmp_path / "config.json").touch()  # what makes a folder a run to save in
     save_differences(tmp_path, found)
     loaded = load_differences(tmp_path, layout)
     assert loaded is not None
