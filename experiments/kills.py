@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import os
 import shutil
 import time
 from collections.abc import Callable
@@ -170,7 +171,7 @@ def check_saves(folder: Path) -> None:
 
 
 def saved(step: int) -> dict[str, Any]:
-    return {"a": np.full((64, 64), step, np.int32), "step": np.int32(step)}
+    return {"a": np.full((64, 64), step, np.int32), "step": np.array(step, np.int32)}
 
 
 def digest_saves(folder: Path) -> str:
@@ -236,7 +237,7 @@ def disturbed(name: str, out: Path, usual: tuple[float, str], count: dict[str, i
         in_child(work.do, folder)
         found = in_child(work.digest, folder)
         assert found == usual[1], "the result differs from the undisturbed one"
-        left = [path.name for path in folder.rglob("*.new")]
+        left = {name for name in temporaries(folder) if name.endswith(".new")}
         assert not left, f"temporary files are left: {left}"
         count["finished"] += 1
     except (RuntimeError, AssertionError) as error:
@@ -261,14 +262,20 @@ def killed_at(do: Callable[[Path], None], folder: Path, moment: float | None, ra
     else:
         seen, wanted = 0, random.randrange(1, 8)
         while process.is_alive() and seen < wanted:
-            before = {*folder.rglob("*.new"), *folder.rglob("*.old")}
+            before = temporaries(folder)
             time.sleep(0.001)
-            seen += bool({*folder.rglob("*.new"), *folder.rglob("*.old")} - before)
+            seen += bool(temporaries(folder) - before)
         time.sleep(random.uniform(0.0, 0.02))
     working = process.is_alive()
     process.kill()
     process.join()
     return working
+
+
+def temporaries(folder: Path) -> set[str]:
+    """Returns the temporary files and folders below a folder; what disappears meanwhile is passed over."""
+    entries = (name for _, folders, files in os.walk(folder) for name in (*folders, *files))
+    return {name for name in entries if name.endswith((".new", ".old"))}
 
 
 def fresh(name: str, out: Path) -> Path:

@@ -246,7 +246,7 @@ def _age(path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("damage", "place", "value"),
-    [(_damage_json, "file", None), (_age, "format", 0)],
+    [(_damage_json, "line 1", None), (_age, "format", 0)],
 )
 def test_damaged_datasets_are_refused(takes, tmp_path, damage, place, value):
     prepare(takes[:1], tmp_path / "set", PrepareConfig())
