@@ -7,7 +7,10 @@ Method    next to CP of rank 30 on the second layer (31,352 numbers): CP of rank
           style's own turns.
 Verdict   (CP on the last layer, measured with rows of runs among the restyled ones) elderly 2.74 / 2.68, feminine
           3.02 / 2.94; on both layers elderly 2.76 / 2.65: as good as on the second layer alone (2.73 / 2.64,
-          3.21 / 3.09) on styles like the known ones. The own turns were not judged.
+          3.21 / 3.09) on styles like the known ones. With the present heading correction,
+          on the last layer, on both, and by own turns on the last: active 4.28 / 4.67, 4.27 / 4.45, 3.33 / 3.47;
+          elderly 2.62 / 2.70, 2.62 / 2.70, 2.07 / 2.07; feminine 3.15 / 3.13, 3.00 / 3.19, 2.44 / 2.24; normal
+          2.73 / 2.59, 2.65 / 2.58, 2.22 / 2.30.
 Run       python -m experiments.few_shot.output_layer --data FOLDER --out runs/few_shot
 """
 
