@@ -43,7 +43,7 @@ class Share(Command):
             style_note(path, name)
         from pfnn_jax.cli.progress import stages
         from pfnn_jax.training.restyling import has_differences
-        from pfnn_jax.workflows.share_run import check_share, share_run
+        from pfnn_jax.workflows.share_folder import check_share, share_run
 
         check_share(path, self.out, self.overwrite)
         with stages("sharing") as stage:

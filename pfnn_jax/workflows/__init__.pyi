@@ -13,7 +13,7 @@ from .runs import load_run as load_run
 from .runs import load_style as load_style
 from .runs import save_style as save_style
 from .samples import sample_clips as sample_clips
-from .share_run import share_run as share_run
+from .share_folder import share_run as share_run
 from .share_style import export_style as export_style
 from .share_style import import_style as import_style
 from .style_card import StyleCard as StyleCard

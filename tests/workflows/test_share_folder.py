@@ -22,7 +22,7 @@ from pfnn_jax.training.restyling import has_differences
 from pfnn_jax.workflows import runs
 from pfnn_jax.workflows.base import BASE_NETWORK
 from pfnn_jax.workflows.hub import hub_run, is_hub_address
-from pfnn_jax.workflows.share_run import share_run
+from pfnn_jax.workflows.share_folder import share_run
 from pfnn_jax.workflows.share_style import export_style, import_style
 from tests.interop.small_runs import make_run
 from tests.raising import assert_refused
