@@ -439,7 +439,7 @@ def standing_point(setup: ControllerSetup, params: ControllerParams, motion: Cha
         foot is in contact.
     """
     assert setup.tracking is not None
-    feet = jnp.mean(motion.joint_positions[np.array(setup.rig.feet)].reshape(2, 2, 3), axis=1)[:, GROUND]
+    feet = _middles_of_feet(setup.rig, motion.joint_positions)[:, GROUND]
     contacts = jnp.mean(_predicted_contacts(setup, params, motion, y).reshape(2, 2), axis=1)
     most = jnp.max(contacts)
     stands = (contacts >= most).astype(feet.dtype)
@@ -448,8 +448,13 @@ def standing_point(setup: ControllerSetup, params: ControllerParams, motion: Cha
 
 def feet_distance(rig: Rig, joints: jax.Array) -> jax.Array:
     """Returns the distance [] in metres on the ground between the middles of both feet, of joints [J, 3]."""
-    feet = jnp.mean(joints[np.array(rig.feet)].reshape(2, 2, 3), axis=1)
-    return length((feet[1] - feet[0])[np.array([0, 2])])
+    left, right = _middles_of_feet(rig, joints)[:, GROUND]
+    return length(right - left)
+
+
+def _middles_of_feet(rig: Rig, joints: jax.Array) -> jax.Array:
+    """Returns the middles [2, 3] of both feet, left and right, of joints [J, 3]."""
+    return jnp.mean(joints[np.array(rig.feet)].reshape(2, 2, 3), axis=1)
 
 
 def _predicted_rotations(layout: FrameLayout, y: jax.Array, facing: jax.Array) -> jax.Array:
