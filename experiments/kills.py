@@ -19,6 +19,7 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
@@ -255,7 +256,7 @@ def killed_at(do: Callable[[Path], None], folder: Path, moment: float | None, ra
         moment: seconds after its start; None for the milliseconds after a temporary file has appeared.
         random: draws which temporary file, and how many milliseconds.
     """
-    process = CONTEXT.Process(target=do, args=(folder,))
+    process = context().Process(target=do, args=(folder,))
     process.start()
     if moment is not None:
         process.join(moment)
@@ -292,8 +293,8 @@ def in_child(function: Callable[[Path], Any], folder: Path) -> Any:
     Raises:
         RuntimeError: if it raises.
     """
-    receiver, sender = CONTEXT.Pipe(duplex=False)
-    process = CONTEXT.Process(target=_send, args=(sender, function, folder))
+    receiver, sender = context().Pipe(duplex=False)
+    process = context().Process(target=_send, args=(sender, function, folder))
     process.start()
     sender.close()
     try:
@@ -314,10 +315,12 @@ def _send(sender: Any, function: Callable[[Path], Any], folder: Path) -> None:
         sender.send((False, f"{type(error).__name__}: {error}"))
 
 
-CONTEXT = multiprocessing.get_context("forkserver")
-"""Processes are forked from one that has imported everything and started nothing."""
-
-CONTEXT.set_forkserver_preload(["experiments.kills"])
+@cache
+def context() -> Any:
+    """Returns what forks processes, from one that has imported everything and started nothing; POSIX alone has it."""
+    found = multiprocessing.get_context("forkserver")
+    found.set_forkserver_preload(["experiments.kills"])
+    return found
 
 
 if __name__ == "__main__":

@@ -14,7 +14,8 @@ RUN/metrics.jsonl   one line for each interval of training
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar, overload
@@ -25,6 +26,7 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.checkpoint import fingerprint, load_record, save_record
 from pfnn_jax.io.files import locate, read_note, replacing, write_json
+from pfnn_jax.io.locks import writing
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import Network, init_network, num_parameters
@@ -129,6 +131,32 @@ def load_run(path: str | Path, layout: str | None = None) -> Run:
         shared=shared,
         fingerprint=fingerprint(shared),
     )
+
+
+@contextmanager
+def writing_run(run: Run | str | Path) -> Iterator[Run]:
+    """Keeps other processes from writing a run during the block, and makes sure that it is the one on disk.
+
+    Args:
+        run: a run, or its directory, which is loaded under the lock.
+
+    Yields:
+        The run.
+
+    Raises:
+        InputError: if the path is not a run, or cannot be loaded; if another process is writing it; if its network has
+            been trained again since the run was loaded.
+    """
+    if isinstance(run, Run):
+        with writing(run.path):
+            if (found := shared_fingerprint(run.path)) != run.fingerprint:
+                rule = f"must be {_short(run.fingerprint)}, as when the run was loaded: load it again"
+                raise InputError(run.path, "shared network", _short(found), rule)
+            yield run
+    else:
+        load_config(run)  # what is not a run gets no lock file
+        with writing(run):
+            yield load_run(run)
 
 
 def save_shared(path: str | Path, shared: Network) -> None:

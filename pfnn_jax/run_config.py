@@ -144,7 +144,7 @@ def check_present(path: str | Path) -> None:
     Raises:
         InputError: if its configuration is gone.
     """
-    if locate(Path(path)) is None or not (Path(path) / "config.json").is_file():
+    if not (Path(path) / "config.json").is_file():
         raise InputError(path, "run", "is no longer there", "must stay where it is while it is being written")
 
 

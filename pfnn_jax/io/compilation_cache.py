@@ -27,6 +27,9 @@ from pfnn_jax.io.files import failure
 VARIABLE = "JAX_COMPILATION_CACHE_DIR"
 """Environment variable that names another folder; JAX reads it."""
 
+OFF = ("0", "false", "f", "no", "n", "off")
+"""Values of `JAX_ENABLE_COMPILATION_CACHE` with which JAX keeps nothing."""
+
 OPTIONS = {"jax_persistent_cache_min_compile_time_secs": 0.05}
 """What JAX keeps: reading back what took less time to compile saves nothing."""
 
@@ -77,10 +80,10 @@ def use_private_cache() -> Path | None:
 def name_private_cache() -> None:
     """Sets the variables that make JAX keep what it compiles in `compiled_folder`, for a process that may import JAX.
 
-    Nothing happens where the user has set one of them or has switched the cache off, or where the folder is refused.
+    Nothing happens where the user has named a folder or has switched the cache off, or where the folder is refused.
     What JAX warns of, because it cannot read or write an entry, is not shown: it compiles instead.
     """
-    if VARIABLE in os.environ or "JAX_ENABLE_COMPILATION_CACHE" in os.environ:
+    if VARIABLE in os.environ or os.environ.get("JAX_ENABLE_COMPILATION_CACHE", "1").lower() in OFF:
         return
     with suppress(InputError):
         folder = _prepared_folder()

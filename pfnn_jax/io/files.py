@@ -14,6 +14,7 @@ import math
 import os
 import re
 import shutil
+import sys
 import time
 import uuid
 from collections.abc import Collection, Iterator, Mapping
@@ -26,7 +27,14 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 
-_FULL = tuple((code, os.strerror(code)) for code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+
+def _reasons(*codes: int) -> tuple[tuple[int, str], ...]:
+    """Returns the system's errors with their texts, but for those that it has no text for."""
+    found = ((code, os.strerror(code)) for code in codes)
+    return tuple((code, text) for code, text in found if not text.startswith("Unknown error"))
+
+
+_FULL = _reasons(errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What the system reports when there is no room: on the disk, in a quota, or below the limit of a file's size."""
 
 MAX_JSON = 64 * 2**20
@@ -341,7 +349,9 @@ def _copy_files(source: Path, new: Path) -> None:
 
 
 def is_running(pid: int) -> bool:
-    """Returns whether a process of this machine with this number is running."""
+    """Returns whether a process of this machine with this number is running; on Windows always True."""
+    if sys.platform == "win32":  # where signal 0 is Ctrl-C
+        return True
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -26,9 +26,11 @@ from pfnn_jax.io.files import failure, reporting_full_disk, undo_exchange
 
 RULE = "must be written by one process at a time: wait until that one has ended"
 
-_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP)  # the last two differ on macOS
 
 _NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS)
+
+_NO_LINKS = getattr(os, "O_NOFOLLOW", 0)  # what a link points to would be emptied
 
 
 @dataclass(eq=False)
@@ -83,7 +85,7 @@ def writer_of(run: str | Path) -> str | None:
         return None
     for path in _places(target):
         try:
-            descriptor = os.open(path, os.O_RDWR)
+            descriptor = _open_file(path)
         except OSError:
             continue
         try:
@@ -97,6 +99,7 @@ def writer_of(run: str | Path) -> str | None:
 
 
 def _places(target: Path) -> tuple[Path, Path]:
+    """Returns the paths of a run's lock file: next to it, and in it."""
     return target.with_name(f".{target.name}.lock"), target / ".lock"
 
 
@@ -130,18 +133,35 @@ def _take(target: Path, run: Path) -> _Held:
 
 def _open(target: Path, run: Path) -> tuple[Path, int]:
     """Opens the lock file: next to the run, or in it where its folder cannot be written."""
-    beside, inside = _places(target)
+    outside, inside = _places(target)
     try:
         with reporting_full_disk(run):
             target.parent.mkdir(parents=True, exist_ok=True)
             try:
-                return beside, os.open(beside, os.O_RDWR | os.O_CREAT, 0o666)
+                return outside, _open_file(outside, os.O_CREAT)
             except OSError as error:
-                if error.errno not in _NOT_WRITABLE or not target.is_dir():
+                if error.errno not in _NOT_WRITABLE or not target.is_dir() or os.path.lexists(outside):
                     raise
-                return inside, os.open(inside, os.O_RDWR | os.O_CREAT, 0o666)
+                return inside, _open_file(inside, os.O_CREAT)
     except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise InputError(error.filename, "lock", "is a link", "must be a file: remove the link") from error
         raise InputError(run, "folder", failure(error), "must be writable: runs are written in it") from error
+
+
+def _open_file(path: Path, flags: int = 0) -> int:
+    """Opens a lock file; that of another user can be locked, if not written.
+
+    Raises:
+        OSError: if it is a link, cannot be read, or does not exist and cannot be made.
+    """
+    try:
+        return os.open(path, os.O_RDWR | _NO_LINKS | flags, 0o666)
+    except OSError as error:
+        if error.errno in _NOT_WRITABLE:
+            with suppress(FileNotFoundError):  # it is the folder that cannot be written
+                return os.open(path, os.O_RDONLY | _NO_LINKS)
+        raise
 
 
 def _release(held: _Held) -> None:

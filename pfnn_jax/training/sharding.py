@@ -24,22 +24,24 @@ DATA = "data"
 
 
 def data_mesh(batch_size: int, devices: Sequence[Any] | None = None) -> Mesh | None:
-    """Returns the mesh on which minibatches are trained, or None for one device, where nothing is placed.
+    """Returns the mesh on which minibatches are trained, or None for JAX's first device, where nothing is placed.
 
     Args:
         batch_size: B frames of a minibatch.
         devices: of JAX; by default as many of all as divide B.
 
     Raises:
-        ValueError: if the number of devices given, or of all devices of several hosts, does not divide B.
+        ValueError: if there is none, or the number of those given, or of all of several hosts, does not divide B.
     """
     if devices is None:
         devices = jax.devices()
         if jax.process_count() == 1:  # otherwise a host could be left without a device
             devices = devices[: num_devices(batch_size, len(devices))]
-    if batch_size % len(devices):
+    if not len(devices) or batch_size % len(devices):
         raise ValueError(f"`batch_size` must be a multiple of the {len(devices)} devices, got {batch_size}.")
-    return None if len(devices) == 1 else Mesh(np.asarray(devices), (DATA,), axis_types=(AxisType.Auto,))
+    if list(devices) == jax.devices()[:1]:
+        return None
+    return Mesh(np.asarray(devices), (DATA,), axis_types=(AxisType.Auto,))
 
 
 def num_devices(batch_size: int, available: int) -> int:

@@ -15,7 +15,6 @@ from pfnn_jax.control.run_settings import loop_config
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import load_choice
-from pfnn_jax.io.locks import writing
 from pfnn_jax.models.config import CP_KINDS, AdapterConfig
 from pfnn_jax.motion.datasets.clip_rows import (
     labelled_features,
@@ -25,7 +24,7 @@ from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features
-from pfnn_jax.run import Run, load_generator, load_run, save_style
+from pfnn_jax.run import Run, load_generator, save_style, writing_run
 from pfnn_jax.run_config import check_adapter, check_new_style
 from pfnn_jax.training.config import (
     FILM_FEW_SHOT,
@@ -86,11 +85,11 @@ def learn_style(
     Raises:
         InputError: for a bad clip, a clip without steps or of a skeleton that is not a humanoid, a style that exists,
             a method that trains a whole network, an adapter of another rank than the run's, or a run that another
-            process is writing. Nothing is trained before.
+            process is writing or whose network has been trained again since it was loaded. Nothing is trained before.
     """
     started = time.perf_counter()
-    run, clip_file = _as_run(run), _as_clip_file(clip_file)
-    with writing(run.path):
+    clip_file = _as_clip_file(clip_file)
+    with writing_run(run) as run:
         config = default_config(run) if config is None else config
         check_new_style(run.path, clip_file.style, overwrite)
         _check_method(run, config)
@@ -140,12 +139,13 @@ def tune_style(
 
     Raises:
         InputError: for a bad clip or one whose skeleton is not a humanoid, a style that exists, a run without a
-            generator, or one that another process is writing.
+            generator, or one that another process is writing or whose network has been trained again since it was
+            loaded.
         TrainingError: when a loss is not finite.
     """
     started = time.perf_counter()
-    run, clip_file = _as_run(run), _as_clip_file(clip_file)
-    with writing(run.path):
+    clip_file = _as_clip_file(clip_file)
+    with writing_run(run) as run:
         config = TuningConfig() if config is None else config
         check_new_style(run.path, clip_file.style, overwrite)
         generator = load_generator(run)
@@ -252,10 +252,6 @@ def _held_out_errors(run: Run, styles: list[Any], held: list[Features]) -> list[
 
 def _rows(run: Run, parts: list[Features]) -> Rows:
     return Rows.from_features({"style": parts}, run.layout, run.normaliser, run.skeleton.parents)
-
-
-def _as_run(run: Run | str | Path) -> Run:
-    return run if isinstance(run, Run) else load_run(run)
 
 
 def _as_clip_file(clip_file: ClipFile | str | Path) -> ClipFile:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -88,14 +87,9 @@ def pretrain_run(
     config, out = PretrainConfig() if config is None else config, Path(out)
     run_config = run_config_of(dataset, config)
     _check_rows(dataset, config)
-    with _only_writer(out):
+    with writing(out):
         _train(dataset, out, config, run_config, resume, overwrite, progress_callback)
     return load_run(out)
-
-
-def _only_writer(out: Path) -> AbstractContextManager[None]:
-    """Returns the lock of a run; of several processes that train one run together, the first holds it."""
-    return writing(out) if jax.process_index() == 0 else nullcontext()
 
 
 def _train(

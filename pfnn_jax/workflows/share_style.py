@@ -13,12 +13,11 @@ import numpy as np
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.checkpoint import fingerprint
 from pfnn_jax.io.files import refuse_existing, require_suffix
-from pfnn_jax.io.locks import writing
 from pfnn_jax.io.tensors import SUFFIX, read_tensors, shown, write_tensors
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.run import Run, abstract_style, load_run, load_style, save_style
+from pfnn_jax.run import Run, abstract_style, load_run, load_style, save_style, writing_run
 from pfnn_jax.run_config import check_adapter, check_new_style, style_note
 from pfnn_jax.workflows.private_paths import without_folders
 from pfnn_jax.workflows.style_card import SKELETON, StyleCard, card_from_metadata
@@ -70,13 +69,14 @@ def import_style(
     Raises:
         InputError: if the file is damaged or too large; if the style is for another shared network, layout or skeleton,
             is of an unknown kind, has a parameter that is missing, unknown, of another shape or not finite; if the name
-            is taken or cannot be a folder's; if another process is writing the run. The run is as before then.
+            is taken or cannot be a folder's; if another process is writing the run, or its network has been trained
+            again since it was loaded. The run is as before then.
     """
-    run, file = run if isinstance(run, Run) else load_run(run), Path(file)
+    file = Path(file)
     arrays, metadata = read_tensors(file)
     card = card_from_metadata(metadata, file)
     card = card if name is None else replace(card, name=name)
-    with writing(run.path):
+    with writing_run(run) as run:
         check_new_style(run.path, card.name, overwrite)
         check_fits(card, run, file)
         save_style(run.path, card.name, _to_style(arrays, card, run, file), card.style_info(), overwrite)

@@ -144,6 +144,15 @@ def test_what_the_user_has_set_stays(own: Path, monkeypatch, variable: str):
     assert os.environ.get(VARIABLE) == ("0" if variable == VARIABLE else None) and not own.exists()
 
 
+@pytest.mark.parametrize(
+    ("value", "kept"), [("1", True), ("true", True), ("0", False), ("False", False), ("off", False)]
+)
+def test_the_cache_is_switched_off_by_the_value_of_its_variable(own: Path, monkeypatch, value: str, kept: bool):
+    monkeypatch.setenv("JAX_ENABLE_COMPILATION_CACHE", value)
+    name_private_cache()
+    assert (VARIABLE in os.environ) == own.exists() == kept
+
+
 @POSIX
 def test_a_refused_folder_stops_no_command(own: Path):
     own.parent.mkdir(mode=0o700)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from pfnn_jax.errors import InputError
+from pfnn_jax.io import files
 from pfnn_jax.io.files import exchange, failure, refuse_existing, require_suffix, write_whole
 from tests.raising import assert_refused
 
@@ -104,6 +106,17 @@ def test_a_temporary_of_a_dead_process_is_removed_and_that_of_a_living_one_stays
     living.write_text("half")
     write_whole(tmp_path / "a", "new")
     assert names(tmp_path) == [living.name, "a"]
+
+
+def test_on_windows_no_signal_is_sent_to_find_out_whether_a_process_is_running(monkeypatch):
+    monkeypatch.setattr(files.sys, "platform", "win32")
+    monkeypatch.setattr(files.os, "kill", lambda pid, signal: pytest.fail("signal 0 is Ctrl-C there"))
+    assert files.is_running(os.getppid())
+
+
+def test_an_error_that_the_system_has_no_text_for_is_not_taken_for_a_full_disk():
+    """As `EDQUOT` on Windows: its text would be found in any error without one."""
+    assert files._reasons(errno.ENOSPC, 99_999) == ((errno.ENOSPC, os.strerror(errno.ENOSPC)),)
 
 
 @pytest.mark.parametrize("there", ["file", "folder"])

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from pfnn_jax.io import locks
 from pfnn_jax.io.locks import writer_of, writing
 from tests.raising import assert_refused
 from tests.writers import ROOT, another_writer
@@ -101,6 +102,57 @@ def test_a_run_in_a_folder_that_cannot_be_written_has_its_lock_inside(tmp_path, 
         found = subprocess.run(command, capture_output=True, text=True, cwd=ROOT).stdout
         assert found == f"process {os.getpid()} on {socket.gethostname()}\n"
     assert not list(run.iterdir())
+
+
+def test_a_lock_of_another_user_excludes_too(tmp_path, monkeypatch):
+    """Its file can be read but not written; the superuser may write everywhere, so that is simulated."""
+    run, opens, refused = tmp_path / "run", os.open, os.O_RDWR
+    run.mkdir()
+
+    def of_another_user(path, flags, *args, **options):
+        if Path(path) == tmp_path / ".run.lock" and flags & refused == refused:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return opens(path, flags, *args, **options)
+
+    monkeypatch.setattr(os, "open", of_another_user)
+    with another_writer(run) as process:
+        holder = f"process {process.pid} on {socket.gethostname()}"
+        assert writer_of(run) == holder
+        assert_refused(lambda: writing(run).__enter__(), place="run", value=f"is being written by {holder}")
+        process.kill()
+        process.wait()
+        with writing(run):
+            assert not list(run.iterdir())
+        (tmp_path / ".run.lock").touch()
+        refused = 0  # not even read
+        assert_refused(lambda: writing(run).__enter__(), file=run, place="folder", value="Permission denied")
+
+
+@pytest.mark.skipif(not hasattr(os, "O_NOFOLLOW"), reason="the system opens no file without following links")
+@pytest.mark.parametrize("target", ["thesis.tex", "absent.tex"])
+def test_a_link_in_place_of_a_lock_is_refused_and_not_followed(tmp_path, target):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    (tmp_path / ".run.lock").symlink_to(tmp_path / target)
+    assert_refused(lambda: writing(tmp_path / "run").__enter__(), file=".run.lock", place="lock", value="is a link")
+    assert writer_of(tmp_path / "run") is None
+    assert (tmp_path / "thesis.tex").read_text() == "years of work" and not (tmp_path / "absent.tex").exists()
+
+
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP])
+def test_nothing_is_locked_on_a_file_system_without_locks(tmp_path, monkeypatch, code):
+    monkeypatch.setattr(locks, "_lock", lambda descriptor: failing(code))
+    with writing(tmp_path / "run"):
+        assert writer_of(tmp_path / "run") is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_system_that_fails_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(locks, "_lock", lambda descriptor: failing(errno.EIO))
+    assert_refused(lambda: writing(tmp_path / "run").__enter__(), file=".run.lock", place="lock")
+
+
+def failing(code: int) -> bool:
+    raise OSError(code, os.strerror(code))
 
 
 def test_a_run_that_was_moved_aside_by_a_killed_process_is_moved_back(tmp_path):

@@ -45,10 +45,13 @@ def main() -> None:
     devices, rows, body = jax.devices(), toy_rows(), body_rows()
     one, all_of_them = devices[:1], devices
     first_half: list[TrainState] = []
+    chosen: list[TrainState] = []
     found = {
         "devices": len(devices),
         "one": training(CP, rows, one),
         "all": training(CP, rows, all_of_them, keep=lambda state: first_half.append(on_host(state))),
+        "chosen": training(CP, rows, devices[1:2], keep=chosen.append),
+        "chosen devices": [device.id for device in jax.tree.leaves(chosen[-1].params)[0].devices()],
         "default": training(CP, rows, None),
         "streamed": training(PretrainConfig(**{**vars(CP), "device_bytes": 0}), rows, all_of_them),
         "resumed": training(CP, rows, devices[:2], state=jax.tree.map(jax.numpy.asarray, first_half[0])),

@@ -58,6 +58,11 @@ def test_a_training_continues_on_another_number_of_devices(found):
     assert_same(resumed, {"losses": whole["losses"][1:], "state": whole["state"]})
 
 
+def test_a_single_device_that_is_chosen_trains(found):
+    assert found["chosen devices"] == [1]
+    assert_same(found["chosen"], found["one"])
+
+
 def test_every_device_computes_its_share(found):
     flops = found["flops"]
     assert flops["1"] / 2 <= flops["2"] < flops["1"] / 2 * OVERHEAD
@@ -92,5 +97,6 @@ def test_one_device_needs_no_mesh():
 
 
 def test_devices_that_do_not_divide_the_batch_are_refused():
-    with pytest.raises(ValueError, match="must be a multiple of the 2 devices, got 3"):
-        data_mesh(3, jax.devices()[:1] * 2)
+    for count in (0, 2):
+        with pytest.raises(ValueError, match=f"must be a multiple of the {count} devices, got 3"):
+            data_mesh(3, jax.devices()[:1] * count)

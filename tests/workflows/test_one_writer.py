@@ -13,11 +13,12 @@ from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.run_config import check_new_run
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.viewer.page.style_files import delete_style, rename_style
+from pfnn_jax.viewer.page.style_files import delete_style, rename_style, restore_style
 from pfnn_jax.workflows.base import BASE_NETWORK
-from pfnn_jax.workflows.learn import learn_style
+from pfnn_jax.workflows.learn import learn_style, tune_style
 from pfnn_jax.workflows.pretrain import pretrain_run
 from pfnn_jax.workflows.runs import import_released
+from pfnn_jax.workflows.share_style import export_style, import_style
 from pfnn_jax.workflows.transfer_training import train_transfer
 from tests.raising import assert_refused
 from tests.writers import another_writer
@@ -47,16 +48,21 @@ def dataset(tmp_path_factory):
 def test_what_another_process_writes_is_refused_by_name(clips, dataset, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(BASE_NETWORK, run)
+    export_style(run, "neutral", tmp_path / "neutral.safetensors")
+    deleted = delete_style(run, "neutral")
     before = files(run)
     tiny = PretrainConfig(hidden=8, steps=2, batch_size=16)
     writers = {
         "pretrain": lambda: pretrain_run(dataset, run, tiny, overwrite=True),
         "resume": lambda: pretrain_run(dataset, run, tiny, resume=True),
         "few-shot": lambda: learn_style(run, clips / "old" / "walk.bvh"),
+        "tune": lambda: tune_style(run, clips / "old" / "walk.bvh"),
+        "style import": lambda: import_style(run, tmp_path / "neutral.safetensors"),
         "train-transfer": lambda: train_transfer(clips, "old", run),
         "import-released": lambda: import_released("lpn", tmp_path, run, overwrite=True),
-        "rename": lambda: rename_style(run, "neutral", "another"),
-        "delete": lambda: delete_style(run, "neutral"),
+        "rename": lambda: rename_style(run, "old", "another"),
+        "delete": lambda: delete_style(run, "old"),
+        "restore": lambda: restore_style(run, deleted),
     }
     with another_writer(run) as process:
         for write in writers.values():

@@ -23,6 +23,7 @@ from pfnn_jax.models.network import init_network
 from pfnn_jax.run import Run, load_run, load_style, save_shared, save_style
 from pfnn_jax.run_config import list_styles, save_config, style_note
 from pfnn_jax.workflows.generate import generate_clip
+from pfnn_jax.workflows.learn import learn_style, tune_style
 from pfnn_jax.workflows.private_paths import without_folders
 from pfnn_jax.workflows.share_style import export_style, import_style
 from pfnn_jax.workflows.style_card import card_from_metadata, read_style_card
@@ -181,6 +182,27 @@ def test_a_style_of_another_network_is_refused(file: Path, copy: Path, change: C
     assert "tired" not in list_styles(copy)
     if place == "shared network":
         assert refused.value == read_style_card(file).network and load_run(copy).fingerprint in refused.rule
+
+
+@pytest.mark.parametrize("write", [import_style, learn_style, tune_style])
+def test_a_run_whose_network_was_trained_again_since_it_was_loaded_is_refused(file: Path, copy: Path, write: Callable):
+    loaded = load_run(copy)
+    other_network(copy)
+    refused = assert_refused(lambda: write(loaded, file), file="copy", place="shared network")
+    assert refused.value == load_run(copy).fingerprint[:12] and loaded.fingerprint[:12] in refused.rule
+    assert "tired" not in list_styles(copy)
+
+
+def test_a_style_goes_into_a_run_that_was_moved_aside_by_a_killed_process(file: Path, copy: Path):
+    copy.rename(copy.with_name(".copy.old"))
+    import_style(copy, file)
+    assert "tired" in list_styles(copy) and not copy.with_name(".copy.old").exists()
+
+
+@pytest.mark.parametrize("write", [import_style, learn_style])
+def test_what_is_not_a_run_is_refused_without_a_trace(file: Path, tmp_path: Path, write: Callable):
+    assert_refused(lambda: write(tmp_path / "none" / "run", file), rule_mentions="run directory")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
