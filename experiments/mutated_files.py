@@ -1,7 +1,7 @@
 """Does any damaged or hostile file break a reader? Reads files that were changed at random.
 
 Question  Readers of foreign files (BVH, glTF, weights, arrays, JSON) must read a file or refuse it with an `InputError`
-          of one line: no other exception, no hang over 10 s, no more than 2 GB of memory.
+          of one line: no other exception, no hang over 10 s, no more than 2 GiB of memory.
 Data      a corpus of small files made here (procedural walks, an own character, arrays and notes of a tiny run), of
           which each is changed one to four times: bits, blocks, numbers, lines, towers of joints, values of JSON.
           Number N is always the same file.
@@ -11,8 +11,10 @@ Run       python -m experiments.mutated_files --out runs/mutated --count 10000 -
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import functools
+import io
 import json
 import os
 import resource
@@ -34,12 +36,14 @@ import numpy as np
 import tyro
 
 from experiments.common.mutations import mutated
+from pfnn_jax.cli.style_show import print_card
 from pfnn_jax.errors import InputError
 from pfnn_jax.interop.released.files import read_array, read_description
 from pfnn_jax.io.files import read_json, write_json
 from pfnn_jax.io.npz import as_floats, read_arrays
 from pfnn_jax.io.tensors import read_tensors, write_tensors
 from pfnn_jax.io.text_rows import read_rows
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.clip_files import read_clip
 from pfnn_jax.motion.datasets.clip_rows import load_for_skeleton
@@ -51,9 +55,10 @@ from pfnn_jax.motion.gltf.character import read_character
 from pfnn_jax.motion.gltf.skin import read_mesh
 from pfnn_jax.motion.gltf.write import glb_bytes
 from pfnn_jax.motion.humanoid.overrides import choose_joints, read_overrides_file
-from pfnn_jax.motion.skeleton import skeleton_from_json, skeleton_to_json
+from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
+from pfnn_jax.workflows.style_card import SKELETON, StyleCard, card_from_metadata
 
 SECONDS = 10
 """A reader that takes longer hangs: of processor time, since the machine may be busy."""
@@ -120,10 +125,10 @@ def read_archive(file: Path) -> None:
 
 
 def read_shared_style(file: Path) -> None:
-    """Reads a shared style as `style import` does, up to its card."""
-    from pfnn_jax.workflows.style_card import card_from_metadata  # JAX, which most of the other readers do not need
-
-    card_from_metadata(read_tensors(file)[1], file)
+    """Reads a shared style as `style import` does, up to its card, and shows the card."""
+    card = card_from_metadata(read_tensors(file)[1], file)
+    with contextlib.redirect_stdout(io.StringIO()):
+        print_card(file, card)
 
 
 def read_run(file: Path) -> None:
@@ -154,7 +159,7 @@ TARGETS = (
     Target("body.gltf", "json", 0.05, read_motion),
     Target("rows.npz", "binary", 0.03, read_archive),
     Target("packed.npz", "binary", 0.03, read_archive),
-    Target("style.safetensors", "binary", 0.02, read_shared_style),
+    Target("style.safetensors", "safetensors", 0.02, read_shared_style),
     Target("roles.json", "json", 0.02, lambda file: choose_joints(read_overrides_file(file), ("Hips", "Head"), file)),
     Target("skeleton.json", "json", 0.03, lambda file: skeleton_from_json(read_json(file, "a skeleton"), file)),
     Target("walk.phase", "text", 0.01, lambda file: read_rows(file, 1)),
@@ -202,7 +207,19 @@ def make_files(folder: Path) -> None:
     np.ones((8, 16), np.float32).tofile(folder / "weights.bin")
     network = {"network": {}, "styles": [], "loop": {}, "layout": {"name": "pfnn2017"}, "format": "bins"}
     write_json(folder / "description.json", {**network, "skeleton": skeleton_to_json(walk.skeleton)})
-    write_tensors(folder / "style.safetensors", {"gamma": np.ones((4, 8), np.float32)}, {"name": "old"})
+    write_tensors(
+        folder / "style.safetensors", {"gamma": np.ones((4, 8), np.float32)}, metadata_of_style(walk.skeleton)
+    )
+
+
+def metadata_of_style(skeleton: Skeleton) -> dict[str, str]:
+    """Returns the card of a style, with every kind of entry."""
+    entries = skeleton_to_json(skeleton)
+    joints = {key: entries[key] for key in SKELETON}
+    info = {"frames": 90, "speed": 1.0, "held_out_error": 0.4, "notes": ["a note"], "warnings": ["a warning"]}
+    adapter, network = AdapterConfig("film"), "0" * 64
+    card = StyleCard("old", "mason2018", adapter, network, network, joints, "old.bvh", "CC BY 4.0", info)
+    return card.to_metadata()
 
 
 def as_gltf(body: bytes) -> bytes:
@@ -278,7 +295,7 @@ def read_many(out: Path, first: int, config: Config) -> None:
                 keep(out, number, file.name, data)
             shutil.copyfile(original, file)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"peak memory of the reading process: {peak:.0f} MB")
+    print(f"peak memory of the reading process: {peak:.0f} MiB")
 
 
 def limit_memory() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from pfnn_jax.cli import main
+from pfnn_jax.io.tensors import read_tensors, write_tensors
 from pfnn_jax.run_config import list_styles
 from tests.interop.small_runs import make_run
 
@@ -82,10 +83,12 @@ def test_a_run_is_shared_and_what_is_left_to_say_is_said(folder: Path, tmp_path:
 
 
 def test_control_characters_of_a_file_do_not_reach_the_terminal(folder: Path, tmp_path: Path, capsys):
-    out = tmp_path / "y.safetensors"
-    run("style", "export", folder / "run", "style1", "--out", out, "--licence", "mine\x1b[31m\nforged: line")
+    arrays, text = read_tensors(folder / "x.safetensors")
+    info = {**json.loads(text["info"]), "warnings": ["much\x1b[31m\nforged: line"]}
+    write_tensors(tmp_path / "y.safetensors", arrays, {**text, "info": json.dumps(info)})
+    run("style", "show", tmp_path / "y.safetensors")
     shown = capsys.readouterr().out
-    assert "\x1b" not in shown and "licence: mine?[31m?forged: line" in shown
+    assert "\x1b" not in shown and "warning: much?[31m?forged: line" in shown
 
 
 def test_commands_take_runs_of_the_hub(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):

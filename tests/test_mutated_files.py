@@ -11,12 +11,14 @@ import struct
 import warnings
 import zipfile
 import zlib
+from random import Random
 from typing import Any
 
 import numpy as np
 import pytest
 
 from experiments import mutated_files
+from experiments.common.mutations import mutated
 from pfnn_jax.errors import InputError
 from pfnn_jax.interop.released.files import read_array
 from pfnn_jax.io.files import read_json
@@ -32,6 +34,9 @@ from tests.raising import assert_refused
 
 FILES = 60
 """Changed files of the corpus that are read here."""
+
+STYLES = 300
+"""Changed shared styles that are read here; they are small."""
 
 RULE = "must be as it was"
 
@@ -56,6 +61,21 @@ def test_files_changed_at_random_are_read_or_refused_in_one_line(corpus, tmp_pat
             assert mutated_files.check_message(error) == "refused", number
             counts["refused"] += 1
     assert min(counts.values()) > 0
+
+
+def test_changes_of_a_shared_style_reach_its_card(corpus, tmp_path):
+    """Entries of a card are refused one by one, which needs a header whose size fits; the file as it was is read."""
+    original = (corpus / "style.safetensors").read_bytes()
+    places = set()
+    for number in range(STYLES):
+        (tmp_path / "style.safetensors").write_bytes(mutated(original, "safetensors", Random(number)))
+        try:
+            mutated_files.read_shared_style(tmp_path / "style.safetensors")
+        except InputError as error:
+            assert mutated_files.check_message(error) == "refused", number
+            places.add(error.place.partition(":")[0])
+    assert places >= {"header", "info", "adapter", "skeleton", "format version"}
+    mutated_files.read_shared_style(corpus / "style.safetensors")
 
 
 def test_a_number_is_always_the_same_file(corpus):

@@ -32,7 +32,7 @@ def mutated(data: bytes, kind: str, random: Random) -> bytes:
 
     Args:
         data: the file.
-        kind: `text`, `bvh`, `json`, `glb` or `binary`, which allows more kinds of changes.
+        kind: `text`, `bvh`, `json`, `glb`, `safetensors` or `binary`, which allows more kinds of changes.
         random: draws them.
     """
     changes = [*_BYTES, *_KINDS[kind] * 3]
@@ -180,6 +180,20 @@ def _document(data: bytes, random: Random) -> bytes:
     return glb(_value(text, random), binary)
 
 
+def _header(data: bytes, random: Random) -> bytes:
+    """Changes the JSON of a safetensors file, mostly in an entry of its metadata; its size then fits again."""
+    size = int.from_bytes(data[:8], "little")
+    try:
+        header = json.loads(data[8 : 8 + size])
+        metadata = header["__metadata__"]
+        key = random.choice(list(metadata))
+        metadata[key] = random.choice((_value, _number))(metadata[key].encode(), random).decode(errors="replace")
+        text = json.dumps(header).encode()
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        text = _value(data[8 : 8 + size], random)
+    return len(text).to_bytes(8, "little") + text + data[8 + size :]
+
+
 _BYTES = (_flip, _overwrite, _truncate, _delete, _duplicate, _move)
 
 _KINDS = {
@@ -187,5 +201,6 @@ _KINDS = {
     "bvh": (_number, _lines, _frames, _nest, _word),
     "json": (_value, _number),
     "glb": (_document, _document),
+    "safetensors": (_header, _header),
     "binary": (_number,),
 }

@@ -24,8 +24,8 @@ SHOWN = {
 }
 """Entries of a style's record that are shown, where they are there."""
 
-MOST_LETTERS = 1000
-"""Of a line that is printed."""
+MAX_SHOWN = 1000
+"""Characters of a line that is printed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,4 +58,4 @@ def print_card(file: Path, card: StyleCard) -> None:
         *(f"warning: {warning}" for warning in card.info.get("warnings", ())),
     ]
     for line in filter(None, lines):
-        print(shown(line, MOST_LETTERS))
+        print(shown(line, MAX_SHOWN))

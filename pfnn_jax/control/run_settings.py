@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,9 @@ from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.run import Run
 from pfnn_jax.run_config import list_styles, style_note
+
+MAX_SPEED = 1e12
+"""Metres per second that no recorded speed reaches; `style.json` may hold integers that no float can."""
 
 
 def loop_config(run: Run) -> LoopConfig:
@@ -49,7 +51,7 @@ def default_speed(run: Run, style: StyleChoice) -> float:
 def recorded_speed(run: Run, name: str) -> float | None:
     """Returns the speed in metres per second recorded in a style's `style.json`, or None."""
     speed = style_note(run.path, name)["info"].get("speed")
-    usable = isinstance(speed, int | float) and math.isfinite(speed) and speed > 0.0
+    usable = isinstance(speed, int | float) and 0.0 < speed < MAX_SPEED
     return float(speed) if usable else None
 
 

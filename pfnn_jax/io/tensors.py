@@ -18,10 +18,10 @@ from pfnn_jax.io.files import failure, write_whole
 
 SUFFIX = ".safetensors"
 
-MOST_BYTES = 2**28
+MAX_BYTES = 2**28
 """Size of the largest file that is read. A style with full matrices, 8 experts and 1,024 hidden units has 34 MB."""
 
-MOST_HEADER = 2**20
+MAX_HEADER = 2**20
 """Size of the largest header, whose JSON is read as a whole; that of a style has some 10,000 bytes."""
 
 METADATA = "__metadata__"
@@ -48,8 +48,8 @@ def write_tensors(path: Path, arrays: Mapping[str, np.ndarray], metadata: Mappin
     header = {METADATA: dict(metadata), **json.loads(data[8 : 8 + size])}
     text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)  # arrays begin at a multiple of 8 bytes
-    if len(text) > MOST_HEADER:
-        raise InputError(path, "header", f"{len(text)} bytes", f"must have at most {MOST_HEADER} bytes")
+    if len(text) > MAX_HEADER:
+        raise InputError(path, "header", f"{len(text)} bytes", f"must have at most {MAX_HEADER} bytes")
     write_whole(path, len(text).to_bytes(8, "little") + text + data[8 + size :])
 
 
@@ -86,12 +86,12 @@ def read_metadata(path: Path) -> dict[str, str]:
         if not path.is_file():
             raise InputError(path, "file", "is not a file" if path.exists() else "does not exist", RULE)
         total = path.stat().st_size
-        if total > MOST_BYTES:
-            raise InputError(path, "file", f"{total} bytes", f"must have at most {MOST_BYTES} bytes")
+        if total > MAX_BYTES:
+            raise InputError(path, "file", f"{total} bytes", f"must have at most {MAX_BYTES} bytes")
         with path.open("rb") as file:
             size = int.from_bytes(file.read(8), "little")
-            if size > MOST_HEADER:
-                raise InputError(path, "header", f"{size} bytes", f"must have at most {MOST_HEADER} bytes; {RULE}")
+            if size > MAX_HEADER:
+                raise InputError(path, "header", f"{size} bytes", f"must have at most {MAX_HEADER} bytes; {RULE}")
             text = file.read(size)
     except OSError as error:
         raise InputError(path, "file", failure(error), RULE) from error

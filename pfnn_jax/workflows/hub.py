@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import copy_once, failure
-from pfnn_jax.run_config import check_finished
+from pfnn_jax.run_config import check_finished, list_styles, load_config
 from pfnn_jax.workflows.base import data_folder
 
 SCHEME = "hf:"
@@ -38,7 +38,7 @@ def hub_run(address: str | Path) -> Path:
 
     Raises:
         InputError: if the address is malformed, the extra `hub` is not installed, nothing can be downloaded, it is not
-            a trained run, or the data folder cannot be written.
+            a trained run with the styles that it was trained on, or the data folder cannot be written.
     """
     parts = "/".join(Path(address).parts[1:])  # a path object has merged the two slashes
     text, found = f"{SCHEME}//{parts}", ADDRESS.fullmatch(parts)
@@ -48,6 +48,7 @@ def hub_run(address: str | Path) -> Path:
     snapshot = _download(text, f"{owner}/{name}", revision)
     try:
         check_finished(snapshot)
+        _check_complete(snapshot)
     except InputError as error:
         raise InputError(text, error.place, error.value, error.rule) from error
     target = data_folder() / "hub" / f"{owner}--{name}-{snapshot.name[:DIGITS]}"
@@ -57,6 +58,17 @@ def hub_run(address: str | Path) -> Path:
         rule = "must be writable: runs are copied there, and styles learned on them are saved in it"
         raise InputError(target, "data folder", failure(error), rule) from error
     return target
+
+
+def _check_complete(snapshot: Path) -> None:
+    """Refuses a run that lacks one of the styles that it was trained on: its copy, made once, would lack it for good.
+
+    Where the Hub cannot be reached, huggingface_hub also returns the folder of a download that was interrupted.
+    """
+    found = list_styles(snapshot)
+    if missing := [name for name in load_config(snapshot).styles if name not in found]:
+        rule = "must be complete: download it again, or have it passed on by `pfnn-jax share`"
+        raise InputError(snapshot, "styles", f"{ascii(missing[0])[:60]} is absent", rule)
 
 
 def _download(address: str, repository: str, revision: str | None) -> Path:

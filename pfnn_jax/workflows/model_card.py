@@ -8,6 +8,7 @@ from typing import Any
 
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.run import Run
+from pfnn_jax.workflows.style_card import is_number
 
 TERMS = ("", "-sa", "-nc", "-nc-sa", "-nd", "-nc-nd")
 LICENCES = frozenset(
@@ -104,7 +105,7 @@ def _row(name: str, info: Mapping[str, Any]) -> str:
 
 
 def _number(value: Any) -> str | None:
-    return f"{value:.3g}" if isinstance(value, int | float) and not isinstance(value, bool) else None
+    return f"{value:.3g}" if is_number(value) else None
 
 
 def _plain(value: Any) -> str:

@@ -236,7 +236,7 @@ def _save_result(out: Path, state: TrainState, dataset: Dataset, bank: Any) -> N
         y = dataset.arrays(name)[1]
         error, split = style_error(state.params.shared, style, dataset, name)
         info = {
-            "source": str(dataset.path),
+            "source": dataset.path.resolve().name,
             "frames": dataset.frames[name],
             "speed": median_speed(dataset.layout, y[::10]),
             "steps": int(state.step),

@@ -40,6 +40,15 @@ def load_run(path: str | Path, layout: str | None = None) -> Run:
     return load_local_run(hub_run(path) if is_hub_address(path) else path, layout)
 
 
+def as_run(run: Run | str | Path) -> Run:
+    """Returns a run, which is loaded if its directory or address is given.
+
+    Raises:
+        InputError: as `load_run`.
+    """
+    return run if isinstance(run, Run) else load_run(run)
+
+
 @overload
 def import_released(
     kind: Literal["pfnn", "cp", "lpn"], directory: str | Path, out: str | Path, *, overwrite: bool = False

@@ -1,23 +1,24 @@
 """A run as a folder to pass on: what others need, and nothing of the machine that it was trained on.
 
-The folder is not a copy. It is written from what is loaded, so that a run's private files (state of training, metrics,
-uploads, temporary files) cannot get into it, and folders of this machine are taken out of its texts.
+The folder is not a copy. All but `CARD.md` is written from what is loaded, so that a run's private files (state of
+training, metrics, uploads, temporary files) cannot get into it, and folders of this machine are taken out of its texts.
 """
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import replacing
-from pfnn_jax.run import Run, create_run, load_generator, load_run, load_style, save_generator, save_shared, save_style
+from pfnn_jax.io.locks import writing
+from pfnn_jax.run import Run, create_run, load_generator, load_style, save_generator, save_shared, save_style
 from pfnn_jax.run_config import RunConfig, check_new_run, list_styles, style_note
 from pfnn_jax.training.restyling import load_differences, save_differences
 from pfnn_jax.workflows.model_card import model_card
 from pfnn_jax.workflows.private_paths import without_folders
+from pfnn_jax.workflows.runs import as_run
 
 CARD = "CARD.md"
 """What a run's own makers say about its data and licence, if they do; the base network has one."""
@@ -47,14 +48,16 @@ def share_run(
         The folder.
 
     Raises:
-        InputError: for an unknown style or one that does not fit its run, or a folder that exists, is not a run or
-            cannot be written.
+        InputError: for an unknown style or one that does not fit its run, or a folder that exists, is not a run,
+            cannot be written or that another process is writing.
+        OSError: if `CARD.md` of the run cannot be read.
     """
-    run, out = run if isinstance(run, Run) else load_run(run), Path(out)
+    run, out = as_run(run), Path(out)
     check_share(run.path, out, overwrite)
     names = list_styles(run.path) if styles is None else tuple(styles)
     infos = {name: without_folders(style_note(run.path, name).get("info", {})) for name in names}
-    with replacing(out) as new:
+    card = (run.path / CARD).read_bytes() if (run.path / CARD).is_file() else None
+    with writing(out), replacing(out) as new:
         create_run(new, _config(run.config, names), run.normaliser)
         save_shared(new, run.shared)
         if run.config.generator is not None:
@@ -63,10 +66,10 @@ def share_run(
             save_differences(new, found)
         for name, info in infos.items():
             save_style(new, name, load_style(run, name), info)
-        card = (run.path / CARD).is_file()
-        if card:
-            shutil.copyfile(run.path / CARD, new / CARD)
-        (new / "README.md").write_text(model_card(run, out.name, infos, licence, card), encoding="utf-8")
+        if card is not None:
+            (new / CARD).write_bytes(card)
+        text = model_card(run, out.name, infos, licence, card is not None)
+        (new / "README.md").write_text(text, encoding="utf-8")
     return out
 
 

@@ -17,10 +17,11 @@ from pfnn_jax.io.tensors import SUFFIX, read_tensors, shown, write_tensors
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.motion.skeleton import Skeleton
-from pfnn_jax.run import Run, abstract_style, load_run, load_style, save_style, writing_run
+from pfnn_jax.run import Run, abstract_style, load_style, save_style, writing_run
 from pfnn_jax.run_config import check_adapter, check_new_style, style_note
 from pfnn_jax.workflows.private_paths import without_folders
-from pfnn_jax.workflows.style_card import SKELETON, StyleCard, card_from_metadata
+from pfnn_jax.workflows.runs import as_run
+from pfnn_jax.workflows.style_card import MAX_LETTERS, SKELETON, StyleCard, card_from_metadata
 
 
 def export_style(
@@ -32,22 +33,23 @@ def export_style(
         run: a run, or its directory.
         name: of one of its styles.
         out: the file, `.safetensors`.
-        licence: under which the style may be used; by default what the run says of it.
+        licence: under which the style may be used, instead of what the run says of it.
         overwrite: replace an existing file.
 
     Returns:
         The card, as the file states it. Folders of this machine are left out of it.
 
     Raises:
-        InputError: for an unknown style or one that does not fit its run, another suffix, or a file that exists or
-            cannot be written.
+        InputError: for an unknown style or one that does not fit its run, another suffix, a licence that is more than
+            one line of 200 characters, or a file that exists or cannot be written.
     """
-    run, out = run if isinstance(run, Run) else load_run(run), Path(out)
+    run, out = as_run(run), Path(out)
     require_suffix(out, (SUFFIX,))
     refuse_existing(out, overwrite)
     style = load_style(run, name)
     card = _card(run, name, style)
     card = card if licence is None else replace(card, licence=licence)
+    card_from_metadata(card.to_metadata(), out)  # what is written can be read
     write_tensors(out, {key: np.asarray(leaf) for key, leaf in _named_leaves(style).items()}, card.to_metadata())
     return card
 
@@ -111,6 +113,7 @@ def normaliser_fingerprint(normaliser: Normaliser) -> str:
 
 def _card(run: Run, name: str, style: Style) -> StyleCard:
     info = without_folders(style_note(run.path, name).get("info", {}))
+    source = info.pop("source", None)
     return StyleCard(
         name=name,
         layout=run.config.layout,
@@ -118,7 +121,7 @@ def _card(run: Run, name: str, style: Style) -> StyleCard:
         network=run.fingerprint,
         normaliser=normaliser_fingerprint(run.normaliser),
         skeleton=_skeleton_entries(run.skeleton),
-        source=info.pop("source", None),
+        source=shown(source, MAX_LETTERS) if isinstance(source, str) else None,  # file names may hold anything
         licence=info.pop("licence", None),
         info=info,
     )

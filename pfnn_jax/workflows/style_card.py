@@ -25,7 +25,14 @@ SKELETON = ("names", "parents", "offsets")
 TEXTS = ("name", "layout", "network", "normaliser")
 """Entries that messages show as they are: one line each."""
 
-MOST_LETTERS = 200
+STATED = ("source", "licence")
+"""Entries that are one line too, where they are there. `style.json` of a run has them in its `info`, a file has not."""
+
+MAX_LETTERS = 200
+"""Of the texts, of `source` and of `licence`."""
+
+MAX_NUMBER = 1e12
+"""What no number in `info` reaches; JSON can hold integers that no float can."""
 
 NUMBERS = ("frames", "speed", "steps", "error", "held_out_error", "error_without_style", "loss", "seconds")
 """Entries of `info` that other functions calculate with."""
@@ -83,6 +90,11 @@ class StyleCard:
         return {**{key: value for key, value in stated.items() if value is not None}, **self.info}
 
 
+def is_number(value: Any) -> bool:
+    """Returns whether a value of JSON is a number to calculate with: not true, false, NaN or an immense one."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < MAX_NUMBER
+
+
 def read_style_card(file: str | Path) -> StyleCard:
     """Reads what the file of a style says about it, without its parameters.
 
@@ -105,11 +117,10 @@ def card_from_metadata(metadata: Mapping[str, str], file: Path) -> StyleCard:
         found = ascii(metadata.get("format_version", "absent"))[:60]
         raise InputError(file, "format version", found, f"must be {VERSION}: it needs another version of pfnn_jax")
     texts = {key: _entry(metadata, key, file) for key in TEXTS}
-    for key, text in texts.items():
-        if not text.isprintable() or len(text) > MOST_LETTERS:
-            raise InputError(
-                file, key, ascii(text)[:60], f"must be a line of at most {MOST_LETTERS} characters; {RULE}"
-            )
+    stated = {key: metadata.get(key) for key in STATED}
+    for key, text in {**texts, **stated}.items():
+        if text is not None and not (isinstance(text, str) and text.isprintable() and len(text) <= MAX_LETTERS):
+            raise InputError(file, key, ascii(text)[:60], f"must be a line of at most {MAX_LETTERS} characters")
     info = _object(metadata, "info", file)
     _check_info(info, file)
     return StyleCard(
@@ -141,11 +152,14 @@ def _skeleton(entries: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 
 def _check_info(info: Mapping[str, Any], file: Path) -> None:
-    """Refuses entries that are not what those who read `style.json` take for granted."""
+    """Refuses entries that are not what those who read `style.json` take for granted, or that the card hides."""
+    for key in STATED:
+        if key in info:
+            raise InputError(file, f"info: {key}", ascii(info[key])[:60], "must be an entry next to `info`, not in it")
     for key in NUMBERS:
         value = info.get(key)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise InputError(file, f"info: {key}", ascii(value)[:60], "must be a number")
+        if value is not None and not is_number(value):
+            raise InputError(file, f"info: {key}", ascii(value)[:60], f"must be a number below {MAX_NUMBER:g}")
     for key in LINES:
         value = info.get(key, [])
         if not isinstance(value, list) or not all(isinstance(line, str) for line in value):

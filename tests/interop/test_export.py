@@ -30,6 +30,7 @@ from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.style import init_style
 from pfnn_jax.motion.units import authors2018, convert_columns
 from pfnn_jax.run import Run, load_run, save_style
+from pfnn_jax.run_config import style_note
 from tests.raising import assert_refused
 
 FLOAT32 = 2e-5  # of an output's largest value: tables are rounded, inverted by least squares and summed again
@@ -75,6 +76,9 @@ def test_bins_round_trip_with_equal_predictions(runs, tmp_path, name, kind, styl
     run = runs(name, kind)
     description = export_run(run.path, "bins", tmp_path / "bins", style=style)
     back = IMPORTS[name](tmp_path / "bins", tmp_path / "run")
+    assert back.config.pretrain["source"].endswith(" in bins"), "its folder alone, without those above it"
+    notes = [style_note(back.path, imported)["info"]["source"] for imported in back.config.styles]
+    assert all(source.endswith(" in bins") for source in notes)
     np.testing.assert_array_equal(back.skeleton.offsets, run.skeleton.offsets)
     x, phase = sample_rows(run.normaliser, run.layout, 32)
     separate = [file_stem(entry["name"]) for entry in description["styles"] if entry["files"]]

@@ -13,7 +13,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from pfnn_jax.io import tensors
-from pfnn_jax.io.tensors import MOST_HEADER, read_metadata, read_tensors, write_tensors
+from pfnn_jax.io.tensors import MAX_HEADER, read_metadata, read_tensors, write_tensors
 from tests.raising import assert_refused
 
 ARRAYS = {"b": np.arange(6, dtype=np.float32).reshape(2, 3), "a": np.array(np.pi, np.float32)}
@@ -100,12 +100,12 @@ def test_what_is_no_file_or_too_large_is_refused(file: Path, tmp_path: Path, mon
     assert_refused(lambda: read_tensors(tmp_path), place="file", value="is not a file")
     os.mkfifo(tmp_path / "pipe")
     assert_refused(lambda: read_tensors(tmp_path / "pipe"), place="file", value="is not a file")
-    monkeypatch.setattr(tensors, "MOST_BYTES", 50)
+    monkeypatch.setattr(tensors, "MAX_BYTES", 50)
     assert_refused(lambda: read_tensors(file), place="file", rule_mentions="at most 50 bytes")
 
 
 def test_text_that_could_not_be_read_again_is_not_written(tmp_path: Path):
-    text = {"a": "x" * MOST_HEADER}
+    text = {"a": "x" * MAX_HEADER}
     assert_refused(lambda: write_tensors(tmp_path / "x.safetensors", ARRAYS, text), place="header")
     assert not list(tmp_path.iterdir())
 

@@ -71,6 +71,7 @@ def assert_bitwise_equal(a, b):
 
 def test_a_run_holds_what_pretraining_learned(whole, dataset):
     assert list_styles(whole.path) == ("neutral", "old") == whole.config.styles
+    assert {style_note(whole.path, style)["info"]["source"] for style in whole.config.styles} == {"dataset"}
     assert whole.layout.input_size == dataset.layout.input_size
     records = read_metrics(whole.path)
     assert [record["step"] for record in records] == list(range(5, 61, 5))

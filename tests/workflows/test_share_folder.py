@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import sys
@@ -16,17 +17,18 @@ import yaml
 
 from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.run import Run, load_generator, load_run, load_style, save_generator, save_style, save_train_state
-from pfnn_jax.run_config import list_styles, load_config, save_config
+from pfnn_jax.run_config import list_styles, load_config, save_config, style_note
 from pfnn_jax.training.log import append_metrics
 from pfnn_jax.training.restyling import has_differences
 from pfnn_jax.workflows import runs
 from pfnn_jax.workflows.base import BASE_NETWORK
 from pfnn_jax.workflows.hub import hub_run, is_hub_address
-from pfnn_jax.workflows.share_folder import share_run
+from pfnn_jax.workflows.share_folder import CARD, share_run
 from pfnn_jax.workflows.share_style import export_style, import_style
 from tests.interop.small_runs import make_run
 from tests.raising import assert_refused
 from tests.workflows.test_run import GENERATOR, make_film_run
+from tests.writers import another_writer
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 
@@ -37,10 +39,11 @@ PUBLIC = {"config.json", "normaliser", "shared", "styles", "README.md"}
 def run(tmp_path_factory) -> Run:
     """A run as it looks after training and use: with private files, and folders of its machine in its texts."""
     run = make_run(tmp_path_factory.mktemp("jane") / "run", "mason2018", "cp")
-    settings = {"dataset": str(run.path.parent / "walks"), "frames": {"style0": 10, "style1": 20}, "steps": 5}
+    settings = {"dataset": "jane/walks", "frames": {"style0": 10, "style1": 20}, "steps": 5}
     save_config(run.path, replace(run.config, pretrain=settings))
     info = {"source": str(run.path.parent / "my clip.bvh"), "frames": 240, "speed": 1.25, "held_out_error": 0.4}
     save_style(run.path, "tired", load_style(run, "style1"), {**info, "licence": "CC BY | 4.0"})
+    save_style(run.path, "weary", load_style(run, "style1"), {"source": "jane/walks"})
     save_train_state(run.path, {"a": np.zeros(2, np.float32)}, 5)
     append_metrics(run.path, {"step": 5, "loss": 1.0})
     for private in ("uploads/a.bvh", ".deleted.1/style.json", ".shared.99.new/x", "styles/.old.1.new/x", "notes.txt"):
@@ -66,7 +69,7 @@ def assert_same(one: Run, other: Run) -> None:
 
 
 def test_a_shared_run_is_the_same_network_with_the_same_styles(run: Run, shared: Path):
-    assert list_styles(shared) == list_styles(run.path) == ("style0", "style1", "tired")
+    assert list_styles(shared) == list_styles(run.path) == ("style0", "style1", "tired", "weary")
     assert_same(run, load_run(shared))
 
 
@@ -77,7 +80,7 @@ def test_nothing_private_is_in_a_shared_run(run: Run, shared: Path):
         content = file.read_bytes()
         for secret in (str(run.path.parent), "jane", "secret", str(shared.parent)):
             assert secret.encode() not in content, file
-    assert load_config(shared).pretrain["dataset"] == "walks"
+    assert load_config(shared).pretrain["dataset"] == style_note(shared, "weary")["info"]["source"] == "walks"
 
 
 def test_styles_that_stay_behind_are_not_named(run: Run, tmp_path: Path):
@@ -137,6 +140,30 @@ def test_existing_folders_and_the_run_itself_are_not_written_over(run: Run, shar
     assert (run.path / "metrics.jsonl").exists()
 
 
+def test_a_folder_that_another_process_writes_is_not_replaced(run: Run, tmp_path: Path):
+    out = share_run(run, tmp_path / "out", styles=["style0"])
+    with another_writer(out):
+        refused = assert_refused(lambda: share_run(run, out, overwrite=True), file=out, place="run")
+    assert "one process at a time" in refused.rule
+    assert list_styles(out) == ("style0",)
+
+
+def test_a_card_that_cannot_be_read_is_named_itself(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """And not the output, which could be written."""
+    path, read_bytes = shutil.copytree(run.path, tmp_path / "run"), Path.read_bytes
+    (path / CARD).write_text("mine")
+
+    def read(file: Path) -> bytes:
+        if file.name == CARD:
+            raise PermissionError(errno.EACCES, "Permission denied", str(file))
+        return read_bytes(file)
+
+    monkeypatch.setattr(Path, "read_bytes", read)
+    with pytest.raises(PermissionError) as refused:
+        share_run(load_run(path), tmp_path / "out", styles=[])
+    assert refused.value.filename == str(path / CARD) and not (tmp_path / "out").exists()
+
+
 # The Hub, whose client is replaced by one that knows a local folder
 
 
@@ -187,6 +214,19 @@ def test_styles_learned_on_a_run_of_the_hub_stay(run: Run, hub: list[dict[str, A
     shutil.rmtree(tmp_path / "cache" / "snapshots" / COMMIT / "styles" / "tired")
     assert "mine" in list_styles(hub_run("hf://jane/walker"))
     assert not (tmp_path / "cache" / "snapshots" / COMMIT / "styles" / "mine").exists()
+
+
+@pytest.mark.parametrize("style", ["style0", "style1"])
+def test_an_incomplete_download_is_refused_and_not_copied(hub: list[dict[str, Any]], tmp_path: Path, style: str):
+    shutil.rmtree(tmp_path / "cache" / "snapshots" / COMMIT / "styles" / style)
+    refused = assert_refused(lambda: hub_run("hf://jane/walker"), file="hf://jane/walker", place="styles")
+    assert style in str(refused.value) and not (tmp_path / "home").exists()
+
+
+def test_a_data_folder_that_cannot_be_written_is_named(hub: list[dict[str, Any]], tmp_path: Path):
+    (tmp_path / "home").write_text("is a file")
+    refused = assert_refused(lambda: hub_run("hf://jane/walker"), place="data folder", rule_mentions="must be writable")
+    assert str(refused.file).startswith(str(tmp_path / "home"))
 
 
 @pytest.mark.parametrize(

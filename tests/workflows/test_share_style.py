@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from pfnn_jax.control.run_settings import recorded_speed
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.tensors import read_metadata, read_tensors, write_tensors
 from pfnn_jax.models.config import AdapterConfig
@@ -24,6 +25,7 @@ from pfnn_jax.run import Run, load_run, load_style, save_shared, save_style
 from pfnn_jax.run_config import list_styles, save_config, style_note
 from pfnn_jax.workflows.generate import generate_clip
 from pfnn_jax.workflows.learn import learn_style, tune_style
+from pfnn_jax.workflows.model_card import model_card
 from pfnn_jax.workflows.private_paths import without_folders
 from pfnn_jax.workflows.share_style import export_style, import_style
 from pfnn_jax.workflows.style_card import card_from_metadata, read_style_card
@@ -115,6 +117,23 @@ def test_the_card_says_what_a_style_is_and_where_it_fits(run: Run, file: Path):
 def test_no_folder_of_the_writer_is_in_a_file(run: Run, file: Path):
     content = file.read_bytes()
     assert b"jane" not in content and str(run.path).encode() not in content
+
+
+@pytest.mark.parametrize(
+    ("source", "shared"),
+    [
+        ("jane/walks", "walks"),
+        ("jane\\walks\\", "walks"),
+        ("LPN weights in jane/lpn", "lpn"),
+        ("procedural walker", "procedural walker"),
+        ("https://doi.org/10.5281/zenodo", "https://doi.org/10.5281/zenodo"),
+        (["jane"], ["jane"]),
+        (None, None),
+    ],
+)
+@pytest.mark.parametrize("entry", ["source", "dataset"])
+def test_sources_given_by_relative_paths_are_named_by_their_last_part(entry: str, source: Any, shared: Any):
+    assert without_folders({"deep": [{entry: source}]}) == {"deep": [{entry: shared}]}
 
 
 @pytest.mark.parametrize(
@@ -223,7 +242,7 @@ def entry(name: str, value: Any) -> Callable[[dict, dict], None]:
     """Returns a change of one entry of the metadata, which is removed for None."""
 
     def apply(arrays: dict, text: dict) -> None:
-        text.pop(name)
+        text.pop(name, None)
         if value is not None:
             text[name] = value if isinstance(value, str) else json.dumps(value)
 
@@ -231,7 +250,8 @@ def entry(name: str, value: Any) -> Callable[[dict, dict], None]:
 
 
 def info(**entries: Any) -> Callable[[dict, dict], None]:
-    return entry("info", {**INFO, **entries})
+    kept = {key: value for key, value in INFO.items() if key != "source"}
+    return entry("info", {**kept, **entries})
 
 
 def parameter(name: str, change: Callable[[np.ndarray], Any] | None) -> Callable[[dict, dict], None]:
@@ -274,6 +294,13 @@ TAMPERED = {
     "a skeleton of other lengths": (entry("skeleton", {"names": ["a"], "parents": [], "offsets": []}), "skeleton"),
     "a speed of words": (info(speed="fast"), "info: speed"),
     "an error that is true": (info(held_out_error=True), "info: held_out_error"),
+    "a speed of 400 digits": (info(speed=10**400), "info: speed"),
+    "a number of frames that is none": (info(frames=float("nan")), "info: frames"),
+    "an error without end": (info(error=-float("inf")), "info: error"),
+    "a licence that the card does not show": (info(licence="CC0"), "info: licence"),
+    "a source that the card does not show": (info(source=[1]), "info: source"),
+    "a licence of two lines": (entry("licence", "mine\nforged: line"), "licence"),
+    "a source of a million letters": (entry("source", "m" * 10**5), "source"),
     "notes of numbers": (info(notes=[1]), "info: notes"),
     "a warning that is no list": (info(warnings="none"), "info: warnings"),
     "a parameter too few": (parameter("bias", None), "parameter bias"),
@@ -335,6 +362,31 @@ def test_a_style_can_be_imported_under_another_name(file: Path, copy: Path):
     assert {"weary"} == set(list_styles(copy)) - {"style0", "style1"}
     assert style_note(copy, "weary")["name"] == "weary"
     assert_refused(lambda: import_style(copy, file, "a/b"), place="style name")
+
+
+@pytest.mark.parametrize("licence", ["mine\x1b[31m", "mine\nforged: line", "m" * 201])
+def test_a_licence_that_no_import_would_take_is_not_exported(run: Run, tmp_path: Path, licence: str):
+    out = tmp_path / "a.safetensors"
+    assert_refused(lambda: export_style(run, "tired", out, licence=licence), file=out, place="licence")
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "shared"), [("jane/m\u3000y.bvh", "m?y.bvh"), ("m" * 300, "m" * 200), ([1], None), (None, None)]
+)
+def test_a_style_of_a_clip_of_any_name_goes_through_a_file(run: Run, copy: Path, tmp_path: Path, source, shared):
+    save_style(copy, "tired", load_style(run, "tired"), {"source": source})
+    export_style(copy, "tired", tmp_path / "a.safetensors")
+    assert import_style(copy, tmp_path / "a.safetensors", "again").source == shared
+
+
+@pytest.mark.parametrize("speed", [10**400, -1.0, "fast", 1e12])
+def test_a_recorded_speed_that_is_none_is_not_used(run: Run, copy: Path, speed: Any):
+    """Of a run by others, whose `style.json` nobody has checked."""
+    save_style(copy, "tired", load_style(run, "tired"), {"speed": speed})
+    loaded = load_run(copy)
+    assert recorded_speed(loaded, "tired") is None
+    assert "| tired | – | – | – | – | – |" in model_card(loaded, "a", {"tired": {"speed": 10**400}}, None, card=False)
 
 
 def test_what_cannot_be_exported_is_refused(run: Run, file: Path, tmp_path: Path):

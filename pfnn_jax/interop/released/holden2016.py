@@ -47,7 +47,7 @@ def import_released_autoencoder(directory: str | Path, out: str | Path, overwrit
         column = int(np.argmin(statistics.std))
         raise InputError(file, f"array Xstd, column {column}", statistics.std[column], "must be positive")
     autoencoder = _read_autoencoder(directory / NETWORK, size)
-    source = {"source": f"autoencoder of Holden et al. 2016 in {directory}"}
+    source = {"source": f"autoencoder of Holden et al. 2016 in {directory.resolve().name}"}
     return create_transfer_run(
         out, HOLDEN2016, released_skeleton(), statistics, autoencoder, source, overwrite=overwrite
     )

@@ -88,7 +88,7 @@ def import_released_pfnn(directory: str | Path, out: str | Path, overwrite: bool
         num_joints=layout.num_joints,
         styles=(),
         skeleton=skeleton_to_json(skeleton),
-        pretrain={"source": f"PFNN tables in {directory}", **facts},
+        pretrain={"source": f"PFNN tables in {directory.resolve().name}", **facts},
     )
     create_run(out, config, normaliser, overwrite)
     save_shared(out, shared)

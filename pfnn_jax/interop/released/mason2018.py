@@ -71,12 +71,14 @@ def import_released_cp(directory: str | Path, out: str | Path, overwrite: bool =
         num_joints=ours.num_joints,
         styles=tuple(styles),
         skeleton=skeleton_to_json(description["skeleton"]),
-        pretrain={"source": f"tables with CP styles in {directory}", **facts},
+        pretrain={"source": f"tables with CP styles in {directory.resolve().name}", **facts},
     )
     create_run(out, config, Normaliser(*statistics), overwrite)
     save_shared(out, shared)
     for name, layer in layers.items():
-        save_style(out, name, layer, {"source": f"CP factors in {directory}", "speed": styles[name]["speed"]})
+        save_style(
+            out, name, layer, {"source": f"CP factors in {directory.resolve().name}", "speed": styles[name]["speed"]}
+        )
     return load_run(out, ours.name)
 
 

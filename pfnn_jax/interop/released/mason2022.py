@@ -116,13 +116,13 @@ def import_released_lpn(directory: str | Path, out: str | Path, overwrite: bool 
         skeleton=skeleton_to_json(
             _skeleton(shared, styles, normaliser, directory) if description is None else description["skeleton"]
         ),
-        pretrain={"source": f"LPN weights in {directory}"},
+        pretrain={"source": f"LPN weights in {directory.resolve().name}"},
         command_gain=COMMAND_GAIN if description is None else description["loop"]["command_gain"],
     )
     create_run(out, config, normaliser, overwrite)
     save_shared(out, shared)
     for index, (name, speed) in enumerate(speeds.items()):
-        info = {"source": f"FiLM vectors in {directory}", "speed": speed}
+        info = {"source": f"FiLM vectors in {directory.resolve().name}", "speed": speed}
         save_style(out, name, jax.tree.map(lambda leaf, i=index: leaf[i], styles), info)
     return load_run(out, layout.name)
 
