@@ -49,8 +49,10 @@ def dataset(tmp_path_factory):
 
 
 def run_limited(limit: int, *words: str | Path) -> subprocess.CompletedProcess:
+    # Compiled code that is cut off at the limit would stay in the cache of all tests.
+    settings = {"COLUMNS": "400", "JAX_ENABLE_COMPILATION_CACHE": "0"}
     command = [sys.executable, "-c", LIMITED, str(limit), *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env={**os.environ, "COLUMNS": "400"})
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env={**os.environ, **settings})
 
 
 @pytest.mark.parametrize("limit", [200, 100_000])
