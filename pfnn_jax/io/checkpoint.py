@@ -10,8 +10,9 @@ from __future__ import annotations
 import hashlib
 import logging
 import shutil
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,7 +22,7 @@ import numpy as np
 from orbax.checkpoint import v1 as ocp
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import locate, read_json, replacing, write_json
+from pfnn_jax.io.files import locate, read_json, remove, replacing, write_json
 
 Tree = TypeVar("Tree")
 
@@ -30,6 +31,9 @@ TREE = "parameters"
 
 COMMITTED = "commit_success.txt"
 """File by which Orbax marks a complete checkpoint; only its existence counts."""
+
+LATE, LONGEST_LATE = 0.3, 3.0
+"""Seconds without a new file after which the threads of a failed save have ended, and for which they are awaited."""
 
 FILES = "files.json"
 """The checkpoint's files and their sizes, by which a damaged copy is recognised."""
@@ -51,12 +55,28 @@ def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]
     with replacing(folder) as new:
         new.mkdir()
         _need_room(folder, new, sum(leaf.nbytes for leaf in jax.tree.leaves(arrays)))
-        with _quiet():
+        with _quiet(), _ending_late_writes(new):
             ocp.save(str((new / TREE).absolute()), arrays)
         # Orbax writes the checkpoint's path into this file; runs are passed on, and that path is gone after the rename.
         (new / TREE / COMMITTED).write_text("Checkpoint commit was successful\n", encoding="utf-8")
         write_json(new / FILES, _sizes(new / TREE))
         write_json(new / note_name, note)
+
+
+@contextmanager
+def _ending_late_writes(new: Path) -> Iterator[None]:
+    """Removes what Orbax's threads still write after one of them has failed, until nothing comes for a while."""
+    try:
+        yield
+    except Exception:
+        quiet_since, ends = time.monotonic(), time.monotonic() + LONGEST_LATE
+        while time.monotonic() < min(quiet_since + LATE, ends):
+            if new.exists():
+                with suppress(OSError):  # a file that appears meanwhile is removed in the next turn
+                    remove(new)
+                quiet_since = time.monotonic()
+            time.sleep(0.01)
+        raise
 
 
 def load_record(folder: Path, abstract: Tree) -> Tree:
