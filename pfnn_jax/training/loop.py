@@ -14,9 +14,9 @@ from flax import struct
 from jax.sharding import Mesh
 
 from pfnn_jax.errors import TrainingError
-from pfnn_jax.training.data import Batch, Draw, Rows, make_gather
+from pfnn_jax.training.data import Batch, Rows, make_gather
 from pfnn_jax.training.order import StepOrder
-from pfnn_jax.training.sharding import first_copy, join_local, local_draw, replicate, shard_step, split_draw
+from pfnn_jax.training.sharding import first_copy, replicate, shard_step, split_steps
 
 State = TypeVar("State")
 
@@ -180,7 +180,7 @@ class RowTraining:
         if self.rows.is_normalised and self.rows.nbytes <= self.device_bytes:
             scan = scan_steps(step, make_gather(self.rows.layout), rolled=rolled)
             data = self.rows.on_device() if mesh is None else replicate(self.rows.in_memory().parts[0], mesh)
-            place = (lambda draw: draw) if mesh is None else partial(split_draw, mesh=mesh)
+            place = (lambda draw: draw) if mesh is None else partial(split_steps, mesh=mesh)
             return lambda state, first, count: scan(state, place(self.order.draw(first, count)), data, frozen)
         scan = scan_steps(step, lambda _, batch: batch, rolled=rolled)
         batches = stream_batches(self.rows, self.order, plan, mesh)
@@ -192,16 +192,13 @@ def stream_batches(
 ) -> Iterator[Batch]:
     """Reads the minibatches of each chunk, leaves [n, B, ...], ahead of their use in threads.
 
-    They are the same numbers as with the rows on the device: a minibatch is a function of its step alone. On a mesh
-    every process reads the rows of its own devices.
+    They are the same numbers as with the rows on the device: a minibatch is a function of its step alone.
     """
     import grain  # takes two seconds to import, which only data of this size should cost
 
     def batches(chunk: tuple[int, int]) -> Batch:
-        draw: Draw = order.draw(*chunk)
-        if mesh is None:
-            return rows.gather(draw)
-        return join_local(rows.gather(local_draw(draw, mesh)), draw, mesh)
+        batch = rows.gather(order.draw(*chunk))
+        return batch if mesh is None else split_steps(batch, mesh)
 
     options = grain.ReadOptions(num_threads=AHEAD, prefetch_buffer_size=AHEAD)
     return iter(grain.MapDataset.source(list(plan)).map(batches).to_iter_dataset(options))

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
-from pfnn_jax.training.data import Batch, Draw
+from pfnn_jax.training.data import Batch
 
 Tree = TypeVar("Tree")
 
@@ -31,12 +31,10 @@ def data_mesh(batch_size: int, devices: Sequence[Any] | None = None) -> Mesh | N
         devices: of JAX; by default as many of all as divide B.
 
     Raises:
-        ValueError: if there is none, or the number of those given, or of all of several hosts, does not divide B.
+        ValueError: if none are given, or their number does not divide B.
     """
     if devices is None:
-        devices = jax.devices()
-        if jax.process_count() == 1:  # otherwise a host could be left without a device
-            devices = devices[: num_devices(batch_size, len(devices))]
+        devices = jax.devices()[: num_devices(batch_size, jax.device_count())]
     if not len(devices) or batch_size % len(devices):
         raise ValueError(f"`batch_size` must be a multiple of the {len(devices)} devices, got {batch_size}.")
     if list(devices) == jax.devices()[:1]:
@@ -71,54 +69,18 @@ def shard_step(step: Callable, mesh: Mesh) -> Callable:
 
 
 def replicate(tree: Tree, mesh: Mesh) -> Tree:
-    """Returns a tree of arrays with a copy on every device; every process gives the same values."""
+    """Returns a tree of arrays with a copy on every device."""
     return jax.device_put(tree, NamedSharding(mesh, PartitionSpec()))
 
 
 def first_copy(tree: Tree) -> Tree:
-    """Returns this process's first copy of a replicated tree, on one device; nothing is copied."""
+    """Returns the first copy of a replicated tree, on one device; nothing is copied."""
     return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
 
 
-def split_draw(draw: Draw, mesh: Mesh) -> Draw:
-    """Returns the draws of n steps, leaves [n, B, ...], with the numbers of each device's rows on that device."""
-
-    def split(leaf: Any) -> jax.Array:
-        return jax.make_array_from_callback(leaf.shape, _along(mesh, leaf.shape, 1), lambda index: leaf[index])
-
-    return jax.tree.map(split, draw)
-
-
-def local_draw(draw: Draw, mesh: Mesh) -> Draw:
-    """Returns the part of the draws of n steps, leaves [n, B, ...], whose rows this process reads."""
-
-    def part(leaf: Any) -> Any:
-        owned = _along(mesh, leaf.shape, 1).addressable_devices_indices_map(leaf.shape).values()
-        columns = [index[1].indices(leaf.shape[1]) for index in owned if index is not None]
-        return leaf[:, min(first for first, _, _ in columns) : max(stop for _, stop, _ in columns)]
-
-    return jax.tree.map(part, draw)
-
-
-def join_local(local: Batch, draw: Draw, mesh: Mesh) -> Batch:
-    """Returns the batches of n steps on the mesh, from the rows that each process has read for its `local_draw`.
-
-    Args:
-        local: leaves [n, B of this process, ...].
-        draw: of all processes.
-        mesh: of all devices.
-    """
-
-    def join(leaf: Any, drawn: Any) -> jax.Array:
-        shape = (*drawn.shape[:2], *leaf.shape[2:])
-        return jax.make_array_from_process_local_data(_along(mesh, shape, 1), np.asarray(leaf), shape)
-
-    return Batch(
-        x=join(local.x, draw.rows),
-        y=join(local.y, draw.rows),
-        phase=join(local.phase, draw.rows),
-        clip=None if local.clip is None else join(local.clip, draw.windows),
-    )
+def split_steps(tree: Tree, mesh: Mesh) -> Tree:
+    """Returns the draws or batches of n steps, leaves [n, B, ...], with each device's rows on that device."""
+    return jax.tree.map(lambda leaf: jax.device_put(leaf, _along(mesh, leaf.shape, 1)), tree)
 
 
 def _along(mesh: Mesh, shape: Sequence[int], axis: int) -> NamedSharding:

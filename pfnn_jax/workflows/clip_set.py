@@ -8,7 +8,8 @@ from pfnn_jax.control.controller import make_controller
 from pfnn_jax.control.moves import MoveClips, make_moves
 from pfnn_jax.inference.mixture import choice_weights
 from pfnn_jax.inference.style_choice import StyleChoice
-from pfnn_jax.run import Run, load_run
+from pfnn_jax.run import Run
+from pfnn_jax.workflows.runs import as_run
 
 
 def make_clip_set(run: Run | str | Path, style: StyleChoice) -> MoveClips:
@@ -21,7 +22,7 @@ def make_clip_set(run: Run | str | Path, style: StyleChoice) -> MoveClips:
     Raises:
         InputError: for a run or style that does not exist, or a style that makes no move.
     """
-    run = run if isinstance(run, Run) else load_run(run)
+    run = as_run(run)
     weights = choice_weights(run, style)
     controller = make_controller(run, tuple(weights))
     return make_moves(controller, controller.style_weights(weights or 0), run)

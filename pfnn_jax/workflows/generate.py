@@ -16,8 +16,9 @@ from pfnn_jax.inference.predictor import make_predictor
 from pfnn_jax.inference.style_choice import StyleChoice, parse_style
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.paths import Path
-from pfnn_jax.run import Run, load_run
+from pfnn_jax.run import Run
 from pfnn_jax.run_config import list_styles
+from pfnn_jax.workflows.runs import as_run
 
 
 def generate_clip(
@@ -67,7 +68,7 @@ def generate_walk(
     mode: Mode = "cubic",
 ) -> GeneratedWalk:
     """Returns the clip of `generate_clip` with its phases, contacts and predicted joints; arguments as there."""
-    run, path = run if isinstance(run, Run) else load_run(run), as_path(path)
+    run, path = as_run(run), as_path(path)
     if isinstance(style, str):
         style = parse_style(style, list_styles(run.path), run.path)
     if published_loop:

@@ -21,7 +21,7 @@ from pfnn_jax.training.loop import TrainState
 from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import order_of
 from pfnn_jax.training.pretraining import init_state, pretrain
-from pfnn_jax.training.sharding import data_mesh, replicate, shard_step, split_draw
+from pfnn_jax.training.sharding import data_mesh, replicate, shard_step, split_steps
 from pfnn_jax.training.steps import Frozen, equal_dropout, make_pretrain_step
 from pfnn_jax.training.tuning import tune_generator
 from tests.training.toy import body_rows, on_host, toy_rows
@@ -98,7 +98,7 @@ def flops(devices: Any) -> float:
     draw, data = order_of(rows, BATCH, 0).draw(0, 1), rows.in_memory().parts[0]
     if mesh is not None:
         state, frozen, data = replicate((state, frozen, data), mesh)
-        draw, step = split_draw(draw, mesh), shard_step(step, mesh)
+        draw, step = split_steps(draw, mesh), shard_step(step, mesh)
 
     def one(state: TrainState, numbers: Any, data: Batch, frozen: Frozen) -> Any:
         return step(state, jax.tree.map(lambda leaf: leaf[numbers], data), frozen)

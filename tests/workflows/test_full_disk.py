@@ -8,17 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pfnn_jax.io import files
 from pfnn_jax.io.files import copy_once, replacing
-from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
-from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.workflows.pretrain import pretrain_run
 from tests.raising import assert_refused
+from tests.two_styles import prepare_two_styles, write_two_styles
 from tests.writers import ROOT
 
 resource = pytest.importorskip("resource", reason="the system has no limits of the size of files")
@@ -35,17 +32,12 @@ TINY = PretrainConfig(hidden=8, steps=20, batch_size=16, steps_per_dispatch=5, s
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("clips")
-    for style in ("neutral", "old"):
-        (folder / style).mkdir()
-        write_bvh(folder / style / "walk.bvh", synthesise(style, np.zeros(120), np.full(120, 1.0), seed=1)[0])
-    return folder
+    return write_two_styles(tmp_path_factory.mktemp("clips"), 120)
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    takes = [clip for style in ("neutral", "old") for clip in synthetic_clips(style, 2.0)]
-    return prepare(takes, tmp_path_factory.mktemp("data") / "dataset", PrepareConfig())
+    return prepare_two_styles(tmp_path_factory.mktemp("data") / "dataset")
 
 
 def run_limited(limit: int, *words: str | Path) -> subprocess.CompletedProcess:

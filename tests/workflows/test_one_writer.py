@@ -5,12 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from pfnn_jax.motion.bvh import write_bvh
-from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
-from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
 from pfnn_jax.run_config import check_new_run
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.viewer.page.style_files import delete_style, rename_style, restore_style
@@ -21,6 +17,7 @@ from pfnn_jax.workflows.runs import import_released
 from pfnn_jax.workflows.share_style import export_style, import_style
 from pfnn_jax.workflows.transfer_training import train_transfer
 from tests.raising import assert_refused
+from tests.two_styles import prepare_two_styles, write_two_styles
 from tests.writers import another_writer
 
 
@@ -32,17 +29,12 @@ def files(folder: Path) -> dict[str, tuple[int, int]]:
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("clips")
-    for style in ("neutral", "old"):
-        (folder / style).mkdir()
-        write_bvh(folder / style / "walk.bvh", synthesise(style, np.zeros(180), np.full(180, 1.0), seed=1)[0])
-    return folder
+    return write_two_styles(tmp_path_factory.mktemp("clips"), 180)
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    takes = [clip for style in ("neutral", "old") for clip in synthetic_clips(style, 2.0)]
-    return prepare(takes, tmp_path_factory.mktemp("data") / "dataset", PrepareConfig())
+    return prepare_two_styles(tmp_path_factory.mktemp("data") / "dataset")
 
 
 def test_what_another_process_writes_is_refused_by_name(clips, dataset, tmp_path):
