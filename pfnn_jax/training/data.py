@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from itertools import pairwise
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -46,13 +47,13 @@ class Draw:
 class Rows:
     """The rows of S styles, one style after another, N in all; each style has its own number of rows.
 
-    Rows in memory are normalised float32. Rows that stay on disk are memory maps in layout units; they are normalised
-    when they are taken, and then have the same bits as rows in memory.
+    Rows in memory are normalised float32. Rows that stay on disk are in layout units; they are read and normalised when
+    they are taken, and then have the same bits as rows in memory.
 
     Attributes:
         styles: S names.
-        parts: consecutive rows, each part x [n, Dx], y [n, Dy] and phase [n] or [n, G]: one part in memory, one for
-            each style on disk. A scalar phase stays in radians.
+        parts: consecutive rows, each part x [n, Dx], y [n, Dy] and phase [n] or [n, G]: one part in memory, one of
+            `StoredArray` for each style on disk. A scalar phase stays in radians.
         first_row: [S+1] first row of each style, and N.
         layout: names the columns.
         normaliser: statistics of the rows; None where they are unknown, which leaves no bone-length loss.
@@ -129,7 +130,7 @@ class Rows:
             InputError: for an unknown style.
         """
         names = dataset.styles if styles is None else tuple(styles)
-        parts = tuple(Batch(*dataset.arrays(style, split)) for style in names)
+        parts = tuple(_stored_rows(dataset, style, split) for style in names)
         clips = [dataset.windows(style, split) for style in names]
         first_row = np.cumsum([0, *(len(part.x) for part in parts)])
         moved = [windows + np.array([row, 0]) for windows, row in zip(clips, first_row, strict=False)]
@@ -155,7 +156,8 @@ class Rows:
         """Returns the same rows read once, normalised and joined."""
         if self.is_normalised and len(self.parts) == 1:
             return self
-        joined = join_batches([self._normalise(part) for part in self.parts])
+        parts = [(slice(*edges), part) for edges, part in zip(pairwise(self._edges), self.parts, strict=True)]
+        joined = _join(self._edges[-1], ((rows, self._normalise(_rows_of(part, slice(None)))) for rows, part in parts))
         return replace(self, parts=(joined,), is_normalised=True)
 
     def on_device(self) -> Batch:
@@ -164,12 +166,13 @@ class Rows:
 
     def take(self, rows: np.ndarray) -> Batch:
         """Returns rows [...] of any styles, in host memory."""
-        return self._read(rows, self._normalise)
+        return self._read(rows, lambda part, own: self._normalise(_rows_of(part, own)))
 
     def take_clips(self, windows: np.ndarray, num_frames: int = WINDOW_ROWS) -> np.ndarray:
         """Returns the joint columns [..., T, F] of windows [..., 2]; see `window_rows` for short ones."""
         columns = clip_columns(self.layout)
-        return self._read(window_rows(np.asarray(windows), num_frames), lambda part: self._inputs(part)[:, columns])
+        rows = window_rows(np.asarray(windows), num_frames)
+        return self._read(rows, lambda part, own: self._inputs(part.x[own])[:, columns])
 
     def gather(self, draw: Draw) -> Batch:
         """Returns the minibatch of one step, or those of several, in host memory."""
@@ -210,30 +213,59 @@ class Rows:
             held.append(np.arange(middle, stop))
         return self.take(np.concatenate(learn)), self.take(np.concatenate(held))
 
-    def _inputs(self, part: Batch) -> np.ndarray:
+    def _inputs(self, x: Array) -> np.ndarray:
         if self.is_normalised or self.normaliser is None:
-            return np.asarray(part.x)
-        return np.asarray(self.normaliser.inputs.apply(np.asarray(part.x)), np.float32)
+            return np.asarray(x)
+        return np.asarray(self.normaliser.inputs.apply(np.asarray(x)), np.float32)
 
     def _normalise(self, part: Batch) -> Batch:
         if self.is_normalised or self.normaliser is None:
             return part
         return normalised(np.asarray(part.x), np.asarray(part.y), np.asarray(part.phase), self.normaliser)
 
-    def _read(self, rows: np.ndarray, read: Callable[[Batch], Read]) -> Read:
-        """Returns `read` of the rows [...]; every part, e.g. a style's file, is read once."""
+    @property
+    def _edges(self) -> list[int]:
+        """Returns the first row of each part, and N."""
+        return np.cumsum([0, *(len(part.x) for part in self.parts)]).tolist()
+
+    def _read(self, rows: np.ndarray, read: Callable[[Batch, np.ndarray], Read]) -> Read:
+        """Returns `read` of the rows [...]; every part, e.g. a style's files, is read once."""
         flat = rows.reshape(-1)
-        edges = np.cumsum([0, *(len(part.x) for part in self.parts)])
-        owners = np.searchsorted(edges, flat, side="right") - 1
+        owners = np.searchsorted(self._edges, flat, side="right") - 1
         order = np.argsort(owners, kind="stable")
-        found = []
-        for owner in np.unique(owners):
-            local = flat[owners == owner] - edges[owner]
-            found.append(read(jax.tree.map(lambda leaf, own=local: leaf[own], self.parts[owner])))
-        back = np.argsort(order)
-        return jax.tree.map(
-            lambda *leaves: np.concatenate(leaves)[back].reshape(*rows.shape, *leaves[0].shape[1:]), *found
+        present, counts = np.unique(owners, return_counts=True)
+        places = np.split(order, np.cumsum(counts)[:-1])
+        found = (
+            (place, read(self.parts[owner], flat[place] - self._edges[owner]))
+            for owner, place in zip(present.tolist(), places, strict=True)
         )
+        joined = _join(len(flat), found)
+        return jax.tree.map(lambda leaf: leaf.reshape(*rows.shape, *leaf.shape[1:]), joined)
+
+
+def _stored_rows(dataset: Dataset, style: str, split: str) -> Batch:
+    arrays: Any = dataset.stored_arrays(style, split)  # of which rows are taken as of arrays in memory
+    return Batch(*arrays)
+
+
+def _rows_of(part: Batch, rows: np.ndarray | slice) -> Batch:
+    return jax.tree.map(lambda leaf: leaf[rows], part)
+
+
+def _join(count: int, parts: Iterable[tuple[np.ndarray | slice, Any]]) -> Any:
+    """Returns the rows [count, ...] of all parts (places, rows) at their places; one part at a time is in memory."""
+    joined = None
+    for places, part in parts:
+        if joined is None:
+            joined = jax.tree.map(lambda leaf: np.empty((count, *leaf.shape[1:]), leaf.dtype), part)
+        for whole, own in zip(jax.tree.leaves(joined), jax.tree.leaves(part), strict=True):
+            whole[places] = own
+    return joined
+
+
+def evenly_spaced(count: int, most: int) -> np.ndarray:
+    """Returns the numbers below `count`, or so many of them, evenly spaced from the first to the last."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int)
 
 
 def clip_columns(layout: FrameLayout) -> Columns:

@@ -10,10 +10,14 @@ import numpy as np
 
 from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.layers.film import FiLMStyle
-from pfnn_jax.training.data import Rows
+from pfnn_jax.training.data import Rows, evenly_spaced
 from pfnn_jax.training.steps import generate_styles
 
 CHUNK = 16  # clips through the generator at once
+
+MEAN_WINDOWS = 100
+"""Windows of a style, evenly spaced, over which its mean FiLM style is taken. A style of 100STYLE has 500, and the
+generator takes as long for ten of them as for a training step."""
 
 
 def window_styles(generator: FiLMGenerator, rows: Rows, style: int) -> FiLMStyle:
@@ -24,7 +28,11 @@ def window_styles(generator: FiLMGenerator, rows: Rows, style: int) -> FiLMStyle
         rows: rows and windows of S styles.
         style: number of the style; its windows shorter than the generator's clips are padded.
     """
-    windows, found = rows.windows_of(style), []
+    return _styles_of(generator, rows, rows.windows_of(style))
+
+
+def _styles_of(generator: FiLMGenerator, rows: Rows, windows: np.ndarray) -> FiLMStyle:
+    found = []
     for begin in range(0, len(windows), CHUNK):
         chunk = np.resize(windows[begin : begin + CHUNK], (CHUNK, 2))  # one shape, one compilation
         clips = jnp.asarray(rows.take_clips(chunk, generator.clip_frames))
@@ -33,11 +41,12 @@ def window_styles(generator: FiLMGenerator, rows: Rows, style: int) -> FiLMStyle
 
 
 def mean_styles(generator: FiLMGenerator, rows: Rows) -> FiLMStyle:
-    """Returns the mean FiLM style of every style over its windows, leaves [S, 2, H]."""
-    means = [
-        jax.tree.map(partial(np.mean, axis=0), window_styles(generator, rows, style))
-        for style in range(len(rows.styles))
-    ]
+    """Returns the mean FiLM style of every style over at most `MEAN_WINDOWS` of its windows, leaves [S, 2, H]."""
+    means = []
+    for style in range(len(rows.styles)):
+        windows = rows.windows_of(style)
+        chosen = windows[evenly_spaced(len(windows), MEAN_WINDOWS)]
+        means.append(jax.tree.map(partial(np.mean, axis=0), _styles_of(generator, rows, chosen)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *means)
 
 

@@ -105,7 +105,7 @@ def styles_of(state: TrainState, rows: Rows) -> Any:
 
     Args:
         state: of training.
-        rows: that it was trained on; the generator reads all windows of every style.
+        rows: that it was trained on; the generator reads windows of every style.
     """
     modulation = state.params.modulation
     return mean_styles(modulation, rows) if isinstance(modulation, FiLMGenerator) else modulation

@@ -31,7 +31,7 @@ from pfnn_jax.run import (
 )
 from pfnn_jax.run_config import RunConfig, load_config, save_config, train_progress
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.data import Rows
+from pfnn_jax.training.data import Rows, evenly_spaced
 from pfnn_jax.training.few_shot_learning import row_errors
 from pfnn_jax.training.log import append_metrics, rewind_metrics
 from pfnn_jax.training.loop import Progress, TrainState, no_progress
@@ -43,6 +43,9 @@ LENGTHS = ("epochs", "steps")
 
 ERROR_ROWS = 1024
 """Rows on which the error of each style is measured at the end, evenly spaced."""
+
+SPEED_ROWS = 8000
+"""Rows of each style, evenly spaced, whose median speed is that of the style."""
 
 DIFFERENCE_ROWS = 8000
 """Rows of each style, evenly spaced, among which differences are sought."""
@@ -59,8 +62,8 @@ def pretrain_run(
 ) -> Run:
     """Trains a shared network and a style for each name in a dataset, and writes them as a run.
 
-    With FiLM the generator is written too, and the styles are its mean FiLM styles over all windows of each. Each
-    style's `error` is kept with it (`style_error`), so that styles learned later can be compared.
+    With FiLM the generator is written too, and the styles are its mean FiLM styles over windows of each
+    (`mean_styles`). Each style's `error` is kept with it (`style_error`), so that styles learned later can be compared.
 
     The training state is saved every `config.save_every` steps; the shared parameters and the styles are written
     once, at the end. A run killed before resumes from its last complete state and repeats the rest bit for bit. A
@@ -135,8 +138,8 @@ def dataset_differences(dataset: Dataset, seed: int, styles: Sequence[str] | Non
         return None
     rows = {}
     for name in dataset.styles if styles is None else styles:
-        x, y, phase = dataset.arrays(name)
-        chosen = np.unique(np.linspace(0, len(x) - 1, DIFFERENCE_ROWS).round().astype(int))
+        x, y, phase = dataset.stored_arrays(name)
+        chosen = evenly_spaced(len(x), DIFFERENCE_ROWS)
         rows[name] = Features(x[chosen], y[chosen], phase[chosen], chosen)
     return find_differences(rows, dataset.layout, dataset.normaliser, seed=seed)
 
@@ -157,9 +160,8 @@ def style_error(shared: Network, style: Style, dataset: Dataset, name: str) -> t
     split = "validation" if dataset.rows.get("validation", {}).get(name) else "train"
     rows = Rows.from_dataset(dataset, [name], split=split, max_bytes=0)
     count = dataset.rows[split][name]
-    chosen = np.linspace(0, count - 1, min(count, ERROR_ROWS)).round().astype(int)
     trained = jax.tree.map(lambda leaf: np.asarray(leaf)[None], style)
-    return float(row_errors(trained, shared, rows.take(chosen)).mean()), split
+    return float(row_errors(trained, shared, rows.take(evenly_spaced(count, ERROR_ROWS))).mean()), split
 
 
 def run_config_of(dataset: Dataset, config: PretrainConfig) -> RunConfig:
@@ -233,12 +235,12 @@ def _save_result(out: Path, state: TrainState, dataset: Dataset, bank: Any) -> N
         save_generator(out, state.params.modulation)
     for index, name in enumerate(dataset.styles):
         style = jax.tree.map(lambda leaf, i=index: np.asarray(leaf[i]), bank)
-        y = dataset.arrays(name)[1]
+        y = dataset.stored_arrays(name)[1]
         error, split = style_error(state.params.shared, style, dataset, name)
         info = {
             "source": dataset.path.resolve().name,
             "frames": dataset.frames[name],
-            "speed": median_speed(dataset.layout, y[::10]),
+            "speed": median_speed(dataset.layout, y[evenly_spaced(len(y), SPEED_ROWS)]),
             "steps": int(state.step),
             "error": error,
             "error_split": split,

@@ -19,7 +19,7 @@ import numpy as np
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import read_json
-from pfnn_jax.io.npy import load_array
+from pfnn_jax.io.npy import StoredArray, load_array
 from pfnn_jax.motion.features.layout import FrameLayout, layout_for
 from pfnn_jax.motion.features.normaliser import Normaliser, load_normaliser
 from pfnn_jax.motion.skeleton import Skeleton, skeleton_from_json
@@ -28,6 +28,8 @@ FORMAT = 2
 """Version of the files on disk."""
 
 RULE = "must be a folder written by `pfnn-jax prepare`"
+
+RULE_OF_ARRAYS = "corrupt; run `pfnn-jax prepare` again"
 
 ARRAYS = ("x", "y", "phase", "clip", "frame")
 """Arrays with one entry per row; `windows` has one per window."""
@@ -87,6 +89,15 @@ class Dataset:
         x, y, phase = (self._load(style, split, name) for name in ARRAYS[:3])
         return x, y, phase
 
+    def stored_arrays(self, style: str, split: str = "train") -> tuple[StoredArray, StoredArray, StoredArray]:
+        """Returns x, y and phase as `arrays` does, without mapping them: indexed by row numbers, they read those rows.
+
+        Raises:
+            InputError: for an unknown style, or a split that the dataset does not have.
+        """
+        x, y, phase = (self._open(style, split, name) for name in ARRAYS[:3])
+        return x, y, phase
+
     def sources(self, style: str, split: str = "train") -> tuple[np.ndarray, np.ndarray]:
         """Returns the clip index [N] into `clips` and the frame [N], at the layout's rate, of each row of a style.
 
@@ -113,18 +124,29 @@ class Dataset:
             raise InputError(file, "array", f"shape {windows.shape}", rule)
         return windows
 
+    def _open(self, style: str, split: str, name: str) -> StoredArray:
+        array = StoredArray(path := self._file(style, split, name), RULE_OF_ARRAYS)
+        self._check(path, array, self.rows[split][style])
+        return array
+
     def _load(self, style: str, split: str, name: str) -> np.ndarray:
+        path, rows = self._file(style, split, name), self.rows[split][style]
+        array = load_array(path, RULE_OF_ARRAYS, mapped=bool(rows))
+        self._check(path, array, None if name == "windows" else rows)
+        return array
+
+    def _file(self, style: str, split: str, name: str) -> Path:
         if style not in self.styles:
             raise InputError(self.path, "style", style, f"must be one of {', '.join(self.styles)}")
         if split not in self.rows:
             raise InputError(self.path, "split", split, f"must be one of {', '.join(self.rows)}, as prepared")
-        path, rows = split_folder(self.path, style, split) / f"{name}.npy", self.rows[split][style]
-        array = load_array(path, "corrupt; run `pfnn-jax prepare` again", mapped=bool(rows))
-        if array.dtype.kind not in "fiu" or array.ndim == 0:
+        return split_folder(self.path, style, split) / f"{name}.npy"
+
+    def _check(self, path: Path, array: np.ndarray | StoredArray, rows: int | None) -> None:
+        if array.dtype.kind not in "fiu" or not array.shape:
             raise InputError(path, "array", f"shape {array.shape} of {array.dtype}", "must hold rows of numbers")
-        if name != "windows" and len(array) != rows:
+        if rows is not None and len(array) != rows:
             raise InputError(path, "rows", len(array), f"must be {rows}, as in dataset.json")
-        return array
 
 
 def load_dataset(path: str | Path) -> Dataset:
