@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from io import FileIO
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
@@ -120,6 +121,8 @@ class StoredArray:
         if rows.size and not 0 <= rows.min() <= rows.max() < len(self):
             raise IndexError(f"rows must lie within the {len(self)} of {self.path}")
         found = np.empty((len(rows), *self.shape[1:]), self.dtype)
+        if not rows.size:
+            return found
         try:
             with self.path.open("rb", buffering=0) as stream:
                 if _state_of(os.fstat(stream.fileno())) != self._state:
@@ -133,9 +136,8 @@ class StoredArray:
         """Reads rows into an array, by one call for each run of consecutive ones."""
         width = self.dtype.itemsize * math.prod(self.shape[1:])
         room = found.reshape(-1).view(np.uint8).data
-        edges = np.flatnonzero(np.diff(rows) != 1) + 1
-        firsts = [0, *edges.tolist()] if len(rows) else []
-        for first, stop in zip(firsts, [*firsts[1:], len(rows)], strict=True):
+        edges = (np.flatnonzero(np.diff(rows) != 1) + 1).tolist()
+        for first, stop in pairwise([0, *edges, len(rows)]):
             stream.seek(self._begin + int(rows[first]) * width)
             part = room[first * width : stop * width]
             while len(part):

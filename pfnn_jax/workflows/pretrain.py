@@ -47,8 +47,8 @@ ERROR_ROWS = 1024
 SPEED_ROWS = 8000
 """Rows of each style, evenly spaced, whose median speed is that of the style."""
 
-DIFFERENCE_ROWS = 8000
-"""Rows of each style, evenly spaced, among which differences are sought."""
+DIFFERENCE_ROWS, ALL_DIFFERENCE_ROWS = 8000, 160_000
+"""Rows of each style, evenly spaced, among which differences are sought; rows of all styles at most, for memory."""
 
 
 def pretrain_run(
@@ -136,10 +136,11 @@ def dataset_differences(dataset: Dataset, seed: int, styles: Sequence[str] | Non
     """
     if dataset.layout.phase_size:
         return None
-    rows = {}
-    for name in dataset.styles if styles is None else styles:
+    names, rows = dataset.styles if styles is None else styles, {}
+    most = min(DIFFERENCE_ROWS, ALL_DIFFERENCE_ROWS // len(names))
+    for name in names:
         x, y, phase = dataset.stored_arrays(name)
-        chosen = evenly_spaced(len(x), DIFFERENCE_ROWS)
+        chosen = evenly_spaced(len(x), most)
         rows[name] = Features(x[chosen], y[chosen], phase[chosen], chosen)
     return find_differences(rows, dataset.layout, dataset.normaliser, seed=seed)
 
