@@ -7,8 +7,9 @@ Data      a folder in the form of 100STYLE: its tables, takes, lengths, rate and
 Expect    at most 4 GB of memory for each command with all its processes.
 Method    `write`: the folder. `prepare`: the layout of Mason 2022, with a tenth held out for validation. `train`: the
           LPN with FiLM, 2,000 steps at batch 32, read from the disk. `compare`: chunks of steps on some styles, in
-          turn from the disk and from memory, with FiLM and with CP adapters, whose steps are cheap, so that reading
-          shows. Each is a process of its own; its memory is looked at every second, and includes its workers'.
+          turn from the disk (not in the system's cache, then in it) and from memory, with FiLM and with CP adapters,
+          whose steps are cheap, so that reading shows. Each is a process of its own; its memory is looked at every
+          second, and includes its workers'.
 Run       python -m experiments.size_of_100style --out runs/size
           Needs 25 GB of disk; stages can be run one by one (--stages prepare). About an hour on two cores.
 """
@@ -16,8 +17,9 @@ Run       python -m experiments.size_of_100style --out runs/size
 from __future__ import annotations
 
 import json
+import os
 import sys
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any, Literal
@@ -39,6 +41,13 @@ Stage = Literal["write", "prepare", "train", "compare"]
 COMMAND = "import sys; from pfnn_jax.cli import main; sys.exit(main())"
 """Runs `pfnn-jax` of this checkout."""
 
+KINDS = {"film": 1, "cp": 8}
+"""Kinds of styles that are compared, and how many times as many steps are timed of each, as they are cheaper."""
+
+
+FIRST_CHUNKS = 5
+"""Chunks of which the first is compiled, while the next ones are read ahead."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -53,7 +62,7 @@ class Config:
         workers: processes that write and prepare; None for the default of `prepare`.
         stages: what to do; results of other stages stay.
         compared_styles: styles whose rows are trained on from memory too.
-        compared_steps: steps of each of four trainings, after those of the first chunk.
+        compared_steps: steps with FiLM of each compared training.
         chunk: steps between two measurements of the speed.
     """
 
@@ -65,8 +74,8 @@ class Config:
     workers: int | None = None
     stages: tuple[Stage, ...] = ("write", "prepare", "train", "compare")
     compared_styles: int = 8
-    compared_steps: int = 80
-    chunk: int = 20
+    compared_steps: int = 50
+    chunk: int = 5
 
     @property
     def clips(self) -> Path:
@@ -137,21 +146,31 @@ def compare(config: Config) -> dict[str, float]:
     """Returns frames per second of training from the disk and from memory, for two kinds of styles."""
     dataset = load_dataset(config.dataset)
     stored = Rows.from_dataset(dataset, dataset.styles[-config.compared_styles :], max_bytes=0)
-    resident, rates = stored.in_memory(), {}
-    for kind in ("film", "cp"):
-        settings = PretrainConfig(AdapterConfig(kind), hidden=config.hidden, steps_per_dispatch=config.chunk)
+    resident = stored.in_memory()
+    rates: dict[str, list[float]] = {}
+    for kind, longer in KINDS.items():
         for _ in range(2):
-            for name, rows in (("disk", stored), ("memory", resident)):
-                rates.setdefault(f"{kind}, {name}", []).extend(chunk_rates(rows, settings, config))
+            for place, rows in (("disk, not cached", stored), ("disk, cached", stored), ("memory", resident)):
+                if place == "disk, not cached":
+                    forget(config.dataset)
+                rates.setdefault(f"{kind}, {place}", []).extend(chunk_rates(rows, kind, longer, config))
     return {name: median(values) for name, values in rates.items()} | {"resident_bytes": resident.nbytes}
 
 
-def chunk_rates(rows: Rows, settings: PretrainConfig, config: Config) -> list[float]:
-    """Returns the frames per second of each chunk of steps of a training but the first, in which it is compiled."""
+def chunk_rates(rows: Rows, kind: str, longer: int, config: Config) -> list[float]:
+    """Returns the frames per second of each chunk of steps of a training but the first ones."""
     rates = []
-    settings = replace(settings, steps=config.compared_steps + config.chunk)
+    steps = longer * config.compared_steps
+    settings = PretrainConfig(AdapterConfig(kind), hidden=config.hidden, steps=steps, steps_per_dispatch=config.chunk)
     pretrain(rows, settings, progress_callback=lambda progress: rates.append(progress.frames_per_second))
-    return rates[1:]
+    return rates[FIRST_CHUNKS:]
+
+
+def forget(folder: Path) -> None:
+    """Drops the files of a folder from the system's cache, so that they are read from the disk."""
+    for path in folder.rglob("*.npy"):
+        with path.open("rb") as file:
+            os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
 def run_own(stage: str, config: Config) -> None:
