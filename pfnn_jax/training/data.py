@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -20,6 +21,9 @@ from pfnn_jax.motion.features.layout import Columns, FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
 from pfnn_jax.training.config import num_clip_columns
 from pfnn_jax.training.losses import Bones, make_bones
+
+ALIGNMENT = 64
+"""Bytes of whose multiples an address must be for JAX to use host memory on a CPU device without a copy of it."""
 
 Array = jax.Array | np.ndarray
 Read = TypeVar("Read")
@@ -161,8 +165,8 @@ class Rows:
         return replace(self, parts=(joined,), is_normalised=True)
 
     def on_device(self) -> Batch:
-        """Returns all rows [N, ...] as arrays on the default device."""
-        return jax.tree.map(jnp.asarray, self.in_memory().parts[0])
+        """Returns all rows [N, ...] as arrays on the default device: on a CPU the same memory, if rows were on disk."""
+        return jax.device_put(self.in_memory().parts[0])
 
     def take(self, rows: np.ndarray) -> Batch:
         """Returns rows [...] of any styles, in host memory."""
@@ -257,10 +261,18 @@ def _join(count: int, parts: Iterable[tuple[np.ndarray | slice, Any]]) -> Any:
     joined = None
     for places, part in parts:
         if joined is None:
-            joined = jax.tree.map(lambda leaf: np.empty((count, *leaf.shape[1:]), leaf.dtype), part)
+            joined = jax.tree.map(lambda leaf: _empty((count, *leaf.shape[1:]), leaf.dtype), part)
         for whole, own in zip(jax.tree.leaves(joined), jax.tree.leaves(part), strict=True):
             whole[places] = own
     return joined
+
+
+def _empty(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Returns an array of any numbers that begins where `ALIGNMENT` says."""
+    size = math.prod(shape) * dtype.itemsize
+    room = np.empty(size + ALIGNMENT, np.uint8)
+    begin = -room.ctypes.data % ALIGNMENT
+    return room[begin : begin + size].view(dtype).reshape(shape)
 
 
 def evenly_spaced(count: int, most: int) -> np.ndarray:
