@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+import jax
 import numpy as np
 import pytest
 
@@ -95,6 +96,13 @@ def test_training_from_the_disk_is_training_from_memory(dataset):
     assert len(stored.parts) == 2
     disk, memory = (pretrain(rows, TINY) for rows in (stored, stored.in_memory()))
     assert_bitwise(disk.params, memory.params)
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="other devices have memory of their own")
+def test_rows_in_memory_are_not_copied_for_a_cpu_device(dataset):
+    rows = Rows.from_dataset(dataset)
+    for host, device in zip(*map(jax.tree.leaves, (rows.parts[0], rows.on_device())), strict=True):
+        assert device.unsafe_buffer_pointer() == host.ctypes.data
 
 
 def test_the_memory_of_a_command_includes_its_children(tmp_path):
