@@ -111,7 +111,7 @@ def run_in_child(work: Callable[[], Any], hosts: HostsConfig) -> Any:
             result, error = receiver.recv()
         except EOFError:
             child.join()
-            raise _ending(child.exitcode or 0, log.read_text(errors="replace"), hosts) from None
+            raise how_it_ended(child.exitcode or 0, log.read_text(errors="replace"), hosts) from None
         child.join()
     if error is not None:
         raise error
@@ -128,7 +128,7 @@ def _work(work: Callable[[], Any], hosts: HostsConfig, sender: Connection, log: 
         result = work()
     except (InputError, TrainingError, LostProcessError, OSError) as error:
         sender.send((None, error))
-        return
+        os._exit(1)
     sender.send((result, None))
     hosts.disconnect()
 
@@ -149,7 +149,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _ending(code: int, messages: str, hosts: HostsConfig) -> BaseException:
+def how_it_ended(code: int, messages: str, hosts: HostsConfig) -> BaseException:
     """Returns the error that says how a child has ended that sent no answer."""
     if LOST in messages and NEVER_MET in messages:
         rule = "process 0 must answer there: start it, and look at the address and at firewalls"

@@ -118,6 +118,7 @@ def place_state(state: Tree, mesh: Mesh) -> Tree:
         return jax.tree.unflatten(structure, jax.device_put(leaves, shardings))
     both = list(zip(leaves, shardings, strict=True))
     whole = iter(broadcast([leaf for leaf, sharding in both if sharding.is_fully_replicated]))
+    _connect(mesh)
     placed = [
         _place(next(whole), sharding) if sharding.is_fully_replicated else _send_slices(leaf, sharding)
         for leaf, sharding in both
@@ -164,7 +165,7 @@ def process_share(draw: Draw, mesh: Mesh) -> Draw:
     """Returns the rows and windows of n steps that the devices of this process need."""
 
     def share(leaf: np.ndarray) -> np.ndarray:
-        parts = _along(mesh, leaf.shape, 1).addressable_devices_indices_map(leaf.shape).values()
+        parts: Any = _along(mesh, leaf.shape, 1).addressable_devices_indices_map(leaf.shape).values()
         edges = [part[1].indices(leaf.shape[1]) for part in parts]
         return leaf[:, min(begin for begin, _, _ in edges) : max(end for _, end, _ in edges)]
 
@@ -174,7 +175,7 @@ def process_share(draw: Draw, mesh: Mesh) -> Draw:
 def join_shares(batch: Batch, draw: Draw, mesh: Mesh) -> Batch:
     """Returns the minibatches of n steps, of which every process has gathered its `process_share` of the draw."""
 
-    def joined(leaf: np.ndarray, numbers: np.ndarray) -> jax.Array:
+    def joined(leaf: Any, numbers: Any) -> jax.Array:
         shape = *numbers.shape[:2], *leaf.shape[2:]
         return jax.make_array_from_process_local_data(_along(mesh, shape, 1), leaf, shape)
 
@@ -203,6 +204,16 @@ def _of_state(mesh: Mesh, leaf: Any) -> NamedSharding:
     return NamedSharding(mesh, PartitionSpec())
 
 
+def _connect(mesh: Mesh) -> None:
+    """Sums over the devices once, while all processes are here.
+
+    On CPUs the processes must come to the first sum of a mesh within 30 seconds, and to later ones whenever they do:
+    they may compile the training step at very different speed.
+    """
+    ones = _place(np.ones(mesh.size, np.float32), NamedSharding(mesh, PartitionSpec(DATA)))
+    jax.jit(jnp.sum, out_shardings=NamedSharding(mesh, PartitionSpec()))(ones).block_until_ready()
+
+
 def _place(leaf: Any, sharding: NamedSharding) -> jax.Array:
     """Returns an array that every process has whole, with each device's part on that device."""
     if sharding.is_fully_addressable:
@@ -216,11 +227,11 @@ def _place(leaf: Any, sharding: NamedSharding) -> jax.Array:
 
 def _send_slices(leaf: Any, sharding: NamedSharding) -> jax.Array:
     """Returns the first process's array [S, ...] spread over the devices of all, sent slice by slice."""
-    places = sharding.addressable_devices_indices_map(leaf.shape)
+    places: Any = sharding.addressable_devices_indices_map(leaf.shape)
     shape = sharding.shard_shape(leaf.shape)
     parts = {device: np.empty(shape, leaf.dtype) for device in places}
     for number in range(leaf.shape[0]):
-        whole = broadcast(leaf[number] if is_first() else jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype))
+        whole: Any = broadcast(leaf[number] if is_first() else jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype))
         for device, index in places.items():
             parts[device][number] = whole[index[1:]]
     arrays = [jax.device_put(part, device) for device, part in parts.items()]
