@@ -4,7 +4,8 @@ Parent    the networks of Mason 2018 (PFNN with CP adapters) and Mason 2022 (LPN
           with ten times the styles and ten times the width.
 Question  how much does a step compute, keep, read and send, and what of it does XLA confirm on 1, 2 and 8 host devices?
 Expect    XLA's count of operations of a device between its share of the products and that share plus Adam and the
-          penalty, which every device computes; and one sum over devices of all gradients of a step.
+          penalty, which every device computes; and one sum over devices of all gradients of a step. Of a bank of full
+          adapters that is spread, a device holds its share, and nothing as large as the bank travels.
 Run       python -m experiments.scale --out runs/scale
           Steps are compiled and not run: nothing here is a time. A few minutes on two cores.
 """
@@ -54,6 +55,14 @@ MODELS: dict[Model, tuple[str, int, AdapterConfig]] = {
     "lpn": ("mason2022", 25, AdapterConfig("film")),
 }
 """Layout, number of joints and form of the styles of each model."""
+
+Placement = Literal["whole", "outputs", "styles"]
+
+PLACEMENTS: tuple[Placement, ...] = ("whole", "outputs", "styles")
+"""Of a bank: whole on every device; a share of every style's outputs on each, as training does; some styles on each."""
+
+BANK_STYLES = 16
+"""Styles of the bank of full adapters that is counted."""
 
 STYLES: dict[Model, int] = {"pfnn": 8, "lpn": 95}
 """Number of styles in the papers."""
@@ -109,8 +118,9 @@ def main(config: Config) -> dict[str, Any]:
         for factor in (1, config.factor):
             costs = costs_of(model, styles * factor, config.hidden * factor, config.batch_size)
             computed[f"{model}, {styles * factor} styles, H = {config.hidden * factor}"] = asdict(costs)
+    bank = {placement: count_bank_on(config, placement) for placement in PLACEMENTS}
     counted = {model: {count: count_on(config, model, count) for count in config.devices} for model in STYLES}
-    result = {"batch_size": config.batch_size, "computed": computed, "counted by XLA": counted}
+    result = {"batch_size": config.batch_size, "computed": computed, "counted by XLA": counted, "bank": bank}
     write_whole(config.out / "scale.json", json.dumps(result, indent=1))
     names = [field for field in Costs.__dataclass_fields__]
     rows = [[name, *(f"{costs[field]:.3g}" for field in names)] for name, costs in computed.items()]
@@ -160,10 +170,20 @@ def frame_operations(params: PretrainParams, config: PretrainConfig) -> float:
 
 
 def count_on(config: Config, model: Model, count: int) -> dict[str, float]:
-    """Returns what XLA counts in a step on a number of host devices, which are made in a process of their own."""
+    """Returns what XLA counts in a step on a number of host devices."""
+    return on_devices(count, "--count", model, config.hidden, config.batch_size)
+
+
+def count_bank_on(config: Config, placement: Placement) -> dict[str, float]:
+    """Returns what XLA counts in a step with a bank of full adapters, on the largest number of host devices."""
+    return on_devices(max(config.devices), "--count-bank", placement, config.hidden, config.batch_size)
+
+
+def on_devices(count: int, *arguments: object) -> dict[str, float]:
+    """Returns what this program counts on a number of host devices, which are made in a process of their own."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={count}"
     environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
-    program = [sys.executable, "-m", "experiments.scale", "--count", model, str(config.hidden), str(config.batch_size)]
+    program = [sys.executable, "-m", "experiments.scale", *map(str, arguments)]
     done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -178,13 +198,9 @@ def count(model: Model, hidden: int, batch_size: int) -> dict[str, float]:
         step = shard_step(step, mesh)
         whole, split = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in ((), (DATA,)))
 
-    def batch() -> Batch:
-        x, y = (jnp.zeros((batch_size, size)) for size in (layout.input_size, layout.output_size))
-        phase = jnp.zeros((batch_size, layout.phase_size) if layout.phase_size else batch_size)
-        clips = jnp.zeros((config.num_clips, WINDOW_ROWS, num_clip_columns(layout))) if config.num_clips else None
-        return Batch(x, y, phase, clips)
-
-    state, frozen, frames = jax.eval_shape(lambda: (init_state(config, layout, 4), Frozen(jax.random.key(0)), batch()))
+    state, frozen, frames = jax.eval_shape(
+        lambda: (init_state(config, layout, 4), Frozen(jax.random.key(0)), empty_batch(layout, config))
+    )
     split = jax.tree.map(lambda leaf: split if leaf.shape[0] % jax.device_count() == 0 else whole, frames)
     shardings = None if mesh is None else (whole, split, whole)
     compiled = jax.jit(step, in_shardings=shardings).lower(state, frames, frozen).compile()
@@ -192,10 +208,55 @@ def count(model: Model, hidden: int, batch_size: int) -> dict[str, float]:
     return {"operations": float(costs["flops"]), "summed bytes": summed_bytes(compiled.as_text() or "")}
 
 
-def summed_bytes(program: str) -> int:
-    """Returns the bytes of all results of sums over devices in a compiled program."""
-    results = re.findall(r"= (.*?) all-reduce(?:-start)?\(", program)
-    shapes = [shape for result in results for shape in re.findall(r"f32\[([\d,]*)\]", result)]
+def empty_batch(layout: FrameLayout, config: PretrainConfig) -> Batch:
+    """Returns a minibatch of zeros."""
+    size = config.batch_size
+    x, y = (jnp.zeros((size, columns)) for columns in (layout.input_size, layout.output_size))
+    phase = jnp.zeros((size, layout.phase_size) if layout.phase_size else size)
+    clips = jnp.zeros((config.num_clips, WINDOW_ROWS, num_clip_columns(layout))) if config.num_clips else None
+    return Batch(x, y, phase, clips)
+
+
+def count_bank(placement: Placement, hidden: int, batch_size: int) -> dict[str, float]:
+    """Returns bytes and operations of one device in a step of a PFNN with full adapters, placed in one of three ways.
+
+    `held` are network, bank and moments; `temporary` is what the step needs besides; `travelling` are the results of
+    all exchanges between devices.
+    """
+    layout, config = (
+        LAYOUTS["mason2018"](31),
+        PretrainConfig(AdapterConfig("full"), hidden=hidden, batch_size=batch_size),
+    )
+    mesh = data_mesh(batch_size)
+    assert mesh is not None
+    step: Any = make_pretrain_step(optax.adam(1e-4), Objective(l1=0.01), equal_dropout(0.3))
+    state, frozen, frames = jax.eval_shape(
+        lambda: (init_state(config, layout, BANK_STYLES), Frozen(jax.random.key(0)), empty_batch(layout, config))
+    )
+
+    def placed(path: Any, leaf: Any) -> NamedSharding:
+        large = "modulation" in jax.tree_util.keystr(path) and leaf.ndim > 2
+        axes = {"whole": (), "outputs": (*[None] * (leaf.ndim - 1), DATA), "styles": (DATA,)}[placement]
+        return NamedSharding(mesh, PartitionSpec(*axes if large else ()))
+
+    places = jax.tree_util.tree_map_with_path(placed, state)
+    whole, split = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in ((), (DATA,)))
+    shardings: Any = {"in_shardings": (places, split, whole), "out_shardings": (places, whole)}
+    compiled = jax.jit(step, **shardings, donate_argnums=0).lower(state, frames, frozen).compile()
+    memory: Any = compiled.memory_analysis()
+    costs: Any = compiled.cost_analysis()
+    return {
+        "held": memory.argument_size_in_bytes,
+        "temporary": memory.temp_size_in_bytes,
+        "travelling": summed_bytes(compiled.as_text() or "", "all-reduce|all-gather|all-to-all|reduce-scatter"),
+        "operations": float(costs["flops"]),
+    }
+
+
+def summed_bytes(program: str, kinds: str = "all-reduce") -> int:
+    """Returns the bytes of all results of sums over devices, or of other exchanges, in a compiled program."""
+    results = re.findall(rf"= (.*?) (?:{kinds})(?:-start)?\(", program)
+    shapes = [shape for result in results for shape in re.findall(r"[fu]32\[([\d,]*)\]", result)]
     return sum(BYTES * int(np.prod([int(size) for size in shape.split(",") if size])) for shape in shapes)
 
 
@@ -203,5 +264,8 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["--count"]:
         model, hidden, batch_size = sys.argv[2:]
         json.dump(count(cast(Model, model), int(hidden), int(batch_size)), sys.stdout)
+    elif sys.argv[1:2] == ["--count-bank"]:
+        placement, hidden, batch_size = sys.argv[2:]
+        json.dump(count_bank(cast(Placement, placement), int(hidden), int(batch_size)), sys.stdout)
     else:
         main(tyro.cli(Config))

@@ -5,6 +5,7 @@ from . import training as training
 from . import viewer as viewer
 from . import workflows as workflows
 from .errors import InputError as InputError
+from .errors import LostProcessError as LostProcessError
 from .errors import TrainingError as TrainingError
 
 __version__: str

@@ -43,6 +43,23 @@ class TrainingError(RuntimeError):
             "the last good save is kept, try a lower learning rate"
         )
 
+    def __reduce__(self):
+        return type(self), (self.step, self.style, self.value)
+
+
+class LostProcessError(RuntimeError):
+    """Another of the processes that train together has ended, or cannot be reached; says what was found."""
+
+    def __init__(self, found: str):
+        self.found = found
+        super().__init__(
+            f"training: another process is lost: {found}; the last complete save is kept, "
+            "start all processes again with resume=True"
+        )
+
+    def __reduce__(self):
+        return type(self), (self.found,)
+
 
 def check_field(config: Any, name: str, rule: str, holds: Callable[[Any], bool]) -> None:
     """Checks one field of a configuration.

@@ -44,7 +44,13 @@ def test_no_module_of_a_namespace_hides_a_public_name(namespace: str):
 
 
 def test_the_package_lists_its_namespaces():
-    assert set(vars(pfnn_jax)["__all__"]) == {*NAMESPACES, "InputError", "TrainingError", "__version__"}
+    assert set(vars(pfnn_jax)["__all__"]) == {
+        *NAMESPACES,
+        "InputError",
+        "LostProcessError",
+        "TrainingError",
+        "__version__",
+    }
     with pytest.raises(AttributeError):
         _ = pfnn_jax.nonsense  # pyright: ignore[reportAttributeAccessIssue]
 

@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import NoReturn
 
 from pfnn_jax import __version__
-from pfnn_jax.errors import InputError, TrainingError
+from pfnn_jax.errors import InputError, LostProcessError, TrainingError
 
 COMMANDS = {
     "demo": "Run the full pipeline on procedural motion and write a report.",
@@ -43,6 +43,9 @@ COMMANDS = {
 """Name and summary of every sub-command; FIRST-SECOND and FIRST SECOND are the class FirstSecond in the module
 `pfnn_jax.cli.first_second`."""
 
+TRY_AGAIN = 75
+"""Exit code where another process is lost and the same command may succeed: EX_TEMPFAIL of sysexits.h."""
+
 PREFIXES = {"AdapterConfig": "adapter.", "TuningConfig": "tuning.", "GeneratorConfig": "generator-"}
 """Configurations whose fields are options with a prefix."""
 
@@ -51,7 +54,8 @@ def run(args: Sequence[str] | None) -> None:
     """Runs a command line.
 
     Raises:
-        SystemExit: with code 2 for bad input, which one line on standard error names; with code 0 after help.
+        SystemExit: with code 2 for bad input, which one line on standard error names; with code 75 where another of
+            several processes is lost; with code 0 after help.
     """
     words = list(sys.argv[1:] if args is None else args)
     try:
@@ -69,6 +73,8 @@ def run(args: Sequence[str] | None) -> None:
                     write_whole(command.json, json_text(result))
             except (InputError, TrainingError) as error:
                 _refuse(str(error))
+            except LostProcessError as error:
+                _refuse(str(error), TRY_AGAIN)
             except OSError as error:
                 if isinstance(error, BrokenPipeError) or error.errno is None:
                     raise
@@ -167,6 +173,6 @@ def _refuse_command(name: str, words: Sequence[str]) -> NoReturn:
     raise InputError("command line", "command", found or "none", f"{rule}; see pfnn-jax --help" if near else rule)
 
 
-def _refuse(message: str) -> NoReturn:
+def _refuse(message: str, code: int = 2) -> NoReturn:
     print(f"pfnn-jax: {in_options(message)}", file=sys.stderr)
-    raise SystemExit(2)
+    raise SystemExit(code)

@@ -11,6 +11,7 @@ import tyro
 from tyro.conf import Positional
 
 from pfnn_jax.cli.command import FLAT, Command, Reading, Run, open_run, print_notes
+from pfnn_jax.cli.several_hosts import HostsConfig, run_in_child
 from pfnn_jax.errors import InputError
 from pfnn_jax.models.config import CP_KINDS
 from pfnn_jax.motion.datasets.sources import ClipFile
@@ -40,6 +41,7 @@ class FewShot(Command):
             parameters if the run has FiLM styles; and as mason2018 if the run keeps no turns. mason2018 is the paper's
             recipe (CP, 100 epochs at 1e-4, from the clip alone). generator tunes the run's FiLM generator (Mason 2022).
         overwrite: replace a style of this name.
+        hosts: where several tune the generator.
         config: how to learn. Given options replace those of the default recipe; the others allow none of them
             except --seed.
         tuning: settings of --recipe generator.
@@ -55,11 +57,15 @@ class FewShot(Command):
     reading: Reading = ReadOptions()
     recipe: Recipe = "default"
     overwrite: bool = False
+    hosts: Annotated[HostsConfig, FLAT] = HostsConfig()
     config: Annotated[FewShotConfig, FLAT] = RESTYLED_FEW_SHOT
     tuning: TuningConfig = field(default_factory=TuningConfig)
 
     def run(self) -> Any:
         self._check_recipe()
+        return self._learn() if self.hosts.coordinator is None else run_in_child(self._learn, self.hosts)
+
+    def _learn(self) -> Any:
         from pfnn_jax.cli.progress import progress
         from pfnn_jax.run_config import check_new_style
 
@@ -70,15 +76,14 @@ class FewShot(Command):
         from pfnn_jax.workflows.learn import learn_style, tune_style
 
         run = load_run(path)
+        options: Any = {"mirror": self.mirror, "roles_file": self.roles, "overwrite": self.overwrite}
+        tuning = replace(self.tuning, seed=self.config.seed)
+        if not self.hosts.is_first():
+            return tune_style(run, clip, tuning, **options)
         with progress("learning") as report:
-            options: Any = {
-                "mirror": self.mirror,
-                "roles_file": self.roles,
-                "overwrite": self.overwrite,
-                "progress_callback": lambda share, what: report(share, 1.0, what),
-            }
+            options["progress_callback"] = lambda share, what: report(share, 1.0, what)
             if self.recipe == "generator":
-                info = tune_style(run, clip, replace(self.tuning, seed=self.config.seed), **options)
+                info = tune_style(run, clip, tuning, **options)
             else:
                 info = learn_style(run, clip, self._grid(run), **options)
         print_notes(self.clip, info.get("notes", ()))
@@ -95,6 +100,9 @@ class FewShot(Command):
 
     def _check_recipe(self) -> None:
         """Refuses options that the recipe would ignore."""
+        if self.hosts.coordinator is not None and self.recipe != "generator":
+            rule = "only --recipe generator trains on several hosts"
+            raise InputError("command line", "recipe", f"{self.recipe} with --coordinator", rule)
         grid = sorted(self.given & GRID)
         tuning = sorted(name for name in self.given if name.startswith("tuning."))
         ignored = tuning if self.recipe != "generator" else grid

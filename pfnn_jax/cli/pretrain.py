@@ -10,6 +10,7 @@ import tyro
 from tyro.conf import Positional
 
 from pfnn_jax.cli.command import FLAT, Command
+from pfnn_jax.cli.several_hosts import HostsConfig, run_in_child
 from pfnn_jax.training.config import PretrainConfig
 
 
@@ -17,13 +18,15 @@ from pfnn_jax.training.config import PretrainConfig
 class Pretrain(Command):
     """Train a network on a dataset, with one set of shared parameters and an adapter for each style.
 
-    Minibatches are split over all devices that JAX finds; a run may be resumed on another number of them.
+    Minibatches are split over all devices that JAX finds; a run may be resumed on another number of them. With
+    --coordinator they are the devices of several hosts, on each of which the same command is started.
 
     Attributes:
         dataset: folder that `prepare` has written.
         out: folder of the run.
         resume: continue an interrupted run with the same settings, or train a finished one for more steps.
         overwrite: replace an existing run.
+        hosts: where several train.
         config: how to train.
     """
 
@@ -31,20 +34,27 @@ class Pretrain(Command):
     out: Path
     resume: bool = False
     overwrite: bool = False
+    hosts: Annotated[HostsConfig, FLAT] = HostsConfig()
     config: Annotated[PretrainConfig, FLAT] = field(default_factory=PretrainConfig)
 
     def run(self) -> Any:
+        return self._train() if self.hosts.coordinator is None else run_in_child(self._train, self.hosts)
+
+    def _train(self) -> Any:
         from pfnn_jax.cli.progress import progress
         from pfnn_jax.motion.datasets.dataset import load_dataset
         from pfnn_jax.run_config import check_new_run
 
-        if not self.resume:
+        is_first = self.hosts.is_first()
+        if is_first and not self.resume:
             check_new_run(self.out, self.overwrite)
         dataset = load_dataset(self.dataset)
         from pfnn_jax.training.sharding import describe_devices
-        from pfnn_jax.workflows.pretrain import pretrain_run
+        from pfnn_jax.workflows.pretrain import join_pretraining, pretrain_run
 
         devices = describe_devices(self.config.batch_size)
+        if not is_first:
+            return join_pretraining(dataset, self.config)
         if devices is not None:
             print(devices)
         with progress("training") as report:

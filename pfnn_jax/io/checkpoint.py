@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+import orbax.checkpoint as orbax
 from orbax.checkpoint import v1 as ocp
 
 from pfnn_jax.errors import InputError
@@ -28,6 +29,9 @@ Tree = TypeVar("Tree")
 
 TREE = "parameters"
 """Folder of the Orbax checkpoint inside a record."""
+
+ITEM = "state"
+"""Name that Orbax gives the tree in a checkpoint."""
 
 COMMITTED = "commit_success.txt"
 """File by which Orbax marks a complete checkpoint; only its existence counts."""
@@ -56,11 +60,40 @@ def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]
         new.mkdir()
         _need_room(folder, new, sum(leaf.nbytes for leaf in jax.tree.leaves(arrays)))
         with _quiet(), _ending_late_writes(new):
-            ocp.save(str((new / TREE).absolute()), arrays)
+            _save((new / TREE).absolute(), arrays)
         # Orbax writes the checkpoint's path into this file; runs are passed on, and that path is gone after the rename.
         (new / TREE / COMMITTED).write_text("Checkpoint commit was successful\n", encoding="utf-8")
         write_json(new / FILES, _sizes(new / TREE))
         write_json(new / note_name, note)
+
+
+def _save(path: Path, arrays: Any) -> None:
+    """Saves a tree by Orbax; of several processes (`jax.distributed`), by this one alone.
+
+    All that a run holds is in the memory of one process, so that the others need not see its folder. Orbax's present
+    interface compares the path over all processes even where one saves; its earlier one, whose checkpoints the present
+    one reads, does not.
+    """
+    if jax.process_count() == 1:
+        ocp.save(str(path), arrays)
+        return
+    options = ocp.options.MultiprocessingOptions(**_alone()).v0()
+    handler = orbax.CompositeCheckpointHandler(
+        composite_options=orbax.CompositeOptions(multiprocessing_options=options)
+    )
+    arrays = jax.tree.map(np.asarray, arrays)  # arrays on devices are taken for what all processes save together
+    with orbax.Checkpointer(handler, multiprocessing_options=options) as checkpointer:
+        checkpointer.save(path, orbax.args.Composite(**{ITEM: orbax.args.PyTreeSave(arrays)}))
+
+
+def _alone() -> dict[str, Any]:
+    """Returns the options by which Orbax waits for no other process."""
+    process = jax.process_index()
+    return {
+        "primary_host": process,
+        "active_processes": {process},
+        "barrier_sync_key_prefix": f"process {process}",
+    }
 
 
 @contextmanager
@@ -95,7 +128,8 @@ def load_record(folder: Path, abstract: Tree) -> Tree:
     """
     record = locate(folder) or folder
     _check_files(folder, record)
-    sharding = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+    device: Any = jax.config.jax_default_device or jax.local_devices()[0]  # pyright: ignore[reportAttributeAccessIssue]
+    sharding = jax.sharding.SingleDeviceSharding(device)
 
     def described(leaf: Any) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=getattr(leaf, "sharding", None) or sharding)
@@ -166,11 +200,16 @@ def _compare(folder: Path, stored: Mapping[str, Any], expected: Mapping[str, Any
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silences Orbax's log lines, and only while Orbax works."""
+    """Silences Orbax's log lines, and only while Orbax works; of several processes it then waits for no other."""
     logger = logging.getLogger("absl")
     level = logger.level
     logger.setLevel(logging.CRITICAL)
+    context: Any = ocp.Context()
+    if jax.process_count() > 1:
+        for name, value in _alone().items():
+            setattr(context.multiprocessing, name, value)
     try:
-        yield
+        with context:
+            yield
     finally:
         logger.setLevel(level)

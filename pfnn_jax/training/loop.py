@@ -15,8 +15,17 @@ from jax.sharding import Mesh
 
 from pfnn_jax.errors import TrainingError
 from pfnn_jax.training.data import Batch, Rows, make_gather
+from pfnn_jax.training.hosts import reporting_lost_process
 from pfnn_jax.training.order import StepOrder
-from pfnn_jax.training.sharding import first_copy, replicate, shard_step, split_steps
+from pfnn_jax.training.sharding import (
+    first_copy,
+    join_shares,
+    place_state,
+    process_share,
+    replicate,
+    shard_step,
+    split_steps,
+)
 
 State = TypeVar("State")
 
@@ -126,7 +135,8 @@ class RowTraining:
         steps: in all.
         steps_per_dispatch: steps of one chunk.
         device_bytes: largest rows that are kept on the device.
-        mesh: of the devices that minibatches are split over; None for one device.
+        mesh: of the devices that minibatches are split over; None for one device. Where they are of several processes,
+            all of them must call `run`, with the same training.
     """
 
     step: Callable[[Any, Batch, Any], tuple[Any, jax.Array]]
@@ -139,26 +149,34 @@ class RowTraining:
 
     def run(
         self,
-        state: State,
-        begin: int,
+        state: TrainState,
         frozen: Any,
-        callback: Callable[[State, Progress], Any],
-    ) -> tuple[State, np.ndarray]:
-        """Trains from step `begin` to the end; returns the last state and the losses [n] of the steps taken.
+        callback: Callable[[TrainState, Progress], Any],
+    ) -> tuple[TrainState, np.ndarray]:
+        """Trains from the state's step to the end; returns the last state and the losses [n] of the steps taken.
 
         Args:
-            state: donated; read the returned one.
-            begin: its number of steps.
+            state: donated; read the returned one. Of several processes the first one's counts.
             frozen: what the step reads and training does not change.
-            callback: called after each chunk of steps, e.g. to save the state.
+            callback: called after each chunk of steps, e.g. to save the state; what is spread over several processes
+                can be read after `collect`.
 
         Raises:
             TrainingError: when a loss is not finite, before `callback` sees that state.
+            LostProcessError: if another process has ended.
         """
-        plan = chunks(begin, self.steps, self.steps_per_dispatch)
+        with reporting_lost_process():
+            return self._run(state, frozen, callback)
+
+    def _run(
+        self, state: TrainState, frozen: Any, callback: Callable[[TrainState, Progress], Any]
+    ) -> tuple[TrainState, np.ndarray]:
+        if self.mesh is not None:
+            state, frozen = place_state(state, self.mesh), replicate(frozen, self.mesh)
+        plan = chunks(int(state.step), self.steps, self.steps_per_dispatch)
         started, found = time.perf_counter(), [np.empty(0, np.float32)]
 
-        def report(state: State, step: int, losses: Any) -> None:
+        def report(state: TrainState, step: int, losses: Any) -> None:
             nonlocal started
             losses = np.asarray(losses)
             check_finite(losses, step - losses.size, self.rows.styles)
@@ -168,8 +186,6 @@ class RowTraining:
             callback(copy, Progress(step, self.steps, float(losses.mean()), rate))
             started = time.perf_counter()  # the time of saving does not count
 
-        if self.mesh is not None:
-            state, frozen = replicate((state, frozen), self.mesh)
         state = train_steps(state, self._scan(plan, frozen), plan, report)
         return state if self.mesh is None else first_copy(state), np.concatenate(found)
 
@@ -192,13 +208,14 @@ def stream_batches(
 ) -> Iterator[Batch]:
     """Reads the minibatches of each chunk, leaves [n, B, ...], ahead of their use in threads.
 
-    They are the same numbers as with the rows on the device: a minibatch is a function of its step alone.
+    They are the same numbers as with the rows on the device: a minibatch is a function of its step alone. Of several
+    processes each reads what its devices need.
     """
     import grain  # takes two seconds to import, which only data of this size should cost
 
     def batches(chunk: tuple[int, int]) -> Batch:
-        batch = rows.gather(order.draw(*chunk))
-        return batch if mesh is None else split_steps(batch, mesh)
+        draw = order.draw(*chunk)
+        return rows.gather(draw) if mesh is None else join_shares(rows.gather(process_share(draw, mesh)), draw, mesh)
 
     options = grain.ReadOptions(num_threads=AHEAD, prefetch_buffer_size=AHEAD)
     return iter(grain.MapDataset.source(list(plan)).map(batches).to_iter_dataset(options))

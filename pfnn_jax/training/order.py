@@ -87,3 +87,11 @@ class StepOrder:
 def order_of(rows: Rows, batch_size: int, seed: int, num_clips: int = 0) -> StepOrder:
     """Returns the order of a training run over `rows`."""
     return StepOrder(rows.first_row, batch_size, seed, num_clips, rows.windows, rows.first_window)
+
+
+def identity(rows: Rows) -> list[np.ndarray]:
+    """Returns arrays that are equal where training on two sets of rows is: what is drawn, and their statistics."""
+    normaliser = rows.normaliser
+    statistics = () if normaliser is None else (normaliser.inputs, normaliser.outputs)
+    found = [rows.first_row, rows.windows, *(values for part in statistics for values in (part.mean, part.std))]
+    return [np.asarray(values) for values in found if values is not None]

@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import numpy as np
 import optax
+from jax.sharding import Mesh
 
 from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.network import init_network
@@ -15,10 +17,11 @@ from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Rows
 from pfnn_jax.training.film_styles import mean_styles
+from pfnn_jax.training.hosts import check_same, is_first
 from pfnn_jax.training.loop import Progress, RowTraining, TrainState, no_progress
 from pfnn_jax.training.losses import Objective
-from pfnn_jax.training.order import StepOrder, order_of
-from pfnn_jax.training.sharding import data_mesh
+from pfnn_jax.training.order import StepOrder, identity, order_of
+from pfnn_jax.training.sharding import data_mesh, in_host_memory, is_spread
 from pfnn_jax.training.steps import Frozen, equal_dropout, init_train_state, make_pretrain_step, with_pose_noise
 
 POSE_NOISE = 0.05
@@ -45,16 +48,21 @@ def pretrain(
         config: how to train; `PretrainConfig()` by default. The order of minibatches follows `config.seed`.
         key: of initialisation and dropout; by default from `config.seed`.
         state: where to begin, as an earlier call with the same config and key left it; donated: read the returned one.
+            Of several processes the first one's counts.
         devices: that share each minibatch; by default as many of all as divide `config.batch_size`. Their number may
-            change when a training is resumed: it changes the order of sums, and no random number.
+            change when a training is resumed: it changes the order of sums, and no random number. Where
+            `jax.distributed` has connected several processes, all of them must call this with the same rows and config.
         progress_callback: called after every `config.steps_per_dispatch` steps.
         state_callback: called at the same moments with the state too, e.g. to save it.
 
     Returns:
         The state after the last step: `params.shared` is the network, `params.modulation` the bank of styles
-        [S, ...], or with FiLM the generator; `styles_of` gives the styles in both cases.
+        [S, ...], or with FiLM the generator; `styles_of` gives the styles in both cases. What is spread over several
+        processes can be read after `pfnn_jax.training.sharding.collect`; the state of `state_callback` likewise.
 
     Raises:
+        InputError: if the rows or the config are not those of the first process.
+        LostProcessError: if another process has ended.
         TrainingError: when a loss is not finite, before the callbacks see that state.
         ValueError: if a style has fewer rows than a batch, windows or bones are needed and absent, or the number of
             `devices` does not divide a batch.
@@ -68,16 +76,30 @@ def pretrain(
     if noise:
         step = with_pose_noise(step, noise, rows.layout)
     frozen = Frozen(jax.random.fold_in(key, 1), rows.bones() if objective.bone_length else None)
-    state = init_state(config, rows.layout, len(rows.styles), key=key) if state is None else state
-    steps = total_steps(config, order)
     mesh = data_mesh(config.batch_size, devices)
+    check_same("settings and rows", config, np.asarray(jax.random.key_data(key)), *identity(rows))
+    state = _first_state(config, rows, key, mesh) if state is None else state
+    steps = total_steps(config, order)
     training = RowTraining(step, rows, order, steps, config.steps_per_dispatch, config.device_bytes, mesh)
 
     def callback(state: TrainState, progress: Progress) -> None:
         state_callback(state, progress)
         progress_callback(progress)
 
-    return training.run(state, int(state.step), frozen, callback)[0]
+    return training.run(state, frozen, callback)[0]
+
+
+def _first_state(config: PretrainConfig, rows: Rows, key: jax.Array, mesh: Mesh | None) -> TrainState:
+    """Returns the state at step 0; in all processes but the first only its shapes."""
+
+    def init() -> TrainState:
+        return init_state(config, rows.layout, len(rows.styles), key=key)
+
+    abstract = jax.eval_shape(init)
+    if not is_first():
+        return abstract
+    with in_host_memory(is_spread(abstract, mesh)):
+        return init()
 
 
 def pose_noise(config: PretrainConfig, layout: FrameLayout) -> float:

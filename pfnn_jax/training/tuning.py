@@ -16,9 +16,10 @@ from pfnn_jax.models.network import Network
 from pfnn_jax.training.config import TuningConfig
 from pfnn_jax.training.data import Batch, Rows
 from pfnn_jax.training.film_styles import window_styles
+from pfnn_jax.training.hosts import check_same
 from pfnn_jax.training.loop import Progress, RowTraining, TrainState, no_progress
 from pfnn_jax.training.losses import Objective
-from pfnn_jax.training.order import order_of
+from pfnn_jax.training.order import identity, order_of
 from pfnn_jax.training.sharding import data_mesh
 from pfnn_jax.training.steps import Frozen, PretrainParams, Step, descend, equal_dropout, pretrain_loss
 
@@ -49,12 +50,15 @@ def tune_generator(
         rows: rows and windows of one style (S = 1).
         config: how to tune; `TuningConfig()` by default. The order of minibatches follows `config.seed`.
         key: of dropout; by default from `config.seed`.
-        devices: that share each minibatch; by default as many of all as divide `config.batch_size`.
+        devices: that share each minibatch; by default as many of all as divide `config.batch_size`. Where
+            `jax.distributed` has connected several processes, all of them must call this with equal arguments.
         progress_callback: called after every `config.steps_per_dispatch` steps.
 
     Raises:
         ValueError: if there are fewer rows than a minibatch, or no windows, or the number of `devices` does not divide
             a minibatch.
+        InputError: if the rows or the config are not those of the first of several processes.
+        LostProcessError: if another process has ended.
         TrainingError: when a loss is not finite.
     """
     config = TuningConfig() if config is None else config
@@ -64,12 +68,13 @@ def tune_generator(
     objective = Objective.for_layout(rows.layout, config.l1, bone_length=config.bone_length)
     bones = rows.bones() if objective.bone_length else None
     copied = jax.tree.map(lambda leaf: jnp.array(leaf, copy=True), generator)  # training donates its state
+    check_same("settings and rows", config, np.asarray(jax.random.key_data(key)), *identity(rows))
     steps = config.epochs * order.steps_per_epoch if config.steps is None else config.steps
     step, mesh = _make_step(tx, objective, config), data_mesh(config.batch_size, devices)
     training = RowTraining(step, rows, order, steps, config.steps_per_dispatch, mesh=mesh)
     state = TrainState(copied, tx.init(copied), jnp.zeros((), jnp.int32))
     frozen = Frozen(jax.random.fold_in(key, 1), bones, shared)
-    state, losses = training.run(state, 0, frozen, lambda _, progress: progress_callback(progress))
+    state, losses = training.run(state, frozen, lambda _, progress: progress_callback(progress))
     styles = window_styles(state.params, rows, 0)
     return Tuned(state.params, jax.tree.map(lambda leaf: leaf.mean(axis=0), styles), losses)
 

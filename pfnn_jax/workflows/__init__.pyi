@@ -4,6 +4,7 @@ from .clip_set import make_clip_set as make_clip_set
 from .generate import generate_clip as generate_clip
 from .learn import learn_style as learn_style
 from .learn import tune_style as tune_style
+from .pretrain import join_pretraining as join_pretraining
 from .pretrain import pretrain_run as pretrain_run
 from .runs import Run as Run
 from .runs import export_run as export_run

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from pfnn_jax.motion.datasets.labelled import LabelledClip
 from pfnn_jax.motion.datasets.sources import ClipFile
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.encode import Features
-from pfnn_jax.run import Run, load_generator, save_style, writing_run
+from pfnn_jax.run import Run, load_generator, load_run, save_style, writing_run
 from pfnn_jax.run_config import check_adapter, check_new_style
 from pfnn_jax.training.config import (
     FILM_FEW_SHOT,
@@ -35,6 +36,7 @@ from pfnn_jax.training.config import (
 )
 from pfnn_jax.training.data import Rows, hold_out
 from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style, row_errors
+from pfnn_jax.training.hosts import is_first, wait_for_all
 from pfnn_jax.training.loop import Progress as TrainingProgress
 from pfnn_jax.training.loop import no_progress
 from pfnn_jax.training.restyling import has_differences, load_differences
@@ -126,7 +128,8 @@ def tune_style(
     """Learns a style by tuning the run's FiLM generator to its clip, and saves the FiLM style that it then predicts.
 
     The generator is tuned twice: to the first part of the clip, to measure the error on its last part, and to all of
-    it. The tuned generators are not kept: the run's own stays as it was trained.
+    it. The tuned generators are not kept: the run's own stays as it was trained. Where `jax.distributed` has connected
+    several processes, all of them must call this with equal arguments; the first one saves the style.
 
     Args:
         run: a run pretrained with FiLM, or its directory.
@@ -142,10 +145,11 @@ def tune_style(
             generator, or one that another process is writing or whose network has been trained again since it was
             loaded.
         TrainingError: when a loss is not finite.
+        LostProcessError: if another process has ended.
     """
     started = time.perf_counter()
     clip_file = _as_clip_file(clip_file)
-    with writing_run(run) as run:
+    with _saving_run(run) as run:
         config = TuningConfig() if config is None else config
         check_new_style(run.path, clip_file.style, overwrite)
         generator = load_generator(run)
@@ -172,8 +176,18 @@ def tune_style(
             "seconds": time.perf_counter() - started,
         }
         progress_callback(0.98, "saving")
-        save_style(run.path, clip_file.style, tuned.style, info, overwrite)
-        return info
+        if is_first():
+            save_style(run.path, clip_file.style, tuned.style, info, overwrite)
+    if jax.process_count() > 1:
+        wait_for_all("saved")
+    return info
+
+
+def _saving_run(run: Run | str | Path) -> AbstractContextManager[Run]:
+    """Returns `writing_run` for the process that saves, and for others of several the run alone."""
+    if is_first():
+        return writing_run(run)
+    return nullcontext(run if isinstance(run, Run) else load_run(run))
 
 
 def default_config(run: Run) -> FewShotConfig:

@@ -33,10 +33,12 @@ from pfnn_jax.run_config import RunConfig, load_config, save_config, train_progr
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Rows, evenly_spaced
 from pfnn_jax.training.few_shot_learning import row_errors
+from pfnn_jax.training.hosts import wait_for_all
 from pfnn_jax.training.log import append_metrics, rewind_metrics
 from pfnn_jax.training.loop import Progress, TrainState, no_progress
 from pfnn_jax.training.pretraining import init_state, pretrain, styles_of
 from pfnn_jax.training.restyling import StyleDifferences, find_differences, save_differences
+from pfnn_jax.training.sharding import collect, data_mesh, in_host_memory, is_spread
 
 LENGTHS = ("epochs", "steps")
 """Settings that may change when a run is resumed: it can be trained longer."""
@@ -85,6 +87,7 @@ def pretrain_run(
             that the dataset's layout cannot have, and for a style with fewer rows than a minibatch; if another process
             is writing the run.
         TrainingError: when a loss is not finite; the last good state stays.
+        LostProcessError: if another process that trains along (`join_pretraining`) has ended; likewise.
     """
     dataset = dataset if isinstance(dataset, Dataset) else load_dataset(Path(dataset))
     config, out = PretrainConfig() if config is None else config, Path(out)
@@ -92,7 +95,42 @@ def pretrain_run(
     _check_rows(dataset, config)
     with writing(out):
         _train(dataset, out, config, run_config, resume, overwrite, progress_callback)
+    if jax.process_count() > 1:
+        wait_for_all("written")
     return load_run(out)
+
+
+def join_pretraining(dataset: Dataset | str | Path, config: PretrainConfig | None = None) -> None:
+    """Takes part in the training of another process, until the run is written.
+
+    Of the processes that `jax.distributed` has connected, the first calls `pretrain_run`, and all others this. They
+    need the dataset, with the same content, and not the run: where the first process resumes, it sends them the state.
+
+    Args:
+        dataset: prepared motion of all styles, or its folder.
+        config: as given to `pretrain_run`.
+
+    Raises:
+        InputError: if the dataset or the config is not that of the first process.
+        LostProcessError: if another process has ended.
+        TrainingError: when a loss is not finite.
+    """
+    dataset = dataset if isinstance(dataset, Dataset) else load_dataset(Path(dataset))
+    config = PretrainConfig() if config is None else config
+    _check_rows(dataset, config)
+
+    def send(state: TrainState, progress: Progress) -> None:
+        if _is_save_due(config, progress):
+            collect(state)
+
+    rows = Rows.from_dataset(dataset, max_bytes=config.device_bytes)
+    collect(pretrain(rows, config, state_callback=send))
+    wait_for_all("written")
+
+
+def _is_save_due(config: PretrainConfig, progress: Progress) -> bool:
+    """Returns whether the state is saved after a chunk of steps."""
+    return progress.step % config.save_every < config.steps_per_dispatch or progress.step == progress.steps
 
 
 def _train(
@@ -110,16 +148,14 @@ def _train(
     else:
         create_run(out, run_config, dataset.normaliser, overwrite)
     rows = Rows.from_dataset(dataset, max_bytes=config.device_bytes)
-    state = init_state(config, dataset.layout, len(dataset.styles))
-    if resume:
-        state = _resume(out, run_config, state)
+    state = _resume(out, run_config, config, dataset) if resume else None
 
     def save(state: TrainState, progress: Progress) -> None:
         append_metrics(out, progress._asdict())
-        if progress.step % config.save_every < config.steps_per_dispatch or progress.step == progress.steps:
-            save_train_state(out, state, progress.step, progress.steps)
+        if _is_save_due(config, progress):
+            save_train_state(out, collect(state), progress.step, progress.steps)
 
-    state = pretrain(rows, config, state=state, progress_callback=progress_callback, state_callback=save)
+    state = collect(pretrain(rows, config, state=state, progress_callback=progress_callback, state_callback=save))
     differences = dataset_differences(dataset, config.seed)
     if differences is not None:
         save_differences(out, differences)
@@ -211,12 +247,14 @@ def _check_resumable(out: Path, wanted: RunConfig) -> None:
         raise InputError(out, "steps", steps, f"must be at least {progress[0]}, the steps already taken")
 
 
-def _resume(out: Path, wanted: RunConfig, state: TrainState) -> TrainState:
-    """Returns the last saved state of the run, or the fresh one if it was killed before its first save."""
-    loaded = load_train_state(out, jax.eval_shape(lambda: state))
+def _resume(out: Path, wanted: RunConfig, config: PretrainConfig, dataset: Dataset) -> TrainState | None:
+    """Returns the last saved state of the run, or None if it was killed before its first save."""
+    abstract = jax.eval_shape(lambda: init_state(config, dataset.layout, len(dataset.styles)))
+    with in_host_memory(is_spread(abstract, data_mesh(config.batch_size))):
+        loaded = load_train_state(out, abstract)
     rewind_metrics(out, 0 if loaded is None else int(loaded.step))
     save_config(out, wanted)
-    return state if loaded is None else loaded
+    return loaded
 
 
 def _plain(config: RunConfig) -> dict[str, Any]:

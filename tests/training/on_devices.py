@@ -9,14 +9,17 @@ import json
 import sys
 from collections.abc import Callable
 from typing import Any
+from unittest import mock
 
 import jax
 import numpy as np
 import optax
 
 from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.training import sharding
 from pfnn_jax.training.config import PretrainConfig, TuningConfig
 from pfnn_jax.training.data import Batch, Rows
+from pfnn_jax.training.hosts import is_first
 from pfnn_jax.training.loop import TrainState
 from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import order_of
@@ -38,6 +41,7 @@ SMALL: dict[str, Any] = {
     "generator_hidden": 8,
 }
 CP = PretrainConfig(AdapterConfig(rank=3), **SMALL)
+FULL = PretrainConfig(AdapterConfig("full"), **SMALL)
 FILM = PretrainConfig(AdapterConfig("film"), clips_per_batch=8, **SMALL)
 
 
@@ -55,6 +59,8 @@ def main() -> None:
         "default": training(CP, rows, None),
         "streamed": training(PretrainConfig(**{**vars(CP), "device_bytes": 0}), rows, all_of_them),
         "resumed": training(CP, rows, devices[:2], state=jax.tree.map(jax.numpy.asarray, first_half[0])),
+        "full on one": training(FULL, rows, one),
+        "full spread": spread_training(FULL, rows, all_of_them),
         "film on one": training(FILM, body, one),
         "film on all": training(FILM, body, all_of_them),
         "tuned on one": tuning(one),
@@ -78,8 +84,21 @@ def training(
         losses.append(progress.loss)
         keep(state)
 
-    last = pretrain(rows, config, state=state, devices=devices, state_callback=report)
-    return {"losses": losses, "state": numbers((last.params, last.opt_state))}
+    last = sharding.collect(pretrain(rows, config, state=state, devices=devices, state_callback=report))
+    return {"losses": losses, "state": numbers((last.params, last.opt_state)) if is_first() else []}
+
+
+def spread_training(config: PretrainConfig, rows: Rows, devices: Any) -> dict[str, Any]:
+    """Trains with the arrays of the bank of full adapters spread, and the smaller ones on every device."""
+    abstract = jax.eval_shape(lambda: init_state(config, rows.layout, len(rows.styles)))
+    limit = max(4 * leaf.size for leaf in jax.tree.leaves(abstract.params.shared))
+    states: list[TrainState] = []
+    with mock.patch.object(sharding, "SPREAD_BYTES", limit):
+        found = training(config, rows, devices, keep=states.append)
+    bank = jax.tree.leaves((states[-1].params.modulation, states[-1].opt_state.modulation))
+    large = [leaf for leaf in bank if leaf.nbytes > limit]
+    shares = [leaf.addressable_shards[0].data.nbytes / leaf.nbytes for leaf in large]
+    return {**found, "large arrays": len(large), "shares": shares}
 
 
 def tuning(devices: Any) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from pfnn_jax.training.sharding import data_mesh, describe_devices, num_devices
+from tests.raising import assert_refused
 
 ROOT = Path(__file__).resolve().parents[2]
 DEVICES = 8
@@ -38,10 +39,17 @@ def assert_same(first: dict, second: dict) -> None:
 
 
 @pytest.mark.parametrize(
-    ("several", "single"), [("all", "one"), ("film on all", "film on one"), ("tuned on all", "tuned on one")]
+    ("several", "single"),
+    [("all", "one"), ("film on all", "film on one"), ("tuned on all", "tuned on one"), ("full spread", "full on one")],
 )
 def test_several_devices_train_as_one(found, several, single):
     assert_same(found[several], found[single])
+
+
+def test_a_device_holds_its_share_of_a_large_bank_and_of_its_moments(found):
+    spread = found["full spread"]
+    assert spread["large arrays"] == 3  # the weights of the styles, and two moments of each
+    assert spread["shares"] == [1 / DEVICES] * 3
 
 
 def test_by_default_all_devices_are_used(found):
@@ -94,6 +102,12 @@ def test_the_devices_of_a_training_are_named(monkeypatch, available, said):
 
 def test_one_device_needs_no_mesh():
     assert data_mesh(3, jax.devices()[:1]) is None
+
+
+def test_processes_have_equally_many_devices():
+    assert [num_devices(32, count, 2) for count in (2, 4, 6, 8)] == [2, 4, 4, 8]
+    assert num_devices(30, 8, 2) == 6
+    assert_refused(lambda: num_devices(32, 6, 3), place="batch_size", value=32)
 
 
 def test_devices_that_do_not_divide_the_batch_are_refused():

@@ -1,0 +1,127 @@
+"""`pfnn-jax pretrain` in two processes: one is killed, the other says so, and the run is resumed on one device."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pfnn_jax.cli.command_line import TRY_AGAIN, in_options
+from pfnn_jax.cli.several_hosts import HostsConfig, how_it_ended
+from pfnn_jax.errors import InputError, LostProcessError
+from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
+from pfnn_jax.motion.synthetic.walks import synthetic_clips
+from pfnn_jax.run_config import train_step
+from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.log import read_metrics
+from pfnn_jax.workflows.pretrain import pretrain_run
+
+ROOT = Path(__file__).resolve().parents[1]
+PROGRAM = "from pfnn_jax.cli import main; main()"
+LONGEST = 600  # seconds, on a machine with much else to do
+SUMS = 1e-5  # relative, of losses of some hundred steps: devices are summed in another order
+SETTINGS = "--adapter.rank 2 --hidden 8 --batch-size 16 --steps-per-dispatch 5 --save-every 10 --steps 1000000".split()
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    clips = [clip for style in ("neutral", "old") for clip in synthetic_clips(style, 3.0)]
+    return prepare(clips, tmp_path_factory.mktemp("data") / "dataset", PrepareConfig())
+
+
+def config(steps: int) -> PretrainConfig:
+    return PretrainConfig(
+        AdapterConfig(rank=2), hidden=8, batch_size=16, steps_per_dispatch=5, save_every=10, steps=steps
+    )
+
+
+def start(number: int, port: int, *words: object) -> subprocess.Popen[str]:
+    hosts = ("--coordinator", f"127.0.0.1:{port}", "--process-id", number, "--processes", 2)
+    command = [sys.executable, "-c", PROGRAM, "pretrain", *words, *SETTINGS, *hosts]
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
+    pipe = subprocess.PIPE
+    return subprocess.Popen([*map(str, command)], cwd=ROOT, env=environment, stdout=pipe, stderr=pipe, text=True)
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+def test_when_one_process_is_killed_the_other_ends_and_the_run_resumes(dataset, tmp_path):
+    out, port, deadline = tmp_path / "run", free_port(), time.monotonic() + LONGEST
+    first = start(0, port, dataset.path, "--out", out)
+    other = start(1, port, dataset.path, "--out", tmp_path / "elsewhere")
+    try:
+        while len(read_metrics(out)) < 5 or train_step(out) is None:
+            assert first.poll() is None and other.poll() is None and time.monotonic() < deadline
+            time.sleep(0.1)
+        first.send_signal(signal.SIGKILL)
+        output, errors = other.communicate(timeout=LONGEST)
+    finally:
+        for process in (first, other):
+            process.kill()
+            process.communicate()  # closes its pipes
+    assert (other.returncode, output) == (TRY_AGAIN, "")
+    assert len(errors.splitlines()) == 1
+    assert errors.startswith("pfnn-jax: training: another process is lost: ")
+    assert not (tmp_path / "elsewhere").exists()
+
+    saved = train_step(out)
+    assert saved is not None
+    pretrain_run(dataset, out, config(saved + 10), resume=True)
+    pretrain_run(dataset, tmp_path / "whole", config(saved + 10))
+    losses = [[record["loss"] for record in read_metrics(run)] for run in (out, tmp_path / "whole")]
+    np.testing.assert_allclose(*losses, rtol=SUMS)
+
+
+ABORTED = "F1129 client.h:80] Terminating process because the JAX distributed service detected fatal errors. "
+SILENT = "absl::Status: UNAVAILABLE: The following tasks are unhealthy (stopped sending heartbeats):\n1\nThe tasks have"
+GONE = "absl::Status: UNAVAILABLE: Failed to send RPC to coordination service."
+NEVER_MET = "absl::Status: DEADLINE_EXCEEDED: Deadline Exceeded\n\nRPC: /xla.CoordinationService/RegisterTask"
+HOSTS = HostsConfig("node0:1234", 1, 2)
+
+
+@pytest.mark.parametrize(
+    ("code", "messages", "kind", "said"),
+    [
+        (-6, ABORTED + SILENT, LostProcessError, "no sign of life from process 1;"),
+        (-6, ABORTED + GONE, LostProcessError, "process 0 has ended, or cannot be reached any more;"),
+        (-6, ABORTED + NEVER_MET, InputError, "no answer from node0:1234;"),
+        (-9, "", InputError, "was ended by SIGKILL;"),
+        (1, "", SystemExit, "1"),
+    ],
+)
+def test_the_end_of_a_process_is_said_in_one_line(code, messages, kind, said):
+    error = how_it_ended(code, messages, HOSTS)
+    assert type(error) is kind
+    assert said in str(error) and "\n" not in str(error)
+
+
+def test_a_lost_process_is_answered_by_resuming():
+    assert in_options(str(LostProcessError("process 1"))).endswith("start all processes again with --resume")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"process_id": 0},
+        {"coordinator": "auto", "processes": 2},
+        {"coordinator": "node0"},
+        {"coordinator": "node0:1234"},
+        {"coordinator": "node0:1234", "process_id": 2, "processes": 2},
+        {"coordinator": "node0:70000", "process_id": 0, "processes": 2},
+    ],
+)
+def test_options_that_connect_nobody_are_refused(options):
+    with pytest.raises(ValueError, match="HostsConfig"):
+        HostsConfig(**options)
