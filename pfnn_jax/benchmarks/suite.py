@@ -23,6 +23,7 @@ from pfnn_jax.benchmarks.lpn import (
     lpn_sizes,
     lpn_step_figures,
 )
+from pfnn_jax.benchmarks.other_libraries import PACKAGES, is_installed
 from pfnn_jax.benchmarks.preparation import preparation_figures
 from pfnn_jax.benchmarks.runtime import character_figures
 from pfnn_jax.benchmarks.timing import Figure, machine, versions
@@ -73,7 +74,7 @@ class BenchmarkConfig:
     steps_per_dispatch: int = 10
     few_shot_frames: int = 300
     few_shot_epochs: int = 100
-    characters: tuple[int, ...] = (1, 16, 256, 4096)
+    characters: tuple[int, ...] = (1, 16, 256, 1024)
     frames: int = 300
     lpn_joints: int = 25
     generator_filters: int = 256
@@ -105,7 +106,8 @@ def run_benchmark(
         on_section: called with the name of each section before it is measured.
 
     Returns:
-        `machine`, `versions`, total `seconds`, and `figures`: `Figure.to_json` of every figure.
+        `machine`, `versions`, total `seconds`, `figures`: `Figure.to_json` of every figure, and `left_out`: libraries
+        that are not installed and therefore not compared.
     """
     config = config or BenchmarkConfig()
     started, figures = time.perf_counter(), []
@@ -117,6 +119,7 @@ def run_benchmark(
         "versions": versions(),
         "seconds": time.perf_counter() - started,
         "figures": [figure.to_json() for figure in figures],
+        "left_out": [library for library in PACKAGES if not is_installed(library)],
     }
 
 
@@ -188,6 +191,8 @@ def print_benchmark(result: dict[str, Any], console: Console | None = None) -> N
         value = f"{_number(row['value'])} {row['unit']}".rstrip()
         table.add_row(f"  {row['name']}", value, spread, aim, met, str(row["repetitions"]))
     console.print(table)
+    for library in result["left_out"]:
+        console.print(f"{library} is not installed: its frames were left out.")
 
 
 def _number(value: float) -> str:

@@ -114,7 +114,7 @@ class Style:
         """Returns what enters the activation of hidden layer `index` (0 or 1), from that layer's output f [H]."""
         return f
 
-    def at(self, coefficients: jax.Array) -> Self:
+    def at(self, coefficients: jax.Array) -> Style:
         """Returns the style at coefficients [K], as a style of one control point; other arrays are shared."""
         return self
 

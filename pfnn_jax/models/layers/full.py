@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from pfnn_jax.models.batched_form import with_batched_form
+from pfnn_jax.models.layers.dense import DenseLayer
 from pfnn_jax.models.style import Affine, Layer, small_uniform
 
 
@@ -67,18 +68,12 @@ class BlendedLayer(Layer):
         chex.assert_shape(self.weights, (coefficients.shape[0], x.shape[0], None))
         return _expert_products(self.weights, coefficients, x) + coefficients @ self.biases
 
-    def at(self, coefficients: jax.Array) -> Self:
-        return type(self)(weights=self._blend(coefficients)[None], biases=(coefficients @ self.biases)[None])
+    def at(self, coefficients: jax.Array) -> DenseLayer:
+        """Returns the layer at coefficients [K]: a dense one, whose product with one frame is not fused into a loop."""
+        return DenseLayer(weights=self._blend(coefficients), biases=coefficients @ self.biases)
 
     def affine(self, coefficients: Any) -> Affine:
         return self._blend(coefficients).T, coefficients @ self.biases
-
-    def plus(self, weights: jax.Array, biases: jax.Array) -> Self:
-        """Returns the layer with weights [O, I] and biases [O] added at every control point."""
-        matrices, vectors = (
-            jnp.broadcast_to(v, of.shape) for v, of in ((weights.T, self.weights), (biases, self.biases))
-        )
-        return type(self)(weights=self.weights + matrices, biases=self.biases + vectors)
 
     def _blend(self, coefficients: Any) -> Any:
         """Returns the weights [I, O] at coefficients [K], in the arrays' own library."""
