@@ -13,7 +13,7 @@ import numpy as np
 from pfnn_jax.benchmarks.other_libraries import check_equal, other_frames
 from pfnn_jax.benchmarks.preparation import Prepared, measure_preparation, write_synthetic
 from pfnn_jax.benchmarks.runtime import CHECKED, elu, frame_figures, frame_inputs, random_predictor
-from pfnn_jax.benchmarks.timing import Figure, figure, interleave
+from pfnn_jax.benchmarks.timing import REST, Figure, figure, interleave
 from pfnn_jax.benchmarks.training import compare_steps
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
@@ -114,7 +114,7 @@ class NumpyExperts:
         return product + g @ self.biases[index]
 
 
-def lpn_character_figures(sizes: NetworkConfig, repetitions: int, num_frames: int) -> list[Figure]:
+def lpn_character_figures(sizes: NetworkConfig, repetitions: int, num_frames: int, rest: float = REST) -> list[Figure]:
     """Compares one frame of one character, by an LPN with FiLM, to plain NumPy (two forms), PyTorch and onnxruntime.
 
     Inputs and outputs are NumPy arrays, as in an application.
@@ -131,7 +131,7 @@ def lpn_character_figures(sizes: NetworkConfig, repetitions: int, num_frames: in
         check_equal(name, frame, ours, x, phases[:CHECKED])
     section = "LPN with FiLM, one character, one frame"
     pairs = {"ours": tuple(frames)}
-    return frame_figures(section, {**frames, "ours": ours}, sizes, repetitions, num_frames, pairs, CHARACTER_AIM)
+    return frame_figures(section, {**frames, "ours": ours}, sizes, repetitions, num_frames, rest, pairs, CHARACTER_AIM)
 
 
 def generator_figures(config: GeneratorConfig, num_clips: int, repetitions: int) -> list[Figure]:

@@ -66,7 +66,9 @@ def elu(x: np.ndarray) -> np.ndarray:
     return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
 
 
-def character_figures(sizes: NetworkConfig, rank: int, repetitions: int, num_frames: int) -> list[Figure]:
+def character_figures(
+    sizes: NetworkConfig, rank: int, repetitions: int, num_frames: int, rest: float = REST
+) -> list[Figure]:
     """Compares one frame of one character, by exact spline and by lookup, to plain NumPy, PyTorch and onnxruntime.
 
     Inputs and outputs are NumPy arrays, as in an application.
@@ -90,7 +92,8 @@ def character_figures(sizes: NetworkConfig, rank: int, repetitions: int, num_fra
         **others,
     }
     pairs = {"lookup": ("NumPy", "lookup, PyTorch"), "exact": tuple(name for name in others if "exact" in name)}
-    return frame_figures("one character, one frame", frames, sizes, repetitions, num_frames, pairs, LOOKUP_AIM)
+    section = "one character, one frame"
+    return frame_figures(section, frames, sizes, repetitions, num_frames, rest, pairs, LOOKUP_AIM)
 
 
 def frame_figures(
@@ -99,6 +102,7 @@ def frame_figures(
     sizes: NetworkConfig,
     repetitions: int,
     num_frames: int,
+    rest: float,
     pairs: Mapping[str, Sequence[str]],
     aim: float,
 ) -> list[Figure]:
@@ -109,11 +113,12 @@ def frame_figures(
         frames: functions (x, phase) -> y by name.
         sizes: of the network.
         repetitions, num_frames: number of measurements, and frames of each.
+        rest: seconds of sleep before each measurement.
         pairs: for a name the names that it is compared to, where they are in `frames`.
         aim: largest allowed ratio of the first pair.
     """
     seconds = interleave(
-        {name: walk(frame, *frame_inputs(sizes, num_frames)) for name, frame in frames.items()}, repetitions, rest=REST
+        {name: walk(frame, *frame_inputs(sizes, num_frames)) for name, frame in frames.items()}, repetitions, rest=rest
     )
     times = [figure(section, name, 1e6 * value / num_frames, "us") for name, value in seconds.items()]
     compared = [(name, other) for name, others in pairs.items() for other in others if other in seconds]
