@@ -117,9 +117,8 @@ def frame_figures(
         pairs: for a name the names that it is compared to, where they are in `frames`.
         aim: largest allowed ratio of the first pair.
     """
-    seconds = interleave(
-        {name: walk(frame, *frame_inputs(sizes, num_frames)) for name, frame in frames.items()}, repetitions, rest=rest
-    )
+    works = {name: walk(frame, sizes, num_frames) for name, frame in frames.items()}
+    seconds = interleave(works, repetitions, rest=rest)
     times = [figure(section, name, 1e6 * value / num_frames, "us") for name, value in seconds.items()]
     compared = [(name, other) for name, others in pairs.items() for other in others if other in seconds]
     return times + [
@@ -138,8 +137,9 @@ def frame_inputs(sizes: NetworkConfig, num_frames: int) -> tuple[np.ndarray, lis
     return x, phases
 
 
-def walk(evaluate_frame: Callable, x: np.ndarray, phases: Sequence[Any]) -> Work:
+def walk(evaluate_frame: Callable, sizes: NetworkConfig, num_frames: int) -> Work:
     """Returns the work of evaluating one character's frames in sequence, (x [Dx], phase) -> y, with NumPy arrays."""
+    x, phases = frame_inputs(sizes, num_frames)
 
     def work():
         for phase in phases:

@@ -173,7 +173,7 @@ class Layer(Style):
 def _sum_of_all(layers: Any, weights: jax.Array, coefficients: jax.Array, x: jax.Array) -> jax.Array:
     """Returns the sum [O] of S layers (leaves [S, ...]) by weights [S]. A scan, so that one layer is read at a time."""
 
-    def add(total: jax.Array | None, part: tuple[jax.Array, Any]) -> tuple[jax.Array, None]:
+    def add(total: jax.Array, part: tuple[jax.Array, Any]) -> tuple[jax.Array, None]:
         weight, layer = part
         return total + weight * layer(coefficients, x), None
 
