@@ -118,8 +118,8 @@ def run_seconds(predictors: dict[str, Predictor], config: Config) -> dict[str, d
     works: dict[str, Work] = {}
     for name, predictor in predictors.items():
         table = make_lookup(predictor, config.slices)
-        works[f"{name}/exact"] = walk(partial(jax.jit(evaluate), predictor), sizes.input_size, config.timed_frames)
-        works[f"{name}/lookup"] = walk(partial(evaluate_lookup, table), sizes.input_size, config.timed_frames)
+        works[f"{name}/exact"] = walk(partial(jax.jit(evaluate), predictor), sizes, config.timed_frames)
+        works[f"{name}/lookup"] = walk(partial(evaluate_lookup, table), sizes, config.timed_frames)
         crowd = jax.jit(jax.vmap(evaluate, in_axes=(None, 0, 0)))
         works[f"{name}/crowd"] = partial(crowd, predictor, jnp.asarray(batch.x), jnp.asarray(batch.phase))
     seconds = interleave(works, config.repetitions)

@@ -89,10 +89,10 @@ def frame_works(config: Config) -> dict[str, Work]:
         sizes = network_config(preset.backbone, config.num_joints, config.hidden)
         predictor: Predictor = random_predictor(sizes, preset.adapter)
         frame = partial(jax.jit(evaluate), predictor)
-        works[f"{name}/frame"] = walk(frame, sizes.input_size, config.timed_frames, sizes.phase_size)
+        works[f"{name}/frame"] = walk(frame, sizes, config.timed_frames)
         if preset.backbone == "pfnn":
             table = partial(evaluate_lookup, make_lookup(predictor, config.slices))
-            works[f"{name}/table"] = walk(table, sizes.input_size, config.timed_frames)
+            works[f"{name}/table"] = walk(table, sizes, config.timed_frames)
     return works
 
 

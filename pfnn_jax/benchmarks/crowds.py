@@ -34,6 +34,9 @@ EVERY_FRAME = TrackingConfig(min_time_scale=1.0, max_time_scale=1.0)
 """Fixes the time scale, so that every character evaluates its network once per step. Otherwise the number of
 evaluations would depend on the walking speed of a network that is hardly trained."""
 
+AIMS = {("PFNN with CP", 1024): {"with IK": 40_000.0, "without": 50_000.0}}
+"""Required characters' frames per second, by system and size of the crowd."""
+
 STRIDE, STEPS = 120, 5
 """Frames until a character walks steadily, and steps per repetition."""
 
@@ -59,9 +62,10 @@ def crowd_figures(hidden: int, num_characters: tuple[int, ...], repetitions: int
         for number in num_characters:
             works = {name: partial(*_crowd(controller, number)) for name, controller in controllers.items()}
             seconds = interleave(works, repetitions)
-            section = f"crowd, {system}"
+            aims = AIMS.get((system, number), {})
             figures += [
-                figure(section, f"{number} {name}", STEPS * number / value, "1/s") for name, value in seconds.items()
+                figure(f"crowd, {system}", f"{number} {name}", STEPS * number / value, "1/s", at_least=aims.get(name))
+                for name, value in seconds.items()
             ]
     return figures
 

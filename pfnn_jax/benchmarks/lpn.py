@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pfnn_jax.benchmarks.other_libraries import check_equal, other_frames
 from pfnn_jax.benchmarks.preparation import Prepared, measure_preparation, write_synthetic
-from pfnn_jax.benchmarks.runtime import elu, random_predictor, walk
-from pfnn_jax.benchmarks.timing import Figure, figure, interleave
+from pfnn_jax.benchmarks.runtime import CHECKED, elu, frame_figures, frame_inputs, random_predictor
+from pfnn_jax.benchmarks.timing import REST, Figure, figure, interleave
 from pfnn_jax.benchmarks.training import compare_steps
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.config import AdapterConfig, GeneratorConfig, NetworkConfig
@@ -113,24 +114,24 @@ class NumpyExperts:
         return product + g @ self.biases[index]
 
 
-def lpn_character_figures(sizes: NetworkConfig, repetitions: int, num_frames: int) -> list[Figure]:
-    """Compares one frame of one character, by an LPN with FiLM, to two implementations in plain NumPy.
+def lpn_character_figures(sizes: NetworkConfig, repetitions: int, num_frames: int, rest: float = REST) -> list[Figure]:
+    """Compares one frame of one character, by an LPN with FiLM, to plain NumPy (two forms), PyTorch and onnxruntime.
 
     Inputs and outputs are NumPy arrays, as in an application.
     """
-    section = "LPN with FiLM, one character, one frame"
     predictor = random_predictor(sizes, AdapterConfig("film"))
-    blended, flat = "NumPy, experts blended", "NumPy, products over all experts"
-    works = {
-        blended: NumpyExperts(predictor),
-        flat: NumpyExperts(predictor, blended=False),
-        "ours": partial(jax.jit(evaluate), predictor),
+    x, phases = frame_inputs(sizes, num_frames)
+    ours, others = partial(jax.jit(evaluate), predictor), other_frames(predictor, phases[0])
+    frames = {
+        "NumPy, experts blended": NumpyExperts(predictor),
+        "NumPy, products over all experts": NumpyExperts(predictor, blended=False),
+        **others,
     }
-    works = {name: walk(frame, sizes.input_size, num_frames, sizes.phase_size) for name, frame in works.items()}
-    seconds = interleave(works, repetitions)
-    times = [figure(section, name, 1e6 * value / num_frames, "us") for name, value in seconds.items()]
-    ratio = figure(section, "ours over NumPy", seconds["ours"] / seconds[blended], "x", at_most=CHARACTER_AIM)
-    return [*times, ratio, figure(section, "ours over NumPy's products", seconds["ours"] / seconds[flat], "x")]
+    for name, frame in frames.items():
+        check_equal(name, frame, ours, x, phases[:CHECKED])
+    section = "LPN with FiLM, one character, one frame"
+    pairs = {"ours": tuple(frames)}
+    return frame_figures(section, {**frames, "ours": ours}, sizes, repetitions, num_frames, rest, pairs, CHARACTER_AIM)
 
 
 def generator_figures(config: GeneratorConfig, num_clips: int, repetitions: int) -> list[Figure]:

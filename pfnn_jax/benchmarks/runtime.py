@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.benchmarks.timing import Figure, Work, figure, interleave
+from pfnn_jax.benchmarks.other_libraries import check_equal, is_installed, other_frames, torch_lookup
+from pfnn_jax.benchmarks.timing import REST, Figure, Work, figure, interleave
 from pfnn_jax.inference.lookup import NUM_SLICES, Lookup, evaluate_lookup, make_lookup
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
-from pfnn_jax.models.layers.full import BlendedLayer
+from pfnn_jax.models.layers.dense import DenseLayer
 from pfnn_jax.models.network import init_network
 from pfnn_jax.models.style import init_style
 
 CYCLE = 60
 """Frames per gait cycle: consecutive frames read neighbouring slices, as in a walk."""
 
-LOOKUP_AIM = 2.0
+CHECKED = 7
+"""Frames on which other libraries are compared to ours before they are timed."""
+
+LOOKUP_AIM = 1.3
 """Largest allowed time of the lookup, relative to plain NumPy."""
 
 
@@ -38,10 +43,10 @@ class NumpyTable:
     """The lookup written in plain NumPy, the baseline: 50 blended networks, three matrix products per frame."""
 
     def __init__(self, lookup: Lookup):
-        layers = [[layer for layer in s.network.layers if isinstance(layer, BlendedLayer)] for s in lookup.slices]
+        layers = [[layer for layer in s.network.layers if isinstance(layer, DenseLayer)] for s in lookup.slices]
         # Stored as [O, I], like the files of the released controllers.
-        self.weights = [[np.array(layer.weights[0].T) for layer in network] for network in layers]
-        self.biases = [[np.array(layer.biases[0]) for layer in network] for network in layers]
+        self.weights = [[np.array(layer.weights.T) for layer in network] for network in layers]
+        self.biases = [[np.array(layer.biases) for layer in network] for network in layers]
         p = lookup.predictor
         self.statistics = [np.array(v) for v in (p.input_mean, p.input_std, p.output_mean, p.output_std)]
 
@@ -61,41 +66,80 @@ def elu(x: np.ndarray) -> np.ndarray:
     return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
 
 
-def character_figures(sizes: NetworkConfig, rank: int, repetitions: int, num_frames: int) -> list[Figure]:
-    """Compares one frame of one character, by exact spline and by lookup, to the lookup in plain NumPy.
+def character_figures(
+    sizes: NetworkConfig, rank: int, repetitions: int, num_frames: int, rest: float = REST
+) -> list[Figure]:
+    """Compares one frame of one character, by exact spline and by lookup, to plain NumPy, PyTorch and onnxruntime.
 
     Inputs and outputs are NumPy arrays, as in an application.
     """
-    section = "one character, one frame"
     plain, styled = random_predictor(sizes), random_predictor(sizes, AdapterConfig("cp", rank))
     lookup, styled_lookup = (make_lookup(predictor, NUM_SLICES) for predictor in (plain, styled))
-    works = {
+    exact = partial(jax.jit(evaluate), plain)
+    others = {f"exact, {name}": frame for name, frame in other_frames(plain, np.float32(0)).items()}
+    x, phases = frame_inputs(sizes, num_frames)
+    for name, frame in others.items():
+        check_equal(name, frame, exact, x, phases[:CHECKED])
+    if is_installed("PyTorch"):
+        others["lookup, PyTorch"] = torch_lookup(lookup)
+        check_equal("lookup, PyTorch", others["lookup, PyTorch"], partial(evaluate_lookup, lookup), x, phases[:CHECKED])
+    frames = {
         "NumPy": NumpyTable(lookup),
         "lookup": partial(evaluate_lookup, lookup),
-        "exact": partial(jax.jit(evaluate), plain),
+        "exact": exact,
         "lookup with CP": partial(evaluate_lookup, styled_lookup),
         "exact with CP": partial(jax.jit(evaluate), styled),
+        **others,
     }
-    works = {name: walk(evaluate_frame, sizes.input_size, num_frames) for name, evaluate_frame in works.items()}
-    seconds = interleave(works, repetitions)
-    times = [figure(section, name, 1e6 * value / num_frames, "us") for name, value in seconds.items()]
-    ratio = figure(section, "lookup over NumPy", seconds["lookup"] / seconds["NumPy"], "x", at_most=LOOKUP_AIM)
-    return [*times, ratio]
+    pairs = {"lookup": ("NumPy", "lookup, PyTorch"), "exact": tuple(name for name in others if "exact" in name)}
+    section = "one character, one frame"
+    return frame_figures(section, frames, sizes, repetitions, num_frames, rest, pairs, LOOKUP_AIM)
 
 
-def walk(evaluate_frame: Callable, input_size: int, num_frames: int, phase_size: int = 0) -> Work:
-    """Returns the work of evaluating one character's frames in sequence, with NumPy inputs and outputs.
+def frame_figures(
+    section: str,
+    frames: Mapping[str, Callable],
+    sizes: NetworkConfig,
+    repetitions: int,
+    num_frames: int,
+    rest: float,
+    pairs: Mapping[str, Sequence[str]],
+    aim: float,
+) -> list[Figure]:
+    """Returns the time of a frame by several functions, and the ratios of some to others in the same repetition.
 
     Args:
-        evaluate_frame: computes one frame: (x [Dx], phase) -> y.
-        input_size: Dx.
-        num_frames: length of the walk.
-        phase_size: G, size of a gating input that oscillates like local phases; 0 for a scalar phase in radians.
+        section: of the figures.
+        frames: functions (x, phase) -> y by name.
+        sizes: of the network.
+        repetitions, num_frames: number of measurements, and frames of each.
+        rest: seconds of sleep before each measurement.
+        pairs: for a name the names that it is compared to, where they are in `frames`.
+        aim: largest allowed ratio of the first pair.
     """
-    x = np.random.default_rng(0).normal(size=input_size).astype(np.float32)
+    works = {name: walk(frame, sizes, num_frames) for name, frame in frames.items()}
+    seconds = interleave(works, repetitions, rest=rest)
+    times = [figure(section, name, 1e6 * value / num_frames, "us") for name, value in seconds.items()]
+    compared = [(name, other) for name, others in pairs.items() for other in others if other in seconds]
+    return times + [
+        figure(section, f"{name} over {other}", seconds[name] / seconds[other], "x", at_most=None if index else aim)
+        for index, (name, other) in enumerate(compared)
+    ]
+
+
+def frame_inputs(sizes: NetworkConfig, num_frames: int) -> tuple[np.ndarray, list[Any]]:
+    """Returns an input x [Dx] and the phase of every frame of a walk: radians, or a gating input [G] that oscillates
+    like local phases."""
+    x = np.random.default_rng(0).normal(size=sizes.input_size).astype(np.float32)
     phases = [np.float32(2 * math.pi * (frame % CYCLE) / CYCLE) for frame in range(num_frames)]
-    if phase_size:
-        phases = [np.sin(phase + np.arange(phase_size, dtype=np.float32)) for phase in phases]
+    if sizes.phase_size:
+        return x, [np.sin(phase + np.arange(sizes.phase_size, dtype=np.float32)) for phase in phases]
+    return x, phases
+
+
+def walk(evaluate_frame: Callable, sizes: NetworkConfig, num_frames: int) -> Work:
+    """Returns the work of evaluating one character's frames in sequence, (x [Dx], phase) -> y, with NumPy arrays."""
+    x, phases = frame_inputs(sizes, num_frames)
 
     def work():
         for phase in phases:

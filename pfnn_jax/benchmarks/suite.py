@@ -23,9 +23,10 @@ from pfnn_jax.benchmarks.lpn import (
     lpn_sizes,
     lpn_step_figures,
 )
+from pfnn_jax.benchmarks.other_libraries import PACKAGES, is_installed
 from pfnn_jax.benchmarks.preparation import preparation_figures
 from pfnn_jax.benchmarks.runtime import character_figures
-from pfnn_jax.benchmarks.timing import Figure, machine, versions
+from pfnn_jax.benchmarks.timing import REST, Figure, machine, versions
 from pfnn_jax.benchmarks.training import few_shot_figures, rate_figures, step_figures
 from pfnn_jax.benchmarks.transfer import (
     TransferSizes,
@@ -62,6 +63,7 @@ class BenchmarkConfig:
         clips: clips that the generator reads at once.
         seconds_per_style: seconds of procedural motion to prepare for each of 8 styles.
         transfer: sizes of style transfer.
+        rest: seconds of sleep before each measurement of a frame (`timing.REST`).
         repetitions: measurements of every short figure; long ones are measured a third as often.
         mocap: folder with real motion capture (`bandai-namco-2`, `pfnn`) to prepare; from PFNN_JAX_MOCAP by default.
     """
@@ -73,7 +75,7 @@ class BenchmarkConfig:
     steps_per_dispatch: int = 10
     few_shot_frames: int = 300
     few_shot_epochs: int = 100
-    characters: tuple[int, ...] = (1, 16, 256, 4096)
+    characters: tuple[int, ...] = (1, 16, 256, 1024)
     frames: int = 300
     lpn_joints: int = 25
     generator_filters: int = 256
@@ -81,6 +83,7 @@ class BenchmarkConfig:
     clips: int = 8
     seconds_per_style: float = 30.0
     transfer: TransferSizes = TransferSizes()
+    rest: float = REST
     repetitions: int = 9
     mocap: Path | None = field(default_factory=_mocap)
 
@@ -105,7 +108,8 @@ def run_benchmark(
         on_section: called with the name of each section before it is measured.
 
     Returns:
-        `machine`, `versions`, total `seconds`, and `figures`: `Figure.to_json` of every figure.
+        `machine`, `versions`, total `seconds`, `figures`: `Figure.to_json` of every figure, and `left_out`: libraries
+        that are not installed and therefore not compared.
     """
     config = config or BenchmarkConfig()
     started, figures = time.perf_counter(), []
@@ -117,6 +121,7 @@ def run_benchmark(
         "versions": versions(),
         "seconds": time.perf_counter() - started,
         "figures": [figure.to_json() for figure in figures],
+        "left_out": [library for library in PACKAGES if not is_installed(library)],
     }
 
 
@@ -127,7 +132,7 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
         sections[f"training steps of {batch} frames"] = lambda b=batch: step_figures(sizes, rank, b, repetitions, steps)
     largest = max(config.batch_sizes)
     sections["share of the matrix-product rate"] = lambda: rate_figures(sizes, rank, largest, repetitions, steps)
-    sections["one character"] = lambda: character_figures(sizes, rank, repetitions, config.frames)
+    sections["one character"] = lambda: character_figures(sizes, rank, repetitions, config.frames, config.rest)
     few = max(1, repetitions // 3)
     sections["crowds"] = lambda: crowd_figures(config.hidden, config.characters, few)
     sections |= _sections_2022(config)
@@ -151,7 +156,7 @@ def _sections_2022(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figur
         sections[f"LPN training steps of {batch} frames"] = lambda b=batch: lpn_step_figures(
             sizes, b, few, config.steps_per_dispatch
         )
-    sections["one character of an LPN"] = lambda: lpn_character_figures(sizes, repetitions, config.frames)
+    sections["one character of an LPN"] = lambda: lpn_character_figures(sizes, repetitions, config.frames, config.rest)
     sections["FiLM generator"] = lambda: generator_figures(generator, config.clips, few)
     sections["local phases"] = lambda: local_phase_figures(config.seconds_per_style, few)
     sections["preparation for an LPN"] = lambda: lpn_preparation_figures(config.mocap, config.seconds_per_style, few)
@@ -188,6 +193,8 @@ def print_benchmark(result: dict[str, Any], console: Console | None = None) -> N
         value = f"{_number(row['value'])} {row['unit']}".rstrip()
         table.add_row(f"  {row['name']}", value, spread, aim, met, str(row["repetitions"]))
     console.print(table)
+    for library in result["left_out"]:
+        console.print(f"{library} is not installed: its frames were left out.")
 
 
 def _number(value: float) -> str:

@@ -70,13 +70,21 @@ def figure(
     return Figure(section, name, float(value), unit, float(low), float(high), count, aim, at_least is None)
 
 
-def interleave(works: Mapping[str, Work], repetitions: int, *, warm_up: bool = True) -> dict[str, np.ndarray]:
+REST = 0.2
+"""Seconds after which the threads of NumPy, PyTorch and onnxruntime have stopped waiting for their next product."""
+
+
+def interleave(
+    works: Mapping[str, Work], repetitions: int, *, warm_up: bool = True, rest: float = 0.0
+) -> dict[str, np.ndarray]:
     """Returns the seconds [n] of several works, interleaved so that a busy machine slows all of them equally.
 
     Args:
         works: works by name.
         repetitions: n.
         warm_up: whether to run each work once beforehand, so that it is compiled.
+        rest: seconds to sleep before each measurement. Libraries whose threads wait without giving up their cores would
+            slow the work after theirs; see `REST`.
     """
     if warm_up:
         for work in works.values():
@@ -84,6 +92,7 @@ def interleave(works: Mapping[str, Work], repetitions: int, *, warm_up: bool = T
     seconds = {name: np.empty(repetitions) for name in works}
     for repetition in range(repetitions):
         for name, work in works.items():
+            time.sleep(rest)
             started = time.perf_counter()
             jax.block_until_ready(work())
             seconds[name][repetition] = time.perf_counter() - started
@@ -98,6 +107,7 @@ def machine() -> dict[str, Any]:
         "system": platform.platform(),
         "backend": jax.default_backend(),
         "device": jax.devices()[0].device_kind,
+        "inline": not jax.config.read("jax_cpu_enable_async_dispatch"),
     }
 
 

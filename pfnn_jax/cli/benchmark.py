@@ -14,7 +14,9 @@ class Benchmark(Command):
 
     def run(self) -> Any:
         from pfnn_jax.benchmarks.suite import print_benchmark, run_benchmark
+        from pfnn_jax.inference.dispatch import dispatch_inline
 
+        dispatch_inline()
         result = run_benchmark()
         print_benchmark(result)
         return result

@@ -25,7 +25,7 @@ from flax import struct
 
 from pfnn_jax.control.loop.state import ROOT, CharacterState
 from pfnn_jax.control.loop.step import Command
-from pfnn_jax.control.vectors import length, lerp, unit
+from pfnn_jax.control.vectors import length, lerp, running_sum, unit
 from pfnn_jax.errors import check_positive, check_share
 from pfnn_jax.motion.ground import angle_between, to_local, turn, turn_towards, wrap_angle, yaw_of
 
@@ -181,7 +181,7 @@ def limit_lookahead(state: CharacterState, natural_speed: jax.Array, config: Tra
     steps = jnp.diff(state.positions[ROOT:], axis=0)
     longest = config.max_lookahead_ratio * natural_speed / config.fps
     steps = steps * (longest / jnp.maximum(length(steps), longest))[:, None]
-    future = state.positions[ROOT][None] + jnp.cumsum(steps, axis=0)
+    future = state.positions[ROOT][None] + running_sum(steps)
     return replace(state, positions=state.positions.at[ROOT + 1 :].set(future))
 
 

@@ -28,6 +28,11 @@ def smoothstep(share: jax.Array) -> jax.Array:
     return share * share * (3.0 - 2.0 * share)
 
 
+def running_sum(steps: jax.Array) -> jax.Array:
+    """Returns the sums [N, D] of the first 1 to N steps [N, D], as one product: for a crowd faster than `cumsum`."""
+    return jnp.matmul(np.tri(len(steps), dtype=steps.dtype), steps, precision="highest")
+
+
 def length(v: jax.Array) -> jax.Array:
     """Returns the lengths [...] of vectors [..., N], with gradient 0 at 0."""
     squared = jnp.sum(v * v, axis=-1)

@@ -21,7 +21,7 @@ from jax.core import Tracer
 
 from pfnn_jax.inference.modes import LookupMode
 from pfnn_jax.inference.predictor import Predictor, evaluate, evaluate_at
-from pfnn_jax.models.layers.full import BlendedLayer
+from pfnn_jax.models.layers.dense import DenseLayer
 from pfnn_jax.models.network import Network
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.models.style import Style
@@ -128,7 +128,7 @@ def _fold(network: Network, style: Style | None) -> tuple[Network, Style | None]
     layers = list(network.layers)
     for index, (weights, biases) in style.affine_terms(jnp.ones(1)).items():
         layer = layers[index]
-        if not isinstance(layer, BlendedLayer):
+        if not isinstance(layer, DenseLayer):
             return network, style  # to multiply out the factors of a CP network would lose what they save
         layers[index] = layer.plus(weights, biases)
     return Network(layers=(layers[0], layers[1], layers[2])), None

@@ -13,12 +13,13 @@ from pfnn_jax.models.config import NetworkConfig
 from pfnn_jax.models.dropout import Dropout, drop, need_key
 from pfnn_jax.models.gating import Gating, gate, init_gating
 from pfnn_jax.models.layers.cp import CPLayer
+from pfnn_jax.models.layers.dense import DenseLayer
 from pfnn_jax.models.layers.film import layer_norm
 from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.models.style import Drop, Norm, Style
 
-NetworkLayer: TypeAlias = BlendedLayer | CPLayer
+NetworkLayer: TypeAlias = BlendedLayer | CPLayer | DenseLayer
 
 _NO_STYLE = Style()
 

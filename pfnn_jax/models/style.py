@@ -26,6 +26,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from pfnn_jax.models.batched_form import with_batched_form
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.layers import register_style, style_class
 
@@ -113,7 +114,7 @@ class Style:
         """Returns what enters the activation of hidden layer `index` (0 or 1), from that layer's output f [H]."""
         return f
 
-    def at(self, coefficients: jax.Array) -> Self:
+    def at(self, coefficients: jax.Array) -> Style:
         """Returns the style at coefficients [K], as a style of one control point; other arrays are shared."""
         return self
 
@@ -169,6 +170,35 @@ class Layer(Style):
         return MixedLayer(layers=self, weights=weights)
 
 
+def _sum_of_all(layers: Any, weights: jax.Array, coefficients: jax.Array, x: jax.Array) -> jax.Array:
+    """Returns the sum [O] of S layers (leaves [S, ...]) by weights [S]. A scan, so that one layer is read at a time."""
+
+    def add(total: jax.Array, part: tuple[jax.Array, Any]) -> tuple[jax.Array, None]:
+        weight, layer = part
+        return total + weight * layer(coefficients, x), None
+
+    total = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], layers)(coefficients, x))
+    return jax.lax.scan(add, jnp.zeros(total.shape, total.dtype), (weights, layers))[0]
+
+
+@with_batched_form(_sum_of_all)
+def _sum_of_used(layers: Any, weights: jax.Array, coefficients: jax.Array, x: jax.Array) -> jax.Array:
+    """Returns the same as `_sum_of_all`, and reads only layers whose weight is not 0.
+
+    Not under `vmap`, where a condition that differs between samples would gather a layer for each of them.
+    """
+
+    def add(index: jax.Array, total: jax.Array) -> jax.Array:
+        def used() -> jax.Array:
+            layer = jax.tree.map(lambda leaf: leaf[index], layers)
+            return total + weights[index] * layer(coefficients, x)
+
+        return jax.lax.cond(weights[index] != 0.0, used, lambda: total)
+
+    total = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], layers)(coefficients, x))
+    return jax.lax.fori_loop(0, len(weights), add, jnp.zeros(total.shape, total.dtype))
+
+
 @struct.dataclass(kw_only=True)
 class MixedLayer(Layer):
     """A weighted sum of S layers of one kind: `y = Σ_s w_s layer_s(x)`; see `Style.mix_dynamic`."""
@@ -177,15 +207,7 @@ class MixedLayer(Layer):
     weights: jax.Array  # [S]
 
     def __call__(self, coefficients: jax.Array, x: jax.Array) -> jax.Array:
-        def output(index: int | jax.Array) -> jax.Array:
-            return self.weights[index] * jax.tree.map(lambda leaf: leaf[index], self.layers)(coefficients, x)
-
-        def add(index: jax.Array, total: jax.Array) -> jax.Array:
-            return jax.lax.cond(self.weights[index] != 0.0, lambda: total + output(index), lambda: total)
-
-        # A loop, so that at no time more than one layer is read.
-        total = jax.eval_shape(output, 0)
-        return jax.lax.fori_loop(0, self.weights.shape[0], add, jnp.zeros(total.shape, total.dtype))
+        return _sum_of_used(self.layers, self.weights, coefficients, x)
 
     def at(self, coefficients: jax.Array) -> MixedLayer:
         return MixedLayer(layers=jax.vmap(lambda layer: layer.at(coefficients))(self.layers), weights=self.weights)

@@ -250,7 +250,7 @@ def forward_kinematics(
     positions, world = np.empty(rotations.shape[:-1] + (3,)), np.empty(rotations.shape)
     offsets = skeleton.offsets
     positions[:, 0], world[:, 0] = root_positions, rotations[:, 0]
-    for joints, above in _levels(tuple(skeleton.parents.tolist())):
+    for joints, above in joint_levels(tuple(skeleton.parents.tolist())):
         turn = world[:, above]
         positions[:, joints] = positions[:, above] + quat_rotate(turn, offsets[joints])
         world[:, joints] = quat_multiply(turn, rotations[:, joints])
@@ -290,7 +290,7 @@ def joint_positions(skeleton: Skeleton, rotations: np.ndarray) -> np.ndarray:
     """
     local = quat_to_matrix(rotations)
     positions, world = np.zeros(rotations.shape[:-1] + (3,)), local.copy()
-    for joints, above in _levels(tuple(skeleton.parents.tolist())):
+    for joints, above in joint_levels(tuple(skeleton.parents.tolist())):
         turn = world[:, above]
         positions[:, joints] = positions[:, above] + (turn @ skeleton.offsets[joints, :, None])[..., 0]
         world[:, joints] = turn @ local[:, joints]
@@ -298,8 +298,8 @@ def joint_positions(skeleton: Skeleton, rotations: np.ndarray) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=64)
-def _levels(parents: tuple[int, ...]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Returns the joints of each depth below the root and their parents, which are posed at once."""
+def joint_levels(parents: tuple[int, ...]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Returns the joints of each depth below the root, ascending, and their parents: they are posed at once."""
     depth = np.zeros(len(parents), dtype=int)
     for joint, parent in enumerate(parents[1:], start=1):
         depth[joint] = depth[parent] + 1

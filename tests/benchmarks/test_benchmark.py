@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +14,15 @@ import optax
 import pytest
 from rich.console import Console
 
+from pfnn_jax.benchmarks.other_libraries import PACKAGES, check_equal, is_installed, other_frames, torch_lookup
 from pfnn_jax.benchmarks.preparation import prepare_clips, write_synthetic
-from pfnn_jax.benchmarks.runtime import NumpyTable, random_predictor
+from pfnn_jax.benchmarks.runtime import NumpyTable, frame_inputs, random_predictor
 from pfnn_jax.benchmarks.suite import BenchmarkConfig, print_benchmark, run_benchmark
 from pfnn_jax.benchmarks.timing import figure, interleave
 from pfnn_jax.benchmarks.training import flops, fresh_state, per_sample_outputs, products, random_frames, stepper
 from pfnn_jax.benchmarks.transfer import TransferSizes, fast_works
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
+from pfnn_jax.inference.predictor import evaluate
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.network import Dropout, init_network
 from pfnn_jax.models.style import init_style
@@ -48,6 +51,7 @@ TINY = BenchmarkConfig(
     transfer=TransferSizes(
         frames=(60,), filters=4, hidden=4, width=5, iterations=2, constraint_iterations=2, minutes=0.6
     ),
+    rest=0.0,
     repetitions=2,
     mocap=None,
 )
@@ -93,6 +97,32 @@ def test_numpy_table_computes_the_same_as_the_lookup():
         np.testing.assert_allclose(
             table(x, phase), evaluate_lookup(lookup, jnp.asarray(x), phase), rtol=FLOAT32, atol=FLOAT32
         )
+
+
+@pytest.mark.parametrize("library", PACKAGES)
+@pytest.mark.parametrize("gating", [0, 3])
+def test_frames_of_other_libraries_compute_the_same(library, gating):
+    if not is_installed(library):
+        pytest.skip(f"{library} is not installed")
+    sizes = dataclasses.replace(SIZES, phase_size=gating)
+    predictor = randomise(random_predictor(sizes, AdapterConfig("film") if gating else None), 3)
+    x, phases = frame_inputs(sizes, 4)
+    frames = {name: frame for name, frame in other_frames(predictor, phases[0]).items() if library in name}
+    assert frames
+    for name, frame in frames.items():
+        check_equal(name, frame, partial(jax.jit(evaluate), predictor), x, phases)
+
+
+def test_other_frames_are_compared_before_they_are_timed():
+    x, phases = frame_inputs(SIZES, 2)
+    with pytest.raises(ValueError, match="PyTorch must compute the same"):
+        check_equal("PyTorch", lambda x, phase: x, lambda x, phase: 1.001 * x, x, phases)
+
+
+def test_lookup_in_pytorch_computes_the_same():
+    pytest.importorskip("torch")
+    lookup = make_lookup(randomise(random_predictor(SIZES), 4))
+    check_equal("PyTorch", torch_lookup(lookup), partial(evaluate_lookup, lookup), *frame_inputs(SIZES, 4))
 
 
 def test_all_forms_of_the_fast_transfer_compute_the_same():

@@ -15,7 +15,7 @@ from pfnn_jax.control.controller_state import ControllerState, standing_point, s
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
 from pfnn_jax.control.loop.state import ROOT, turn_state
 from pfnn_jax.control.loop.step import Command, published_step
-from pfnn_jax.control.vectors import length, orthonormal
+from pfnn_jax.control.vectors import length, orthonormal, running_sum
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.predictor import evaluate
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
@@ -327,6 +327,11 @@ def test_the_whole_controller_is_equivariant_under_mirroring(run, held_controlle
     np.testing.assert_allclose(mirror.time_scale, one.time_scale, atol=SAME_WALK)
     np.testing.assert_allclose(mirror.feet.strength, one.feet.strength[:, np.array([2, 3, 0, 1])], atol=SAME_WALK)
     assert_walks(one)
+
+
+def test_running_sum_is_that_of_numpy():
+    steps = np.random.default_rng(0).normal(size=(50, 2))
+    np.testing.assert_allclose(running_sum(jnp.float32(steps)), np.cumsum(steps, axis=0), atol=FLOAT32)
 
 
 @pytest.mark.parametrize("up", [[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]])

@@ -6,7 +6,6 @@ a rig is static and hashable, a pose holds arrays, and everything is differentia
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import numpy as np
 from flax import struct
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.motion.kinematics import quat_conjugate, quat_multiply, quat_rotate
+from pfnn_jax.motion.kinematics import joint_levels, quat_conjugate, quat_multiply, quat_rotate
 from pfnn_jax.motion.roles import chain_up
 from pfnn_jax.motion.skeleton import Skeleton, need_roles
 
@@ -118,16 +117,18 @@ def make_rig(skeleton: Skeleton, source: str | Path = "skeleton") -> Rig:
 def forward_kinematics(rig: Rig, pose: Pose) -> tuple[jax.Array, jax.Array]:
     """Returns world positions [J, 3] in metres and world rotations [J, 4] of all joints.
 
-    Pointer doubling: each round doubles the number of ancestors that a joint's transform includes, so a body of 25
-    joints takes four rounds over all joints instead of one per level of the tree.
+    One step for each level of the tree, over the joints of that level.
     """
-    turn, shift = pose.rotations, jnp.asarray(np.array(rig.offsets), pose.rotations.dtype)
-    shift = jnp.concatenate([pose.hips[None], shift[1:]])
-    for above, rows in _rounds(rig.parents):
-        over, behind = turn[above], rows[:, None]
-        shift = jnp.where(behind, shift[above] + quat_rotate(over, shift), shift)
-        turn = jnp.where(behind, quat_multiply(over, turn), turn)
-    return shift, turn
+    offsets, before = np.array(rig.offsets), np.zeros(1, int)
+    shift, turn, order = [pose.hips[None]], [pose.rotations[:1]], [before]
+    for joints, above in joint_levels(rig.parents):
+        parents = np.searchsorted(before, above)  # a joint's parent is in the level before, in ascending order
+        over, at = turn[-1][parents], jnp.asarray(offsets[joints], pose.rotations.dtype)
+        shift.append(shift[-1][parents] + quat_rotate(over, at))
+        turn.append(quat_multiply(over, pose.rotations[joints]))
+        order.append(before := joints)
+    places = np.argsort(np.concatenate(order))
+    return jnp.concatenate(shift)[places], jnp.concatenate(turn)[places]
 
 
 def pose_from_world(rig: Rig, hips: jax.Array, world_rotations: jax.Array) -> Pose:
@@ -151,15 +152,6 @@ def turn_joint(rig: Rig, pose: Pose, world: jax.Array, joint: int, delta: jax.Ar
     if parent >= 0:
         local = quat_multiply(quat_conjugate(world[parent]), quat_multiply(delta, world[parent]))
     return replace(pose, rotations=pose.rotations.at[joint].set(quat_multiply(local, pose.rotations[joint])))
-
-
-def _rounds(parents: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Returns for each round the ancestor whose transform is composed, and which joints still have one."""
-    above, rounds = np.array(parents), []
-    while (above >= 0).any():
-        rounds.append((np.maximum(above, 0), above >= 0))
-        above = np.where(above >= 0, above[np.maximum(above, 0)], -1)
-    return rounds
 
 
 def _between(skeleton: Skeleton, top: int, end: int) -> list[int]:

@@ -24,7 +24,7 @@ from flax import struct
 
 from pfnn_jax.control.loop import rule_2017, rule_2022
 from pfnn_jax.control.loop.state import NUM_POINTS, ROOT, CharacterState
-from pfnn_jax.control.vectors import length, lerp
+from pfnn_jax.control.vectors import length, lerp, running_sum
 from pfnn_jax.errors import check_positive, check_share
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.ground import turn_towards
@@ -146,13 +146,14 @@ def steer(layout: FrameLayout, state: CharacterState, command: Command, config: 
     toward_position = 1.0 - (1.0 - ahead[:, None]) ** config.position_bias
     toward_direction = 1.0 - (1.0 - ahead) ** config.direction_bias
     steps = lerp(jnp.diff(state.positions[ROOT:], axis=0), velocity[None] / layout.fps, toward_position)
-    future = state.positions[ROOT][None] + jnp.cumsum(steps, axis=0)
+    future = state.positions[ROOT][None] + running_sum(steps)
     directions = turn_towards(state.directions[ROOT + 1 :], facing, toward_direction)
     gait = lerp(state.gait[ROOT], _wanted_gait(velocity, config), config.gait_rate)
     return replace(
         state,
-        positions=state.positions.at[ROOT + 1 :].set(future),
-        directions=state.directions.at[ROOT + 1 :].set(directions),
+        # Joined, not set in place: a crowd's step would evaluate the new directions for all 111 points.
+        positions=jnp.concatenate([state.positions[: ROOT + 1], future]),
+        directions=jnp.concatenate([state.directions[: ROOT + 1], directions]),
         gait=state.gait.at[ROOT:].set(gait),
         target_velocity=velocity,
         target_direction=facing,
