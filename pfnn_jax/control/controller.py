@@ -20,7 +20,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.calibration import calibrate_speeds, foot_heights, start_standing
+from pfnn_jax.control.calibration import foot_heights, start_standing
+from pfnn_jax.control.compiling import jit_quickly
 from pfnn_jax.control.controller_state import (
     ControllerParams,
     ControllerSetup,
@@ -35,10 +36,10 @@ from pfnn_jax.control.controller_state import (
 )
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
 from pfnn_jax.control.ik.pose import make_rig
+from pfnn_jax.control.kept_calibration import kept_calibration
 from pfnn_jax.control.loop.state import ROOT, straight_row, turn_state
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, held_command
 from pfnn_jax.control.run_settings import default_speed, loop_config, mean_speed, recorded_speed
-from pfnn_jax.control.stance import find_stances
 from pfnn_jax.control.standing import StandingConfig
 from pfnn_jax.control.tracking import (
     StyleSpeed,
@@ -118,11 +119,11 @@ class Controller:
             InputError: for an unknown style, or weights that do not sum to one.
         """
         weights = jnp.asarray(self.style_weights(style))
-        return start_standing(self.setup, self.params, jnp.asarray(position, jnp.float32), jnp.float32(yaw), weights)
+        return _start_now(self.setup, self.params, jnp.asarray(position, jnp.float32), jnp.float32(yaw), weights)
 
     def step(self, state: ControllerState, command: Command) -> ControllerState:
         """Returns the state one frame later."""
-        return step(self.setup, self.params, state, command)
+        return _step_now(self.setup, self.params, state, command)
 
     def style_weights(self, choice: str | int | Mapping[str, float] | Mapping[int, float]) -> np.ndarray:
         """Returns the weights [C] of a style by name or row, or of a mixture of styles with weights that sum to one.
@@ -248,14 +249,13 @@ def _padded(tree: Any, rows: int) -> Any:
 def with_calibrated_speeds(controller: Controller, styles: Sequence[str]) -> Controller:
     """Returns the controller with the speeds of some of its styles calibrated, from the speeds in its `params`, and
     with the stances of these styles."""
-    rows, setup = [controller.styles.index(name) for name in styles], controller.setup
-    # Without the stances of before, which calibration does not read: it is then compiled once.
-    params = replace(controller.params, stances=None, waiting=None)
-    speeds, gains = np.array(params.speeds), np.array(params.speed_gains)
-    speeds[rows], gains[rows] = calibrate_speeds(setup, params, rows)
-    params = replace(params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains))
-    found = find_stances(setup, params, rows)
-    stances, waiting = _with_rows((controller.params.stances, controller.params.waiting), rows, found, len(speeds))
+    rows = [controller.styles.index(name) for name in styles]
+    found = kept_calibration(controller.setup, controller.params, rows)
+    speeds, gains = np.array(controller.params.speeds), np.array(controller.params.speed_gains)
+    speeds[rows], gains[rows] = found.speeds, found.gains
+    params = replace(controller.params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains))
+    old, new = (params.stances, params.waiting), (found.stances, found.waiting)
+    stances, waiting = _with_rows(old, rows, new, len(speeds))
     return replace(controller, params=replace(params, stances=stances, waiting=waiting))
 
 
@@ -292,6 +292,9 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
     advance = partial(_advance_network, setup, params, predictor, speed, command)
     state = jax.lax.while_loop(lambda inner: inner.progress > 1.0, advance, state)
     return draw_body(setup, params, state, command)
+
+
+_start_now, _step_now = (jit_quickly(function, static_argnums=0) for function in (start_standing, step))
 
 
 def _moved_style(style: jax.Array, target: jax.Array) -> jax.Array:

@@ -77,6 +77,15 @@ def use_private_cache() -> Path | None:
     return folder
 
 
+def folder_in_use() -> Path | None:
+    """Returns `compiled_folder` if this process keeps what it compiles there, and None otherwise."""
+    import jax
+
+    on, named = (getattr(jax.config, f"jax_{name}") for name in ("enable_compilation_cache", "compilation_cache_dir"))
+    folder = compiled_folder()
+    return folder if on and named == str(folder) and folder.is_dir() else None
+
+
 def name_private_cache() -> None:
     """Sets the variables that make JAX keep what it compiles in `compiled_folder`, for a process that may import JAX.
 
