@@ -107,7 +107,10 @@ class Controller:
         return len(self.params.speeds)
 
     def start(
-        self, position: Any = (0.0, 0.0), yaw: Any = 0.0, style: str | int | Mapping[str, float] = 0
+        self,
+        position: Any = (0.0, 0.0),
+        yaw: Any = 0.0,
+        style: str | int | Mapping[str, float] | Mapping[int, float] = 0,
     ) -> ControllerState:
         """Returns a character that stands at `position` [2] metres and faces `yaw` radians.
 
@@ -221,14 +224,14 @@ def assemble_controller(
     rows = max(capacity or 0, len(styles)) if styles else 1
     default_speed = mean_speed(layout, normaliser) if default_speed is None else default_speed
     mean_row = jnp.asarray(normaliser.inputs.mean, jnp.float32)
-    also = [] if later is None else [init_style(later, config_of(network), key=jax.random.key(0))]
+    also = [] if later is None else [_empty_style(later, network)]
     params = ControllerParams(
         predictor=assemble_predictor(network, None, normaliser),
         bank=_padded(stack_styles(styles, "controller", also), rows) if styles else None,
-        speeds=_padded(jnp.asarray([speeds.get(name, 0.0) for name in styles], jnp.float32), rows),
+        speeds=_padded(np.asarray([speeds.get(name, 0.0) for name in styles], np.float32), rows),
         default_speed=jnp.float32(default_speed),
-        speed_gains=jnp.ones(rows, jnp.float32),
-        initial_row=straight_row(layout, mean_row, default_speed),
+        speed_gains=jnp.asarray(np.ones(rows, np.float32)),
+        initial_row=_straight_row(layout, mean_row, default_speed),
         initial_phase=jnp.asarray(normaliser.initial_phase()),
         foot_heights=jnp.asarray(foot_heights(layout, normaliser, rig), jnp.float32),
     )
@@ -236,12 +239,22 @@ def assemble_controller(
     return with_calibrated_speeds(Controller(params, setup, names), names)
 
 
+_straight_row = jax.jit(straight_row, static_argnums=0)
+
+
+def _empty_style(config: AdapterConfig, network: Network) -> Style:
+    """Returns a style of zeros of a kind; only its form matters."""
+    sizes = config_of(network)
+    form = jax.eval_shape(lambda key: init_style(config, sizes, key=key), jax.random.key(0))
+    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), form)
+
+
 def _padded(tree: Any, rows: int) -> Any:
-    """Returns leaves [S, ...] with zeros up to `rows`: [rows, ...]."""
+    """Returns leaves [S, ...] with zeros up to `rows`: [rows, ...]; in NumPy, because JAX would compile it."""
 
     def pad(leaf: Any) -> jax.Array:
-        leaf = jnp.asarray(leaf)
-        return jnp.concatenate([leaf, jnp.zeros((rows - len(leaf), *leaf.shape[1:]), leaf.dtype)])
+        leaf = np.asarray(leaf)
+        return jnp.asarray(np.concatenate([leaf, np.zeros((rows - len(leaf), *leaf.shape[1:]), leaf.dtype)]))
 
     return jax.tree.map(pad, tree)
 

@@ -11,11 +11,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
@@ -60,11 +62,12 @@ class Calibration:
 
 def calibrate(setup: ControllerSetup, params: ControllerParams, rows: Sequence[int]) -> Calibration:
     """Calibrates S styles, rows of a controller's bank, by trial walks; nothing is kept."""
-    params = params.replace(stances=None, waiting=None)  # which calibration does not read: it is then compiled once
+    params = replace(params, stances=None, waiting=None)  # which calibration does not read: it is then compiled once
     speeds, gains = (np.array(values) for values in (params.speeds, params.speed_gains))
     chosen = np.asarray(rows, int)
     speeds[chosen], gains[chosen] = calibrate_speeds(setup, params, rows)
-    stances, waiting = find_stances(setup, params.replace(speeds=speeds, speed_gains=gains), rows)
+    calibrated = replace(params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains))
+    stances, waiting = find_stances(setup, calibrated, rows)
     return Calibration(speeds[chosen], gains[chosen], stances, waiting)
 
 
@@ -76,8 +79,9 @@ def kept_calibration(setup: ControllerSetup, params: ControllerParams, rows: Seq
     if missing:
         fresh = calibrate(setup, params, missing)
         for number, row in enumerate(missing):
-            found[row] = jax.tree.map(lambda leaf, i=number: np.asarray(leaf[i]), fresh)
-            _keep(digests[list(rows).index(row)], found[row])
+            one: Calibration = jax.tree.map(lambda leaf, i=number: np.asarray(leaf[i]), fresh)
+            found[row] = one
+            _keep(digests[list(rows).index(row)], one)
     return jax.tree.map(lambda *leaves: np.stack(leaves), *(found[row] for row in rows))
 
 
@@ -94,12 +98,12 @@ def write_calibrations(path: Path, setup: ControllerSetup, params: ControllerPar
 def style_digests(setup: ControllerSetup, params: ControllerParams, rows: Sequence[int]) -> list[str]:
     """Returns for each style a digest of everything that its calibration follows from.
 
-    Parts of a bank in which a style is zero, and where it is a bank, make no difference.
+    The initial row follows from the statistics and the default speed, and its last bits from the compiler. Other
+    styles of the bank, and its parts in which the style is zero, make no difference.
     """
     shared = hashlib.sha256(repr(setup).encode())
-    for leaf in jax.tree.leaves((params.predictor, params.default_speed, params.initial_row, params.initial_phase)):
+    for leaf in jax.tree.leaves((params.predictor, params.default_speed, params.initial_phase, params.foot_heights)):
         _add(shared, leaf)
-    _add(shared, params.foot_heights)
     speeds, digests = np.asarray(params.speeds), []
     bank = jax.tree.map(np.asarray, params.bank)
     for row in rows:
