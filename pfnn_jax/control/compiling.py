@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -24,15 +24,20 @@ def jit_quickly(function: Callable[Arguments, Result], **options: Any) -> Callab
     Args:
         function: to be compiled; it may be jitted.
         options: of `jax.jit`, such as `static_argnums`.
+
+    Returns:
+        The function; its attribute `compiled` returns what `jax.jit` has made of it.
     """
 
     @cache  # at the first call: a backend cannot be asked for when a module is imported
     def compiled() -> Callable[Arguments, Result]:
         return jax.jit(function, compiler_options=_quick_options(), **options)
 
+    @wraps(function)
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         return compiled()(*args, **kwargs)
 
+    vars(call)["compiled"] = compiled
     return call
 
 
