@@ -23,6 +23,8 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from pfnn_jax.control.controller import make_controller
+from pfnn_jax.control.kept_calibration import SHIPPED, write_calibrations
 from pfnn_jax.io.files import write_json
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.datasets.clip_rows import load_for_skeleton
@@ -36,7 +38,7 @@ from pfnn_jax.motion.labels.footsteps import NoGaitError
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from pfnn_jax.motion.synthetic.styles import PRETRAINING_STYLES, STYLES, SyntheticStyle
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
-from pfnn_jax.run import Run
+from pfnn_jax.run import Run, load_run
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.restyling import save_differences
 from pfnn_jax.workflows.pretrain import dataset_differences, pretrain_run
@@ -266,7 +268,15 @@ def ship(run: Run, config: Config) -> Path:
         note["info"]["source"] = "100STYLE" if style in CAPTURED else "procedural walker"
         write_json(out / "styles" / style / "style.json", note)
     (out / "CARD.md").write_text(card(run, config), encoding="utf-8")
+    ship_calibrations(out)
     return out
+
+
+def ship_calibrations(run: Path) -> None:
+    """Writes what trial walks show of a run's styles, so that the package need not measure it on every machine."""
+    controller = make_controller(load_run(run))
+    rows = range(len(controller.styles))
+    write_calibrations(run / SHIPPED.name, controller.setup, controller.params, rows)
 
 
 def card(run: Run, config: Config) -> str:

@@ -95,7 +95,9 @@ def lowering(packages: Sequence[str], platforms: Sequence[str] = PLATFORMS) -> I
     with pytest.MonkeyPatch.context() as patch:
         for module in modules:
             for name, value in list(vars(module).items()):
-                if id(value) in wrappers:
-                    patch.setattr(module, name, wrappers[id(value)])
+                jitted = getattr(value, "__wrapped__", None)  # by `jit_quickly`, with options of its own
+                for known in (value, jitted) if isinstance(jitted, Jitted) else (value,):
+                    if id(known) in wrappers:
+                        patch.setattr(module, name, wrappers[id(known)])
         patch.setattr(jax, "jit", jit_and_lower)
         yield lowered

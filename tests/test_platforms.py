@@ -71,7 +71,7 @@ FRAMES = (
 )
 LOOPS = (
     names("control.controller", "rollout_commands")
-    | names("control.generation", "_warmed_up", "track_states")
+    | names("control.generation", "_warmed_up", "track_block")
     | names("control.ik.fix_feet", "_fix")
     | names("control.loop.rollout", "follow_path")
     | names("control.stability", "_stability", "_walk")

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pfnn_jax.control.compiling import jit_quickly
 from pfnn_jax.control.controller_state import (
     ControllerParams,
     ControllerSetup,
@@ -85,7 +86,7 @@ def calibrate_speeds(
     requested = np.where(recorded[:, None] > 0.0, recorded[:, None] * gains, fallback).astype(np.float32)
     styles = np.eye(len(params.speeds), dtype=np.float32)[chosen]
     limits = np.where(recorded > 0.0, recorded, UNLIMITED_SPEED).astype(np.float32)
-    measured = np.asarray(measure_walk_speed(setup, params, styles, limits, requested))
+    measured = np.asarray(_measure_now(setup, params, styles, limits, requested))
     measured = np.maximum(measured, MIN_WALK_SPEED)  # NaN stays NaN: a diverging rollout
     natural = np.where(recorded > 0.0, recorded, np.where(np.isfinite(measured[:, 0]), measured[:, 0], fallback))
     return natural, _best_request(requested, measured, natural) / natural
@@ -128,6 +129,9 @@ def measure_walk_speed(
         return jnp.mean(steps[WARM_UP_FRAMES:])
 
     return jax.vmap(jax.vmap(measure, in_axes=(None, None, 0)))(*map(jnp.asarray, (styles, limits, requested)))
+
+
+_measure_now = jit_quickly(measure_walk_speed, static_argnums=0)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -20,7 +20,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.calibration import calibrate_speeds, foot_heights, start_standing
+from pfnn_jax.control.calibration import foot_heights, start_standing
+from pfnn_jax.control.compiling import jit_quickly
 from pfnn_jax.control.controller_state import (
     ControllerParams,
     ControllerSetup,
@@ -35,10 +36,10 @@ from pfnn_jax.control.controller_state import (
 )
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
 from pfnn_jax.control.ik.pose import make_rig
+from pfnn_jax.control.kept_calibration import kept_calibration
 from pfnn_jax.control.loop.state import ROOT, straight_row, turn_state
 from pfnn_jax.control.loop.step import LOOP_CONFIGS, Command, LoopConfig, held_command
 from pfnn_jax.control.run_settings import default_speed, loop_config, mean_speed, recorded_speed
-from pfnn_jax.control.stance import find_stances
 from pfnn_jax.control.standing import StandingConfig
 from pfnn_jax.control.tracking import (
     StyleSpeed,
@@ -106,7 +107,10 @@ class Controller:
         return len(self.params.speeds)
 
     def start(
-        self, position: Any = (0.0, 0.0), yaw: Any = 0.0, style: str | int | Mapping[str, float] = 0
+        self,
+        position: Any = (0.0, 0.0),
+        yaw: Any = 0.0,
+        style: str | int | Mapping[str, float] | Mapping[int, float] = 0,
     ) -> ControllerState:
         """Returns a character that stands at `position` [2] metres and faces `yaw` radians.
 
@@ -118,11 +122,11 @@ class Controller:
             InputError: for an unknown style, or weights that do not sum to one.
         """
         weights = jnp.asarray(self.style_weights(style))
-        return start_standing(self.setup, self.params, jnp.asarray(position, jnp.float32), jnp.float32(yaw), weights)
+        return _start_now(self.setup, self.params, jnp.asarray(position, jnp.float32), jnp.float32(yaw), weights)
 
     def step(self, state: ControllerState, command: Command) -> ControllerState:
         """Returns the state one frame later."""
-        return step(self.setup, self.params, state, command)
+        return _step_now(self.setup, self.params, state, command)
 
     def style_weights(self, choice: str | int | Mapping[str, float] | Mapping[int, float]) -> np.ndarray:
         """Returns the weights [C] of a style by name or row, or of a mixture of styles with weights that sum to one.
@@ -220,14 +224,14 @@ def assemble_controller(
     rows = max(capacity or 0, len(styles)) if styles else 1
     default_speed = mean_speed(layout, normaliser) if default_speed is None else default_speed
     mean_row = jnp.asarray(normaliser.inputs.mean, jnp.float32)
-    also = [] if later is None else [init_style(later, config_of(network), key=jax.random.key(0))]
+    also = [] if later is None else [_empty_style(later, network)]
     params = ControllerParams(
         predictor=assemble_predictor(network, None, normaliser),
         bank=_padded(stack_styles(styles, "controller", also), rows) if styles else None,
-        speeds=_padded(jnp.asarray([speeds.get(name, 0.0) for name in styles], jnp.float32), rows),
+        speeds=_padded(np.asarray([speeds.get(name, 0.0) for name in styles], np.float32), rows),
         default_speed=jnp.float32(default_speed),
-        speed_gains=jnp.ones(rows, jnp.float32),
-        initial_row=straight_row(layout, mean_row, default_speed),
+        speed_gains=jnp.asarray(np.ones(rows, np.float32)),
+        initial_row=_straight_row(layout, mean_row, default_speed),
         initial_phase=jnp.asarray(normaliser.initial_phase()),
         foot_heights=jnp.asarray(foot_heights(layout, normaliser, rig), jnp.float32),
     )
@@ -235,12 +239,22 @@ def assemble_controller(
     return with_calibrated_speeds(Controller(params, setup, names), names)
 
 
+_straight_row = jax.jit(straight_row, static_argnums=0)
+
+
+def _empty_style(config: AdapterConfig, network: Network) -> Style:
+    """Returns a style of zeros of a kind; only its form matters."""
+    sizes = config_of(network)
+    form = jax.eval_shape(lambda key: init_style(config, sizes, key=key), jax.random.key(0))
+    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), form)
+
+
 def _padded(tree: Any, rows: int) -> Any:
-    """Returns leaves [S, ...] with zeros up to `rows`: [rows, ...]."""
+    """Returns leaves [S, ...] with zeros up to `rows`: [rows, ...]; in NumPy, because JAX would compile it."""
 
     def pad(leaf: Any) -> jax.Array:
-        leaf = jnp.asarray(leaf)
-        return jnp.concatenate([leaf, jnp.zeros((rows - len(leaf), *leaf.shape[1:]), leaf.dtype)])
+        leaf = np.asarray(leaf)
+        return jnp.asarray(np.concatenate([leaf, np.zeros((rows - len(leaf), *leaf.shape[1:]), leaf.dtype)]))
 
     return jax.tree.map(pad, tree)
 
@@ -248,14 +262,13 @@ def _padded(tree: Any, rows: int) -> Any:
 def with_calibrated_speeds(controller: Controller, styles: Sequence[str]) -> Controller:
     """Returns the controller with the speeds of some of its styles calibrated, from the speeds in its `params`, and
     with the stances of these styles."""
-    rows, setup = [controller.styles.index(name) for name in styles], controller.setup
-    # Without the stances of before, which calibration does not read: it is then compiled once.
-    params = replace(controller.params, stances=None, waiting=None)
-    speeds, gains = np.array(params.speeds), np.array(params.speed_gains)
-    speeds[rows], gains[rows] = calibrate_speeds(setup, params, rows)
-    params = replace(params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains))
-    found = find_stances(setup, params, rows)
-    stances, waiting = _with_rows((controller.params.stances, controller.params.waiting), rows, found, len(speeds))
+    rows = [controller.styles.index(name) for name in styles]
+    found = kept_calibration(controller.setup, controller.params, rows)
+    speeds, gains = np.array(controller.params.speeds), np.array(controller.params.speed_gains)
+    speeds[rows], gains[rows] = found.speeds, found.gains
+    params = replace(controller.params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains))
+    old, new = (params.stances, params.waiting), (found.stances, found.waiting)
+    stances, waiting = _with_rows(old, rows, new, len(speeds))
     return replace(controller, params=replace(params, stances=stances, waiting=waiting))
 
 
@@ -292,6 +305,9 @@ def step(setup: ControllerSetup, params: ControllerParams, state: ControllerStat
     advance = partial(_advance_network, setup, params, predictor, speed, command)
     state = jax.lax.while_loop(lambda inner: inner.progress > 1.0, advance, state)
     return draw_body(setup, params, state, command)
+
+
+_start_now, _step_now = (jit_quickly(function, static_argnums=0) for function in (start_standing, step))
 
 
 def _moved_style(style: jax.Array, target: jax.Array) -> jax.Array:

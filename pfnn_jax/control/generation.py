@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path as FilePath
@@ -11,10 +12,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
+from pfnn_jax.control.compiling import jit_quickly
 from pfnn_jax.control.controller import Controller, Embodiment, assemble_controller, step
 from pfnn_jax.control.controller_state import ControllerParams, ControllerSetup, ControllerState, style_speed
 from pfnn_jax.control.ik.fix_feet import fix_feet
+from pfnn_jax.control.ik.pose import Pose
 from pfnn_jax.control.loop.pursuit import TimedPath, advance_progress, make_timed_path, pursue
 from pfnn_jax.control.loop.rollout import EvaluateFn, Frames, follow_path, warm_up
 from pfnn_jax.control.loop.state import CharacterState, contacts_of_output, initial_state, place_state, straight_row
@@ -51,6 +55,9 @@ the table's phase, which is the same to rounding and gathers nothing."""
 WARM_UP_FRAMES = 60
 """Frames of straight walking before a path begins: the mean pose is not a valid pose; a few steps converge to the gait
 cycle."""
+
+BLOCK = 120
+"""Frames that are compiled at once: walks of any length are made of such blocks, and cut."""
 
 STANDING_SECONDS = 1.0
 """Seconds added to those of a path: a tracked character starts standing, and comes to stand."""
@@ -151,18 +158,43 @@ def track_path(
     Raises:
         InputError: for a speed or duration that is not positive, or motion that is not finite.
     """
-    style = jnp.asarray(weights)
-    speed = float(style_speed(controller.params, style).natural) if speed is None else speed
-    seconds = path.length / max(speed, 1e-6) + STANDING_SECONDS if seconds is None else seconds
-    num_frames = _num_frames(body, speed, seconds)
-    state = replace(controller.start(path.points[0], path.start_yaw), style=style)
-    states = track_states(controller.setup, controller.params, state, make_timed_path(path, speed), num_frames)
-    clip = replace(clip_of_states(states, body, "motion"), content="generated", source=_source(body))
-    phase, contacts, joints = (np.asarray(x) for x in (states.motion.phase, states.contacts, states.joints))
-    return GeneratedWalk(clip, phase, contacts, joints)
+    return track_walks(controller, [weights], path, body, speed=speed, seconds=seconds)[0]
 
 
-def clip_of_states(states: ControllerState, body: Embodiment, name: str) -> MotionClip:
+def track_walks(
+    controller: Controller,
+    weights: Sequence[np.ndarray],
+    path: Path,
+    body: Embodiment,
+    *,
+    speed: float | None = None,
+    seconds: float | None = None,
+    lanes: int = 1,
+) -> list[GeneratedWalk]:
+    """Returns the walks of one controlled character in several styles along a path; see `track_path`.
+
+    Args:
+        controller, path, body, speed, seconds: as for `track_path`.
+        weights: [C] of each style.
+        lanes: as for `track_paths`.
+
+    Raises:
+        InputError: as `track_path`.
+    """
+    natural = [float(style_speed(controller.params, jnp.asarray(style)).natural) for style in weights]
+    speeds = [own if speed is None else speed for own in natural]
+    times = [path.length / max(own, 1e-6) + STANDING_SECONDS if seconds is None else seconds for own in speeds]
+    counts = [_num_frames(body, own, time) for own, time in zip(speeds, times, strict=True)]
+    tracked = track_paths(controller, weights, [path] * len(weights), speeds, max(counts), lanes=lanes)
+    walks = []
+    for frames, count in zip(tracked, counts, strict=True):
+        kept = jax.tree.map(lambda leaf, n=count: leaf[:n], frames)
+        clip = replace(clip_of_states(kept, body, "motion"), content="generated", source=_source(body))
+        walks.append(GeneratedWalk(clip, kept.phase, kept.contacts, kept.joints))
+    return walks
+
+
+def clip_of_states(states: ControllerState | TrackedFrames, body: Embodiment, name: str) -> MotionClip:
     """Returns the drawn body of a controlled character, leaves [T, ...], as a clip whose content is `name`.
 
     Raises:
@@ -175,19 +207,108 @@ def clip_of_states(states: ControllerState, body: Embodiment, name: str) -> Moti
     return MotionClip(body.skeleton, body.layout.fps, hips, rotations, content=name)
 
 
-@partial(jax.jit, static_argnames=("setup", "num_frames"))
-def track_states(
-    setup: ControllerSetup, params: ControllerParams, state: ControllerState, path: TimedPath, num_frames: int
-) -> ControllerState:
-    """Returns the states, leaves [T, ...], of a character that follows a path and stops at its end, if it has one."""
+@struct.dataclass(kw_only=True)
+class TrackedFrames:
+    """What is kept of the frames of a tracked character, leaves [T, ...]; see `ControllerState`.
 
-    def frame(carry, _):
-        state, progress = carry
+    Attributes:
+        pose: the displayed body.
+        joints: [T, J, 3] metres in the world.
+        contacts: [T, 4] in [0, 1].
+        phase: [T] radians or [T, G], of the network.
+    """
+
+    pose: Pose
+    joints: Any
+    contacts: Any
+    phase: Any
+
+
+def track_paths(
+    controller: Controller,
+    weights: Sequence[np.ndarray],
+    paths: Sequence[Path],
+    speeds: Sequence[float],
+    num_frames: int,
+    *,
+    lanes: int = 1,
+) -> list[TrackedFrames]:
+    """Returns the frames, in NumPy, of characters that follow paths and stop at their ends, each from standing on.
+
+    They walk side by side in blocks of `BLOCK` frames, so that walks of all lengths are compiled once.
+
+    Args:
+        controller: of the characters.
+        weights: [C] of the style of each.
+        paths: in metres, one for each; a character starts at its first point.
+        speeds: metres per second to request, one for each.
+        num_frames: T.
+        lanes: their number is filled up to a multiple of this, so that about as many are compiled once.
+    """
+    count = len(paths)
+    timed = [make_timed_path(path, speed) for path, speed in zip(paths, speeds, strict=True)]
+    begin = [
+        controller.start(path.points[0], path.start_yaw, _choice(style))
+        for path, style in zip(paths, weights, strict=True)
+    ]
+    filled = [number % count for number in range(-(-count // lanes) * lanes)]
+    states, tracks = (_stacked([every[number] for number in filled]) for every in (begin, timed))
+    states, progress = _on_device((states, np.zeros(len(filled), np.float32)))
+    blocks = []
+    for _ in range(-(-num_frames // BLOCK)):
+        (states, progress), frames = _track_block(controller.setup, controller.params, states, tracks, progress)
+        blocks.append(jax.tree.map(np.asarray, frames))
+    whole = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:num_frames], *blocks)
+    return [jax.tree.map(lambda leaf, i=number: leaf[:, i], whole) for number in range(count)]
+
+
+def _choice(weights: np.ndarray) -> dict[int, float]:
+    """Returns the rows and weights of a mixture as a choice of style."""
+    return {int(row): float(weights[row]) for row in np.flatnonzero(weights)}
+
+
+def _stacked(trees: Sequence[Any]) -> Any:
+    """Returns trees with their leaves stacked, in NumPy, because JAX would compile it."""
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *trees)
+
+
+def _on_device(tree: Any) -> Any:
+    """Commits arrays to the default device, as what a block returns is: else the second would be compiled again."""
+    return jax.device_put(tree, jax.devices()[0])
+
+
+@partial(jax.jit, static_argnames="setup")
+def track_block(
+    setup: ControllerSetup, params: ControllerParams, states: ControllerState, paths: TimedPath, progress: jax.Array
+) -> tuple[tuple[ControllerState, jax.Array], TrackedFrames]:
+    """Moves N characters, leaves [N, ...], along paths for `BLOCK` frames.
+
+    Args:
+        setup, params: of the controller.
+        states: of the characters.
+        paths: of each, with its speed.
+        progress: [N] metres along it.
+
+    Returns:
+        The last states and progress, and all frames [BLOCK, N, ...].
+    """
+
+    def frame(path: TimedPath, state: ControllerState, progress: jax.Array):
         progress = advance_progress(path, state.root, progress)
-        state = step(setup, params, state, pursue(path, state.motion, progress, setup.loop))
-        return (state, progress), state
+        return step(setup, params, state, pursue(path, state.motion, progress, setup.loop)), progress
 
-    return jax.lax.scan(frame, (state, jnp.zeros((), jnp.float32)), length=num_frames)[1]
+    def frames(carry: tuple[ControllerState, jax.Array], _: None):
+        states, progress = jax.vmap(frame)(paths, *carry)
+        kept = TrackedFrames(
+            pose=states.pose, joints=states.joints, contacts=states.contacts, phase=states.motion.phase
+        )
+        return (states, progress), kept
+
+    # The characters within the loop, not a loop for each: the step is then traced once.
+    return jax.lax.scan(frames, (states, progress), length=BLOCK)
+
+
+_track_block = jit_quickly(track_block, static_argnums=0)
 
 
 def loop_path(
@@ -242,7 +363,17 @@ def loop_frames(
     num_frames, evaluate_fn = _num_frames(body, speed, seconds), EVALUATORS[mode]
     state = walking_state(evaluate_fn, predictor, layout, body.normaliser, speed, config=loop)
     state = place_state(state, jnp.asarray(path.points[0], jnp.float32), jnp.float32(path.start_yaw))
-    return follow_path(evaluate_fn, predictor, layout, state, make_timed_path(path, speed), num_frames, config=loop)
+    timed, blocks = make_timed_path(path, speed), []
+    state, progress = _on_device((state, np.float32(0.0)))
+    for _ in range(-(-num_frames // BLOCK)):
+        block = _follow_block(evaluate_fn, predictor, layout, state, timed, BLOCK, progress, config=loop)
+        state, progress = block.state, _on_device(np.asarray(block.progress)[-1])
+        blocks.append(jax.tree.map(np.asarray, replace(block, state=None)))
+    whole = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:num_frames], *blocks)
+    return replace(whole, state=state)
+
+
+_follow_block = jit_quickly(follow_path, static_argnames=("evaluate_fn", "layout", "num_frames", "config"))
 
 
 def fix_walk(walk: GeneratedWalk, *, arms: bool = False) -> GeneratedWalk:

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pfnn_jax.control.compiling import jit_quickly
 from pfnn_jax.control.controller_state import (
     ControllerParams,
     ControllerSetup,
@@ -60,7 +61,7 @@ def find_stances(setup: ControllerSetup, params: ControllerParams, rows: Sequenc
         rows: S rows of the bank, the styles.
     """
     weights = np.eye(len(params.speeds), dtype=np.float32)[np.asarray(rows, int)]
-    frames, waiting = jax.tree.map(np.asarray, _walks(setup, params, weights))
+    frames, waiting = jax.tree.map(np.asarray, _walks_now(setup, params, weights))
     heights = np.asarray(params.foot_heights, np.float64).reshape(2, 2)
     walks = (jax.tree.map(lambda leaf: leaf[row].astype(np.float64), frames) for row in range(len(rows)))  # noqa: B023
     stances = [_stance_of(setup.rig, walk, heights) for walk in walks]
@@ -84,11 +85,14 @@ def _walks(
 
         def frame(state: CharacterState, _: None):
             after, y = step(state, command)
-            predicted = predicted_frame(setup, params, after, y, state.directions[ROOT], jnp.zeros(()))
-            return after, WaitingFrame(motion=after, frame=predicted)
+            return after, (after, y, state.directions[ROOT])
 
-        state = jax.lax.scan(lambda s, _: (step(s, command)[0], None), state, length=WARM_UP_FRAMES)[0]
-        found = jax.lax.scan(frame, state, length=WALK_FRAMES)[1]
+        def predicted(after: CharacterState, y: jax.Array, facing: jax.Array) -> WaitingFrame:
+            return WaitingFrame(motion=after, frame=predicted_frame(setup, params, after, y, facing, jnp.zeros(())))
+
+        # One loop for both parts: the network's step is then compiled once.
+        frames = jax.lax.scan(frame, state, length=WARM_UP_FRAMES + WALK_FRAMES)[1]
+        found = jax.vmap(predicted)(*jax.tree.map(lambda leaf: leaf[WARM_UP_FRAMES:], frames))
         first = jnp.argmin(jax.vmap(partial(feet_distance, rig))(found.frame.joints))
         waiting = jax.tree.map(lambda leaf: leaf[first], found)
         angle = -yaw_of(waiting.frame.facing)
@@ -97,6 +101,9 @@ def _walks(
         return jax.vmap(partial(_on_rigid_bones, rig))(found.frame), WaitingFrame(motion=motion, frame=placed)
 
     return jax.vmap(walk)(jnp.asarray(weights))
+
+
+_walks_now = jit_quickly(_walks, static_argnums=0)
 
 
 def _on_rigid_bones(rig: Rig, frame: PredictedFrame) -> PredictedFrame:

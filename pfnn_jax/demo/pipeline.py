@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.control.controller import Controller, assemble_controller
-from pfnn_jax.control.generation import GeneratedWalk, track_path
+from pfnn_jax.control.generation import GeneratedWalk, track_walks
 from pfnn_jax.demo.config import DemoConfig
 from pfnn_jax.demo.judging import KNOWN, LEARNED, NO_ADAPTER, PAPER, judge_characters, turning_takes
 from pfnn_jax.demo.report import write_demo_report
+from pfnn_jax.evaluation.driven_takes import ROUND_UP_TAKES
 from pfnn_jax.io.files import refuse_existing
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.bvh import write_bvh
@@ -156,13 +157,13 @@ def walk(
 ) -> Mapping[str, GeneratedWalk]:
     """Generates walks on a figure-eight in the learned style, without style, and in a pretraining style; writes BVH."""
     folder.mkdir(parents=True, exist_ok=True)
-    path, walks = figure_eight(FIGURE_EIGHT_RADIUS), {}
-    for name, label, style in (
-        ("learned", UNSEEN_STYLE, LEARNED),
-        ("agnostic", "agnostic", NO_ADAPTER),
-        ("neutral", KNOWN, KNOWN),
-    ):
-        made = track_path(controller, controller.style_weights(style), path, run, seconds=config.walk_seconds)
-        walks[name] = replace(made, clip=replace(made.clip, style=label))
-        write_bvh(folder / f"{label}_figure_eight.bvh", walks[name].clip, overwrite=overwrite)
+    shown = {"learned": LEARNED, "agnostic": NO_ADAPTER, "neutral": KNOWN}
+    labels = {"learned": UNSEEN_STYLE, "agnostic": "agnostic", "neutral": KNOWN}
+    weights = [controller.style_weights(style) for style in shown.values()]
+    options = {"seconds": config.walk_seconds, "lanes": ROUND_UP_TAKES}  # as many as walk turns: nothing is compiled
+    made = track_walks(controller, weights, figure_eight(FIGURE_EIGHT_RADIUS), run, **options)
+    walks = {}
+    for name, made_walk in zip(shown, made, strict=True):
+        walks[name] = replace(made_walk, clip=replace(made_walk.clip, style=labels[name]))
+        write_bvh(folder / f"{labels[name]}_figure_eight.bvh", walks[name].clip, overwrite=overwrite)
     return walks

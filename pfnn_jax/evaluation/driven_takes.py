@@ -15,10 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pfnn_jax.control.calibration import start_standing
 from pfnn_jax.control.controller import Controller, Embodiment
-from pfnn_jax.control.controller_state import ControllerParams, ControllerSetup
-from pfnn_jax.control.generation import starting_row, track_states, walking_state_from
+from pfnn_jax.control.generation import starting_row, track_paths, walking_state_from
 from pfnn_jax.control.loop.pursuit import TimedPath, make_timed_path
 from pfnn_jax.control.loop.rollout import follow_path
 from pfnn_jax.control.loop.state import contacts_of_output, place_state
@@ -186,11 +184,13 @@ def track_takes(
         body: layout, skeleton and normaliser of the network.
         takes: at least one.
     """
-    track, points, yaws = _commands(takes)
+    paths, speeds = [take.path for take in takes], [take.speed for take in takes]
     number = _num_frames(body.layout)
-    outcome = _track(controller.setup, controller.params, jnp.asarray(weights), track, points, yaws, number)
-    joints, phase, contacts = (np.asarray(values) for values in outcome)
-    return [_walk_along(take, joints[i], _global(body.layout, phase[i]), contacts[i]) for i, take in enumerate(takes)]
+    tracked = track_paths(controller, [weights] * len(takes), paths, speeds, number, lanes=ROUND_UP_TAKES)
+    return [
+        _walk_along(take, walk.joints, _global(body.layout, walk.phase), walk.contacts)
+        for take, walk in zip(takes, tracked, strict=True)
+    ]
 
 
 def walk_of_joints(
@@ -300,15 +300,3 @@ def _follow(predictor: Predictor, layout: FrameLayout, x, gating, track: TimedPa
         return frames.joint_positions, frames.phase, frames.outputs
 
     return jax.vmap(one)(x, gating, track, points, yaws)
-
-
-@partial(jax.jit, static_argnames=("setup", "num_frames"))
-def _track(setup: ControllerSetup, params: ControllerParams, weights, track: TimedPath, points, yaws, num_frames: int):
-    """Returns joints [N, T, J, 3], phases and contacts of a tracked character, for paths with a leading axis N."""
-
-    def one(track, point, yaw):
-        start = start_standing(setup, params, point, yaw, weights)
-        states = track_states(setup, params, start, track, num_frames)
-        return states.joints, states.motion.phase, states.contacts
-
-    return jax.vmap(one)(track, points, yaws)

@@ -27,6 +27,9 @@ from pfnn_jax.io.files import failure
 VARIABLE = "JAX_COMPILATION_CACHE_DIR"
 """Environment variable that names another folder; JAX reads it."""
 
+LOG_LEVEL = "TF_CPP_MIN_LOG_LEVEL"
+"""Environment variable with the least level of XLA's log messages; it reads it when it is loaded."""
+
 OFF = ("0", "false", "f", "no", "n", "off")
 """Values of `JAX_ENABLE_COMPILATION_CACHE` with which JAX keeps nothing."""
 
@@ -77,11 +80,23 @@ def use_private_cache() -> Path | None:
     return folder
 
 
+def folder_in_use() -> Path | None:
+    """Returns `compiled_folder` if this process keeps what it compiles there, and None otherwise."""
+    import jax
+
+    on, named = (getattr(jax.config, f"jax_{name}") for name in ("enable_compilation_cache", "compilation_cache_dir"))
+    folder = compiled_folder()
+    return folder if on and named == str(folder) and folder.is_dir() else None
+
+
 def name_private_cache() -> None:
     """Sets the variables that make JAX keep what it compiles in `compiled_folder`, for a process that may import JAX.
 
     Nothing happens where the user has named a folder or has switched the cache off, or where the folder is refused.
-    What JAX warns of, because it cannot read or write an entry, is not shown: it compiles instead.
+    What JAX warns of, because it cannot read or write an entry, is not shown: it compiles instead. Nor are the log
+    messages of XLA, unless `TF_CPP_MIN_LOG_LEVEL` is set: on some processors it reports 3,000 characters for every
+    entry that it loads, about hints of its own compiler that the processor is not asked for (jax-ml/jax#38445). What
+    fails is raised as an exception.
     """
     if VARIABLE in os.environ or os.environ.get("JAX_ENABLE_COMPILATION_CACHE", "1").lower() in OFF:
         return
@@ -89,6 +104,7 @@ def name_private_cache() -> None:
         folder = _prepared_folder()
         if folder is not None:
             os.environ[VARIABLE] = str(folder)
+            os.environ.setdefault(LOG_LEVEL, "3")
             for name, value in OPTIONS.items():
                 os.environ.setdefault(name.upper(), str(value))
             _hide_warnings(folder)

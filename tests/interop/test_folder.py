@@ -43,7 +43,7 @@ def test_description_contains_the_speed_to_command(runs, tmp_path, monkeypatch):
     def measure_walk_speed(setup, params, styles, limits, requested):  # style0 was recorded at 1 m/s, style1 at 1.1
         return requested * np.where(limits < 1.05, 1.0, 2.5)[:, None]
 
-    monkeypatch.setattr(calibration, "measure_walk_speed", measure_walk_speed)
+    monkeypatch.setattr(calibration, "_measure_now", measure_walk_speed)
     asked = [1.0, 1.1 * 0.4]
     description = export_run(run.path, "bins", tmp_path / "all")
     assert [style["asked_speed"] for style in description["styles"]] == pytest.approx(asked)

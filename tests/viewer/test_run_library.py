@@ -12,14 +12,15 @@ import jax
 import numpy as np
 import pytest
 
-from pfnn_jax.control.calibration import measure_walk_speed
-from pfnn_jax.control.controller import Controller, make_controller, step
+from pfnn_jax.control import calibration
+from pfnn_jax.control import controller as controlling
+from pfnn_jax.control.controller import Controller, make_controller
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import in_parts
 from pfnn_jax.models.style import StyleSum
 from pfnn_jax.run import load_run, load_style, save_style
 from pfnn_jax.viewer.page.character import Character, with_capacity
-from pfnn_jax.viewer.page.run_library import SPARE, LoadedRun, RunLibrary, add_to_bank, compile_calibration
+from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, add_to_bank, bank_rows, compile_calibration
 from pfnn_jax.viewer.page.view import View
 from pfnn_jax.workflows.base import open_base
 from tests.raising import assert_refused
@@ -55,7 +56,8 @@ def walked(library: RunLibrary, style: str, frames: int = 20) -> np.ndarray:
 
 def compilations() -> list[int]:
     """Returns how often a step, and a calibration, have been compiled."""
-    return [getattr(function, "_cache_size")() for function in (step, measure_walk_speed)]  # noqa: B009 - under no public name
+    quick: tuple[Any, ...] = (controlling._step_now, calibration._measure_now)
+    return [function.compiled()._cache_size() for function in quick]
 
 
 def test_names_of_runs_are_short_and_distinct(library, two_runs):
@@ -168,7 +170,7 @@ def test_a_full_bank_grows(library):
     save_style(loaded.run.path, "more", styles[0], {"speed": 1.0})
     rows, full = len(loaded.styles), filled(loaded.controller)
     grown = add_to_bank(loaded.run, full, "more", styles[0])
-    assert grown.styles == (*loaded.styles, "more") and grown.capacity == rows + 1 + SPARE
+    assert grown.styles == (*loaded.styles, "more") and grown.capacity == bank_rows(rows + 1)
     for index, style in enumerate([*styles, styles[0]]):
         rows_of = jax.tree.map(lambda leaf, i=index: leaf[i], grown.params.bank)
         wanted = in_parts(style, rows_of) if isinstance(rows_of, StyleSum) else style
@@ -203,7 +205,7 @@ def test_styles_can_be_added_to_a_run_without_styles(played_run, tmp_path, monke
         return view
 
     def join(style: str, spare: int) -> LoadedRun:
-        """Adds a style to the run in a bank of 11 rows, for which the step has been compiled already."""
+        """Adds a style to the run in a bank of 16 rows, for which the step has been compiled already."""
         before, loaded = after(FRAME), bare.get("bare")
         if loaded.controller.params.bank is not None:
             monkeypatch.setattr(bare, "_loaded", {"bare": replace(loaded, controller=filled(loaded.controller))})
@@ -215,14 +217,14 @@ def test_styles_can_be_added_to_a_run_without_styles(played_run, tmp_path, monke
         assert np.abs(after(FRAME).joints - before.joints).max() < 0.05
         return bare.get("bare")
 
-    first = join("proud", 9)
-    assert first.styles == ("agnostic", "proud") and first.controller.capacity == 11
+    first = join("proud", 8)
+    assert first.styles == ("agnostic", "proud") and first.controller.capacity == 16
     assert first.speeds["proud"] == pytest.approx(0.7) and first.speeds["agnostic"] > 0.0
     character.choose("bare", "proud")
     assert after(1.5).style_weights["proud"] == pytest.approx(1.0, abs=0.01)
 
     full = join("neutral", 8)
-    assert full.styles == ("agnostic", "proud", "neutral") and full.controller.capacity == 11
+    assert full.styles == ("agnostic", "proud", "neutral") and full.controller.capacity == 16
     for name, walk in first.speeds.items():
         assert full.speeds[name] == walk
     np.testing.assert_array_equal(full.controller.params.speed_gains[:2], first.controller.params.speed_gains[:2])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +21,10 @@ SEARCH = np.arange(0.0, 1.0, 0.05, dtype=np.float32)
 ARRIVAL = 0.1
 """Metres before the end of an open path at which the command is to stop."""
 
+LEAST_POINTS = 512
+"""Points that every path has at least, and powers of two beyond: paths of other lengths are not compiled again. They
+are 25 metres at the usual spacing."""
+
 FULL_STEERING = 0.6
 """Radians between a character's facing and the direction to its target at which it is turned in full."""
 
@@ -29,33 +35,46 @@ class TimedPath:
 
     Attributes:
         points: [N, 2] metres at equal distances along the path; a closed one repeats its first point at the end.
+            After the last point follow copies of it.
+        last: [] number of the last point.
         length: [] metres.
         closed: [] bool.
         speed: [] metres per second to request.
     """
 
     points: jax.Array
+    last: jax.Array
     length: jax.Array
     closed: jax.Array
     speed: jax.Array
 
 
 def make_timed_path(path: Path, speed: float, num_points: int | None = None) -> TimedPath:
-    """Returns a path with a speed in metres per second; a batch of paths for `vmap` needs one `num_points` for all."""
+    """Returns a path with a speed in metres per second.
+
+    Args:
+        path: in metres.
+        speed: to request.
+        num_points: to resample it to. A batch of paths for `vmap` needs arrays of one size: one `num_points` for all,
+            or at most `LEAST_POINTS` points in each.
+    """
     if num_points is not None:
         path = resample_path(path.points, path.closed, num_points)
     points = np.concatenate([path.points, path.points[:1]]) if path.closed else path.points
+    count = len(points)
+    size = max(LEAST_POINTS, 2 ** math.ceil(math.log2(count)))
     return TimedPath(
-        points=jnp.asarray(points, jnp.float32),
-        length=jnp.float32(path.length),
+        points=jnp.asarray(points[np.minimum(np.arange(size), count - 1)], jnp.float32),
+        last=jnp.asarray(np.int32(count - 1)),
+        length=jnp.asarray(np.float32(path.length)),
         closed=jnp.asarray(path.closed),
-        speed=jnp.float32(speed),
+        speed=jnp.asarray(np.float32(speed)),
     )
 
 
 def point_at(path: TimedPath, distance: jax.Array) -> jax.Array:
     """Returns the points [..., 2] at distances [...] metres along a path: open paths end, closed ones repeat."""
-    last = path.points.shape[0] - 1
+    last = path.last
     along = jnp.where(path.closed, jnp.mod(distance, path.length), jnp.clip(distance, 0.0, path.length))
     place = along * (last / path.length)
     first = jnp.clip(place.astype(jnp.int32), 0, last - 1)

@@ -140,6 +140,7 @@ def follow_path(
     state: CharacterState,
     path: TimedPath,
     num_frames: int,
+    progress: jax.Array | float = 0.0,
     *,
     config: LoopConfig | None = None,
 ) -> Frames:
@@ -149,6 +150,7 @@ def follow_path(
         evaluate_fn, params, layout, state, config: as for `rollout`.
         path: the path and its speed. At the end of an open path the character is commanded to stop.
         num_frames: T.
+        progress: [] metres along the path at the first frame: where earlier frames have ended.
     """
     constants = config or LOOP_CONFIGS[layout.name]
 
@@ -161,7 +163,7 @@ def follow_path(
         distance = jnp.linalg.norm(root - point_at(path, progress))
         return (after, progress), (y, state.phase, _placed(after), progress, distance)
 
-    start = (state, jnp.zeros((), state.positions.dtype))
+    start = (state, jnp.asarray(progress, state.positions.dtype))
     (final, _), (outputs, phase, placed, progress, distance) = jax.lax.scan(frame, start, length=num_frames)
     return Frames(outputs=outputs, phase=phase, state=final, progress=progress, path_distance=distance, **placed)
 

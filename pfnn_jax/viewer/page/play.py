@@ -230,9 +230,9 @@ def _play(
             if open_browser:
                 webbrowser.open(page.url)
             library = background.do(partial(RunLibrary, run_paths, progress.report))
-            threading.Thread(target=_precompile, args=(library,), name="precompile", daemon=True).start()
             background.do(library.warm_up)
             page.begin(library)
+            threading.Thread(target=_precompile, args=(library,), name="precompile", daemon=True).start()
             if keep_compiled:
                 times.note(progress.seconds)
             print(f"{', '.join(library.runs)}: {len(library.styles)} styles at {page.url}  (Ctrl-C ends)", flush=True)
@@ -275,7 +275,7 @@ def _ended_by_signals() -> Iterator[Callable[[], None]]:
 
 
 def _precompile(library: RunLibrary) -> None:
-    """Compiles what the first upload needs, on the core that compiling a step leaves idle."""
+    """Compiles what the first upload needs, once characters can walk: next to a step it would delay them."""
     for run in library.runs:
         prepare_learning(library, run)
 

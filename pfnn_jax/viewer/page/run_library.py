@@ -15,6 +15,7 @@ import numpy as np
 from pfnn_jax.control.abilities import can_strafe
 from pfnn_jax.control.controller import Command, Controller, make_controller, with_calibrated_speeds
 from pfnn_jax.control.controller_state import ControllerParams
+from pfnn_jax.control.kept_calibration import calibrate
 from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import in_parts
@@ -33,7 +34,8 @@ DELETED = "\0"
 """First character of the name of a bank's row whose style was deleted. No style can have such a name."""
 
 SPARE = 8
-"""Spare rows of a bank of styles: this many can be learned before the step must be compiled again."""
+"""Least number of spare rows of a bank of styles: this many can be learned before the step must be compiled again.
+Banks have multiples of it, so that what was compiled before a style was learned serves the next start too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,7 @@ class LoadedRun:
         )
         few_shot = default_config(run)
         later = AdapterConfig(few_shot.method, few_shot.rank) if few_shot.restyled else None
-        controller = _on_device(make_controller(run, styles, capacity=len(styles) + SPARE, later=later))
+        controller = _on_device(make_controller(run, styles, capacity=bank_rows(len(styles)), later=later))
         return cls(name, run, controller, _speeds(controller), phase_scale(run.normaliser))
 
     def with_style(self, style: str) -> LoadedRun:
@@ -292,9 +294,14 @@ class RunLibrary:
         self._version += 1
 
 
+def bank_rows(num_styles: int) -> int:
+    """Returns the rows of a bank for some styles and at least `SPARE` more: a multiple of `SPARE`."""
+    return math.ceil(num_styles / SPARE) * SPARE + SPARE
+
+
 def compile_calibration(controller: Controller) -> None:
-    """Calibrates the speed of one style, so that everything is compiled that a learned style needs."""
-    with_calibrated_speeds(controller, controller.styles[:1])
+    """Calibrates one style, so that everything is compiled that a learned style needs."""
+    calibrate(controller.setup, controller.params, [0])
 
 
 def compile_step(controller: Controller) -> None:
@@ -334,7 +341,7 @@ def add_to_bank(run: Run, controller: Controller, style: str, parameters: Style)
         controller = replace(controller, params=replace(controller.params, bank=zeros))
     bank = controller.params.bank
     if isinstance(bank, StyleSum) and type(parameters) in map(type, bank.parts):
-        parameters = in_parts(parameters, jax.tree.map(lambda leaf: leaf[0], bank))
+        parameters = in_parts(parameters, jax.tree.map(lambda leaf: np.asarray(leaf)[0], bank))
     rows = [np.shape(leaf)[1:] for leaf in jax.tree.leaves(bank)]
     if jax.tree.structure(bank) != jax.tree.structure(parameters) or rows != [
         np.shape(leaf) for leaf in jax.tree.leaves(parameters)
@@ -343,7 +350,7 @@ def add_to_bank(run: Run, controller: Controller, style: str, parameters: Style)
     styles = controller.styles if style in controller.styles else (*controller.styles, style)
     params = controller.params
     if len(styles) > controller.capacity:
-        params = _padded(params, len(styles) + SPARE)
+        params = _padded(params, bank_rows(len(styles)))
     index = styles.index(style)
     bank = jax.tree.map(lambda rows, row: _with_row(rows, index, row), params.bank, parameters)
     params = replace(params, bank=bank, speeds=_with_row(params.speeds, index, default_speed(run, style)))

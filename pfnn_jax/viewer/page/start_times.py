@@ -14,7 +14,7 @@ from pfnn_jax.io.files import write_whole
 TIMES = "start_times.json"
 """File with the seconds of earlier starts."""
 
-FIRST_SECONDS, KEPT_SHARE = 45.0, 0.3
+FIRST_SECONDS, KEPT_SHARE = 20.0, 0.35
 """Seconds of a start for which there is no earlier one, and the share of it that a start with kept code takes."""
 
 
