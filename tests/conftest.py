@@ -24,11 +24,13 @@ os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 # emitters, without threads, again two thirds.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1")
-# What one worker or an earlier run has compiled is read from disk: a second run takes a third of the time.
+# What one worker or an earlier run has compiled is read from disk; for what compiles sooner that saves nothing.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().parents[1] / ".jax_cache"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
+# Where XLA reads it, it can write thousands of letters about the processor into the output of programs under test.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-# Tracing makes many objects and few cycles: with Python's own thresholds a tenth of the time goes into looking for them.
+# Tracing makes many objects and few cycles: with Python's own thresholds a tenth of the time is spent looking for them.
 gc.set_threshold(50_000, 20, 100)
 
 # A shell lets what it starts in the background ignore interrupts, and programs inherit that; tests send interrupts.

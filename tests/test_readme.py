@@ -31,6 +31,7 @@ def commands() -> list[tuple[str, ...]]:
     return [(page, *words[1:]) for page, words in lines if words and words[0] == "pfnn-jax"]
 
 
+@pytest.mark.slow
 def test_the_example_in_the_readme_runs(tmp_path: Path):
     [(_, code)] = blocks("python", [ROOT / "README.md"])
     home = {**os.environ, "XDG_DATA_HOME": str(tmp_path / "home")}  # styles are not learned in the user's own folder
