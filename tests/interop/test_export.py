@@ -15,7 +15,6 @@ import pytest
 from pfnn_jax.control.controller import Controller, make_controller, rollout_commands
 from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import Command
-from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.inference.rows import predict_rows
 from pfnn_jax.inference.style_choice import file_stem
@@ -24,7 +23,6 @@ from pfnn_jax.interop.export.batch import batch_function, relative_error, sample
 from pfnn_jax.interop.export.bins import write_bins
 from pfnn_jax.interop.export.onnx import TOLERANCE
 from pfnn_jax.interop.export.run import export_run
-from pfnn_jax.interop.export.walks import Walk
 from pfnn_jax.interop.released.holden2017 import import_released_pfnn
 from pfnn_jax.interop.released.mason2018 import import_released_cp
 from pfnn_jax.interop.released.mason2022 import import_released_lpn
@@ -39,21 +37,8 @@ from tests.raising import assert_refused
 FLOAT32 = 2e-5  # of an output's largest value: tables are rounded, inverted by least squares and summed again
 LOOP = 1e-4  # metres after 300 frames; float32 against float64 on real networks gives 2e-6
 FRAMES = 300
+pytestmark = pytest.mark.usefixtures("recorded_walks")
 IMPORTS = {"pfnn2017": import_released_pfnn, "mason2018": import_released_cp, "mason2022": import_released_lpn}
-
-
-@pytest.fixture(autouse=True)
-def recorded_walks(monkeypatch):
-    """Exports styles with their recorded speeds: measuring their walks takes most of the compilation.
-
-    `test_folder.py` and `test_reference_loop.py` are about measured walks.
-    """
-
-    def walks_of(run, choices):
-        speeds = [default_speed(run, choice) for choice in choices]
-        return [Walk(speed, speed, speed, None) for speed in speeds]
-
-    monkeypatch.setattr("pfnn_jax.interop.export.description.walks_of", walks_of)
 
 
 @pytest.fixture(scope="module")

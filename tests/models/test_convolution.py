@@ -15,6 +15,7 @@ from pfnn_jax.models.convolution import (
     convolve_repeated,
     max_pool,
 )
+from tests.models.helpers import normal
 
 FLOAT64 = 1e-12
 """Sums of a hundred terms of size one in double precision."""
@@ -24,7 +25,7 @@ ODD = tuple(width for width in WIDTHS if width % 2)
 
 
 def random(seed: int, *shape: int) -> jax.Array:
-    return jax.random.normal(jax.random.key(seed), shape)
+    return normal(seed, *shape)
 
 
 def slow_convolution(frames: np.ndarray, filters: np.ndarray, before: int) -> np.ndarray:

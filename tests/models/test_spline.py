@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from jax.test_util import check_grads
 
 from pfnn_jax.models.spline import catmull_rom_basis, evaluate_spline
+from tests.models.helpers import normal
 
 FLOAT32 = 2e-6  # a few ulp of a sum of four terms of size one
 FLOAT64 = 1e-12  # the same in double precision, with the rounding of 2π·K
@@ -104,7 +105,7 @@ def test_gradients_of_the_basis(num: int, phase: float, float64: None):
 
 @pytest.mark.parametrize("num", CONTROL_POINTS)
 def test_gradients_of_the_spline(num: int, float64: None):
-    alphas = jax.random.normal(jax.random.key(num), (num, 3))
+    alphas = normal(num, num, 3)
     check_grads(jax.jit(evaluate_spline), (alphas, jnp.asarray(0.7)), order=2, modes=("fwd", "rev"))
 
 
