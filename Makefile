@@ -14,7 +14,7 @@ PARALLEL = -n $(WORKERS) --maxprocesses 4 --dist worksteal
 test: .venv/.installed
 	$(MAKE) --jobs=2 pytest lint types docs
 
-# With whole experiments, notebooks and the README's example.
+# With browsers, whole experiments, the README's examples and the notebooks.
 test-all: .venv/.installed
 	$(MAKE) --jobs=2 pytest-all lint types docs
 

@@ -14,6 +14,9 @@ from hypothesis import settings
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
+BROWSERS = {"browser", "three"}
+"""Fixtures that start one."""
+
 MAX_MAPS = 15_000
 """Blocks of memory that a test process may keep mapped from one module to the next."""
 
@@ -41,6 +44,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # same examples are drawn every time.
 settings.register_profile("pfnn_jax", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("pfnn_jax")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks tests that need a browser as slow: it draws in software, and takes the processors from other tests."""
+    for item in items:
+        if item.get_closest_marker("browser") or BROWSERS & set(getattr(item, "fixturenames", ())):
+            item.add_marker("slow")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
