@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup, table_phase
+from pfnn_jax.inference.lookup import LookupMode, evaluate_lookup, make_lookup, table_phase
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.interop.export.bins import network_at
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
@@ -43,7 +43,7 @@ def make_predictor(kind, rank=None):
 
 
 @cache
-def lookup_of(kind, rank=None, mode="nearest50"):
+def lookup_of(kind, rank=None, mode: LookupMode = "nearest50"):
     return make_lookup(make_predictor(kind, rank), mode=mode)
 
 
