@@ -2,8 +2,6 @@
 PYTHON ?= python3
 # Processes that test: one for each processor, four at most, because each takes up to 3 GB.
 WORKERS ?= logical
-# What `make test-all` runs of them; empty for none.
-NOTEBOOKS ?= notebooks
 PORT ?= 8080
 BIN := .venv/bin
 PARALLEL = -n $(WORKERS) --maxprocesses 4 --dist worksteal
@@ -29,7 +27,7 @@ pytest: .venv/.installed
 	$(BIN)/python -m pytest $(PARALLEL) -m "not slow" tests
 
 pytest-all: .venv/.installed
-	$(BIN)/python -m pytest $(PARALLEL) --nbmake tests $(NOTEBOOKS)
+	$(BIN)/python -m pytest $(PARALLEL) --nbmake tests notebooks
 
 docs: .venv/.installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.inference.lookup import LookupMode, evaluate_lookup, make_lookup, table_phase
+from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup, table_phase
+from pfnn_jax.inference.modes import LookupMode
 from pfnn_jax.inference.predictor import Predictor, evaluate
 from pfnn_jax.interop.export.bins import network_at
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
