@@ -1,12 +1,20 @@
 # Everything a contributor runs. `make test`, `make demo` and `make play` need nothing but python3 (3.11 or newer) and make.
 PYTHON ?= python3
-WORKERS ?= 2
+# Processes that test: one for each processor, four at most, because each takes up to 3 GB.
+WORKERS ?= logical
 PORT ?= 8080
 BIN := .venv/bin
+PARALLEL = -n $(WORKERS) --maxprocesses 4 --dist worksteal
 
-.PHONY: test lint types pytest docs notebooks demo play serve lock clean
+.PHONY: test test-all lint types pytest pytest-all docs notebooks demo play serve lock clean
 
-test: lint types pytest docs
+# What checks files needs one processor, next to the tests.
+test: .venv/.installed
+	$(MAKE) --jobs=2 pytest lint types docs
+
+# With browsers, whole experiments, the README's examples and the notebooks.
+test-all: .venv/.installed
+	$(MAKE) --jobs=2 pytest-all lint types docs
 
 lint: .venv/.installed
 	$(BIN)/ruff check .
@@ -16,7 +24,10 @@ types: .venv/.installed
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 pytest: .venv/.installed
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --nbmake tests notebooks
+	$(BIN)/python -m pytest $(PARALLEL) -m "not slow" tests
+
+pytest-all: .venv/.installed
+	$(BIN)/python -m pytest $(PARALLEL) --nbmake tests notebooks
 
 docs: .venv/.installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir site

@@ -14,6 +14,9 @@ from hypothesis import settings
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
+BROWSERS = {"browser", "three"}
+"""Fixtures that start one."""
+
 MAX_MAPS = 15_000
 """Blocks of memory that a test process may keep mapped from one module to the next."""
 
@@ -24,9 +27,14 @@ os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 # emitters, without threads, again two thirds.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1")
-# What one worker or an earlier run has compiled is read from disk: a second run takes a third of the time.
+# What one worker or an earlier run has compiled is read from disk; for what compiles sooner that saves nothing.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).resolve().parents[1] / ".jax_cache"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
+# Where XLA reads it, it can write thousands of letters about the processor into the output of programs under test.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+# Tracing makes many objects and few cycles: with Python's own thresholds a tenth of the time is spent looking for them.
+gc.set_threshold(50_000, 20, 100)
 
 # A shell lets what it starts in the background ignore interrupts, and programs inherit that; tests send interrupts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -36,6 +44,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # same examples are drawn every time.
 settings.register_profile("pfnn_jax", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("pfnn_jax")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks tests that need a browser as slow: it draws in software, and takes the processors from other tests."""
+    for item in items:
+        if item.get_closest_marker("browser") or BROWSERS & set(getattr(item, "fixturenames", ())):
+            item.add_marker("slow")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -98,6 +98,7 @@ def result(tmp_path_factory):
     return config, main(config)
 
 
+@pytest.mark.slow
 def test_row_holds_measures_of_all_walks_and_a_picture(result):
     config, found = result
     (row,) = found["rows"]
@@ -108,6 +109,7 @@ def test_row_holds_measures_of_all_walks_and_a_picture(result):
     assert (config.out / "pictures" / take["picture"]).stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_report_is_written(result):
     config, found = result
     assert json.loads((config.out / "report.json").read_text())["rows"] == found["rows"]
@@ -115,11 +117,13 @@ def test_report_is_written(result):
     assert len(summary(found["rows"])[0]) == len(SUMMARY)
 
 
+@pytest.mark.slow
 def test_run_that_is_given_learns_nothing(result):
     config, _ = result
     assert not any("learned" in path.name for path in config.runs["small"].rglob("*"))
 
 
+@pytest.mark.slow
 def test_finished_rows_are_not_repeated(result):
     config, found = result
     trial = choose_trials(SOURCE["procedural"], config)[0][0]

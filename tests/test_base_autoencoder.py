@@ -109,6 +109,7 @@ def test_noise_is_smooth_and_of_unit_variance():
     assert raised.min() == 0.0 < raised.max() <= 1.5
 
 
+@pytest.mark.slow
 def test_a_small_version_of_the_experiment_writes_a_run(tmp_path: Path):
     training = AutoencoderTrainingConfig(AutoencoderConfig(8, 5), steps=4, batch_size=2, steps_per_dispatch=2)
     config = Config(out=tmp_path, random_styles=1, seconds=4.0, training=training)

@@ -55,6 +55,7 @@ def shipped(tmp_path_factory):
         return config, ship(train(config), config)
 
 
+@pytest.mark.slow
 def test_shipped_differences_are_of_procedural_styles_alone(shipped):
     config, out = shipped
     dataset = load_dataset(config.out / "data")
@@ -65,6 +66,7 @@ def test_shipped_differences_are_of_procedural_styles_alone(shipped):
         np.testing.assert_array_equal(one, np.asarray(other, np.float16))
 
 
+@pytest.mark.slow
 def test_shipped_run_holds_the_named_styles_and_no_state_of_training(shipped):
     config, out = shipped
     assert set(load_run(out).config.styles) == {*PRETRAINING_STYLES, CAPTURED[0]}

@@ -39,6 +39,7 @@ def test_every_move_closes_and_stays_in_place(moves: Path):
         assert np.abs(clip.root_positions[-1] - clip.root_positions[0]).max() < CLOSED
 
 
+@pytest.mark.slow
 def test_moves_are_appended_to_a_character(moves: Path, tmp_path_factory: pytest.TempPathFactory, tmp_path: Path):
     run, out = walking_run(tmp_path_factory), tmp_path / "proud.glb"
     main(["export", str(run.path), "--format", "glb", "--style", "proud", "--onto", str(moves), "--out", str(out)])

@@ -13,6 +13,8 @@ from pfnn_jax.evaluation.drive_preset import DrivePreset
 from tests.raising import assert_refused
 from tests.trained import walking_run
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 3
 STRAIGHT = 10.0  # degrees between a straight command and the walk of a network of 64 hidden units
 WALKS = 0.25  # of the commanded speed, over three seconds that begin with standing

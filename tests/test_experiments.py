@@ -30,6 +30,7 @@ def test_adapters_take_the_memory_of_table_1(kind, control_points, slices):
     np.testing.assert_allclose(table1_adapters.memory(adapter, 50), slices, rtol=PAPERS_DIGITS)
 
 
+@pytest.mark.slow
 def test_table1_adapters(tmp_path):
     config = table1_adapters.Config(
         tmp_path, num_joints=4, hidden=8, rank=2, frames=20, epochs=1, timed_frames=2, crowd=2, slices=4, repetitions=1
@@ -48,6 +49,7 @@ def test_table1_adapters(tmp_path):
     assert len(table) == 2 + 5 + 3 and all(line.count("|") == 8 for line in table)
 
 
+@pytest.mark.slow
 def test_table1_transfer(tmp_path):
     sizes = TransferSizes((60,), filters=4, hidden=4, width=5, iterations=2, constraint_iterations=2)
     result = table1_transfer.main(table1_transfer.Config(tmp_path, sizes, repetitions=2))
@@ -57,6 +59,7 @@ def test_table1_transfer(tmp_path):
     assert len(table) == 2 + 5 and all(line.count("|") == 8 for line in table)
 
 
+@pytest.mark.slow
 def test_few_shot_dropout(tmp_path):
     config = few_shot_dropout.Config(
         tmp_path,

@@ -31,6 +31,8 @@ from pfnn_jax.evaluation.turning_judge import MEASURES, STYLE_MEASURES
 from pfnn_jax.inference.rows import evaluate_rows
 from pfnn_jax.training.data import to_batch
 
+pytestmark = pytest.mark.slow
+
 STYLES = ("elderly", "normal", "youthful")
 SAME = 1e-4  # float32 rows through a normaliser and back
 LEARNING = Learning(steps=3, batch_size=8)

@@ -30,6 +30,9 @@ CLIPS = {
     "headset root without arms": "field/cgspeed_daz.bvh",
 }
 
+MARKS = {name: pytest.mark.slow for name in CLIPS if name != "headset root"}
+"""One clip is learned in every run of the tests, the furthest from the network's own data."""
+
 RADIUS = 2.0
 """Metres; a walk of 1.2 m/s turns by 34 degrees per second."""
 
@@ -102,7 +105,7 @@ def standing_hips(skeleton: Skeleton) -> float:
     return float(points[body.hips, 1] - points[:, 1].min())
 
 
-@pytest.fixture(scope="module", params=sorted(CLIPS))
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=MARKS.get(name, ())) for name in sorted(CLIPS)])
 def learned(request: pytest.FixtureRequest, mocap: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
     """The base network with a style `mine`, and the file that it was learned from."""
     file, folder = mocap / CLIPS[request.param], tmp_path_factory.mktemp("foreign_clips")

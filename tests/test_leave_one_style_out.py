@@ -45,6 +45,7 @@ def test_adaptation_clip_and_test_takes_are_disjoint(config):
     assert all("turn" in name for name in fold.test.turning.names)
 
 
+@pytest.mark.slow
 def test_two_steps_give_every_row_and_measure(config):
     main(config)
     result = json.loads((config.out / "result.json").read_text())
@@ -57,6 +58,7 @@ def test_two_steps_give_every_row_and_measure(config):
     assert (config.out / "errors.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_finished_folds_are_not_run_again(config):
     (fold,) = config.out.glob("fold_*.json")
     before = fold.stat().st_mtime_ns

@@ -31,6 +31,7 @@ def commands() -> list[tuple[str, ...]]:
     return [(page, *words[1:]) for page, words in lines if words and words[0] == "pfnn-jax"]
 
 
+@pytest.mark.slow
 def test_the_example_in_the_readme_runs(tmp_path: Path):
     [(_, code)] = blocks("python", [ROOT / "README.md"])
     home = {**os.environ, "XDG_DATA_HOME": str(tmp_path / "home")}  # styles are not learned in the user's own folder
@@ -41,6 +42,7 @@ def test_the_example_in_the_readme_runs(tmp_path: Path):
     assert (tmp_path / "walk.bvh").exists()
 
 
+@pytest.mark.slow
 def test_the_first_commands_in_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     from pfnn_jax.cli import main
 
@@ -58,6 +60,7 @@ def test_the_first_commands_in_the_readme_run(tmp_path: Path, monkeypatch: pytes
     assert "zombie" in {style.name for style in (run / "styles").iterdir()}
 
 
+@pytest.mark.slow
 def test_the_transfer_in_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     from pfnn_jax.cli import main
 
@@ -71,6 +74,7 @@ def test_the_transfer_in_the_readme_runs(tmp_path: Path, monkeypatch: pytest.Mon
     assert (tmp_path / "restyled.html").stat().st_size > 50_000
 
 
+@pytest.mark.slow
 def test_the_character_in_the_readme_gets_its_clips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     from pfnn_jax.cli import main
 

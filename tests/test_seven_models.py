@@ -80,6 +80,7 @@ def test_a_single_take_is_cut_in_time_with_a_gap(takes):
     assert early.clip.num_frames + GAP + late.clip.num_frames == takes.train[0].clip.num_frames
 
 
+@pytest.mark.slow
 def test_every_model_has_every_measure(config, result):
     assert set(result["models"]) == {f"{name}_0" for name in LEARNED}
     for entry in result["models"].values():
@@ -92,15 +93,18 @@ def test_every_model_has_every_measure(config, result):
     assert all((config.out / name).stat().st_size > 5000 for name in ("mse.png", "bones.png", "walks.png"))
 
 
+@pytest.mark.slow
 def test_finished_models_are_not_trained_again(config, result):
     assert one_step_error.main(config)["models"] == result["models"]
 
 
+@pytest.mark.slow
 def test_results_of_other_settings_are_refused(config, result):
     other = replace(config, tiny=False, hidden=16)
     assert_refused(lambda: one_step_error.main(other), place="steps", value=other.steps, rule_mentions="must be 4")
 
 
+@pytest.mark.slow
 def test_saved_models_are_loaded(config, result, folder):
     model = load_model(one_step_error.network_folder(config.out, "lpn_film", 0), load_takes(str(folder), most=2))
     assert model is not None and model.styles == ("elderly", "normal")
@@ -114,6 +118,7 @@ def test_unknown_model_is_refused(tmp_path):
     assert_refused(make, place="models", value="lpn", rule_mentions="pfnn_one_hot")
 
 
+@pytest.mark.slow
 def test_methods_of_adding_a_style_give_every_measure(config, result, mocap, tmp_path):
     new = tmp_path / "new"
     new.mkdir()
@@ -154,6 +159,7 @@ def test_takes_are_grouped_by_motion(takes):
     assert {kind: len(own) for kind, own in groups.items()} == {"side": 2, "run": 1, "back": 1}
 
 
+@pytest.mark.slow
 def test_table2_models(tmp_path):
     config = table2_models.Config(tmp_path, num_joints=25, hidden=8, timed_frames=2, slices=4, repetitions=1)
     found = table2_models.main(config)

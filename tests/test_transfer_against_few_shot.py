@@ -100,6 +100,7 @@ def result(mocap, tmp_path_factory):
     return config, main(config)
 
 
+@pytest.mark.slow
 def test_every_content_has_a_row_of_every_method(result):
     _, found = result
     for content in CONTENTS:
@@ -107,12 +108,14 @@ def test_every_content_has_a_row_of_every_method(result):
         assert methods == ["real", "real, retargeted", "content", "optimisation", "fast network", "few-shot", NO_STYLE]
 
 
+@pytest.mark.slow
 def test_report_is_written(result):
     config, found = result
     assert json.loads((config.out / "report.json").read_text())["rows"] == found["rows"]
     assert "few-shot" in (config.out / "table.md").read_text()
 
 
+@pytest.mark.slow
 def test_clips_are_not_made_again(result):
     config, found = result
     files = {path: path.stat().st_mtime_ns for path in (config.out / "clips").iterdir()}

@@ -99,6 +99,7 @@ def test_released_outputs_are_on_one_skeleton_at_one_rate(clips, reference):
             assert 0 <= peer.pair.content.num_frames - clip.num_frames <= 3
 
 
+@pytest.mark.slow
 def test_transfer_judged(mocap, reference, tmp_path):
     make_run(tmp_path / "run")
     config = transfer_judged.Config(

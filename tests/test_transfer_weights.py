@@ -38,6 +38,7 @@ def data(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_transfer_weights(data, tmp_path):
     config = transfer_weights.Config(data, tmp_path / "out", tmp_path / "run", contents=1, styles=1, epochs=1)
     still = OptimisationConfig(LossWeights(style=0.0), iterations=1, constraint_iterations=0)

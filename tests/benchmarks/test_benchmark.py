@@ -152,12 +152,14 @@ def test_figure_is_a_median_with_quartiles_and_an_aim():
     assert figure("", "", np.array([3.1]), "s").meets_aim is None
 
 
+@pytest.mark.slow
 def test_result_survives_json_and_has_positive_figures(result):
     assert json.loads(json.dumps(result)) == result
     for row in result["figures"]:
         assert row["value"] > 0 and row["low"] <= row["value"] <= row["high"] and row["repetitions"] >= 1
 
 
+@pytest.mark.slow
 def test_printed_table_names_every_figure(result):
     console = Console(record=True, width=120)
     print_benchmark(result, console)

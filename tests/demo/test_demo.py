@@ -29,6 +29,7 @@ def made(tmp_path_factory):
     return out, demo(out, TINY)
 
 
+@pytest.mark.slow
 def test_run_contains_the_ninth_style(made):
     out, _ = made
     run = load_run(out / "run")
@@ -38,6 +39,7 @@ def test_run_contains_the_ninth_style(made):
     assert info["choice"]["epochs"] in info["config"]["eval_epochs"]
 
 
+@pytest.mark.slow
 def test_clip_is_a_bvh_file_with_a_phase_file(made):
     out, _ = made
     clip = read_bvh(out / "clip" / "zombie_straight.bvh")
@@ -46,6 +48,7 @@ def test_clip_is_a_bvh_file_with_a_phase_file(made):
     assert labels.labelled.all()
 
 
+@pytest.mark.slow
 def test_report_judges_every_character_and_needs_no_network(made):
     out, result = made
     report = json.loads((out / "report.json").read_text())
@@ -58,6 +61,7 @@ def test_report_judges_every_character_and_needs_no_network(made):
         assert read_bvh(out / "motion" / f"{name}_figure_eight.bvh").num_frames == 120
 
 
+@pytest.mark.slow
 def test_existing_output_is_refused_without_overwrite(made):
     assert_refused(lambda: demo(made[0], TINY), file=made[0], place="output", value="exists")
 
@@ -68,6 +72,7 @@ def test_adaptation_walk_is_labelled_in_every_frame():
     assert labelled.labels.labelled.all()
 
 
+@pytest.mark.slow
 def test_takes_turn_at_the_stated_rates(made):
     run = load_run(made[0] / "run")
     for take, rate in zip(turning_takes(UNSEEN_STYLE, run, 0), TURN_RATES, strict=True):

@@ -124,6 +124,7 @@ def test_actor_repeats_a_style_more_closely_than_another_style(actor, run):
     assert near is not None and far is not None and near < far
 
 
+@pytest.mark.slow
 def test_own_style_walks_more_like_the_actor_than_another(actor, run):
     distances = {}
     for style in ("old", "proud"):

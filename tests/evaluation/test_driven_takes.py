@@ -51,6 +51,7 @@ def walks(run, takes) -> dict:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["loop", "controller"])
 def test_own_style_walks_more_like_the_actor_than_another(takes, walks, way):
     distances = []
@@ -61,11 +62,13 @@ def test_own_style_walks_more_like_the_actor_than_another(takes, walks, way):
     assert distances[0] < distances[1]
 
 
+@pytest.mark.slow
 def test_tracked_character_keeps_to_the_path_and_the_speed_of_the_actor(takes, walks):
     for one in (judge_walk(*pair) for pair in zip(takes, walks["controller", "old"], strict=True)):
         assert one["speed"] == pytest.approx(1.0, abs=SPEED) and one["path"] < 100 * DRIFT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["loop", "controller"])
 def test_walk_covers_the_take_and_a_margin(takes, walks, way):
     for one, walk in zip(takes, walks[way, "old"], strict=True):
@@ -74,6 +77,7 @@ def test_walk_covers_the_take_and_a_margin(takes, walks, way):
         assert len(walk.joints) - 1 - walk.last <= MARGIN_SECONDS * one.fps
 
 
+@pytest.mark.slow
 def test_walk_along_a_take_does_not_depend_on_the_other_takes(run, takes, walks):
     alone = follow_takes(make_predictor(run, "old"), run, takes[1:])[0]
     np.testing.assert_allclose(alone.joints, walks["loop", "old"][1].joints, atol=SAME)
@@ -91,6 +95,7 @@ def test_network_that_diverges_is_counted_and_raises_nothing(run, takes):
         assert all(judge_walk(*pair)["failed"] == 1.0 for pair in zip(takes, walks, strict=True))
 
 
+@pytest.mark.slow
 def test_experiments_judge_a_style_in_both_ways(run, takes, walks):
     styled = StyledNetwork(run.shared, load_style(run, "old"), run, 0.7)
     judged = judge_network(styled, takes, "old", None)

@@ -496,6 +496,7 @@ def test_joints_get_different_names(tmp_path):
     assert len(set(names)) == len(names)
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_bytes_changed_anywhere_are_read_or_refused_in_one_line(tmp_path, data):
@@ -518,6 +519,7 @@ VALUES = st.one_of(
 FULL = full()
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_values_changed_anywhere_in_the_json_are_read_or_refused_in_one_line(tmp_path, data):

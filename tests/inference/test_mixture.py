@@ -38,10 +38,8 @@ NETWORK = NetworkConfig(LAYOUT.input_size, LAYOUT.output_size, hidden=8)
 
 def random_style(kind: AdapterKind, seed: int) -> Style:
     leaves, tree = jax.tree.flatten(init_style(AdapterConfig(kind, rank=2), NETWORK, key=jax.random.key(1)))
-    keys = jax.random.split(jax.random.key(seed), len(leaves))
-    return jax.tree.unflatten(
-        tree, [jax.random.normal(key, leaf.shape) for key, leaf in zip(keys, leaves, strict=True)]
-    )
+    rng = np.random.default_rng(seed)
+    return jax.tree.unflatten(tree, [rng.normal(size=leaf.shape).astype(np.float32) for leaf in leaves])
 
 
 def make_run(path, kind: AdapterKind) -> Run:
@@ -64,14 +62,14 @@ def test_mixture_is_the_same_in_controllers_rows_and_tables(tmp_path, kind: Adap
     bank = jax.tree.map(jnp.asarray, load_bank(run, STYLES))
     dynamic = replace(make_predictor(run), style=bank.mix_dynamic(WEIGHTS))
     with jax.default_matmul_precision("highest"):
-        expected = np.asarray(jax.vmap(evaluate, (None, 0, 0))(dynamic, jnp.asarray(x), jnp.asarray(phase)))
+        expected = np.asarray(jax.jit(jax.vmap(evaluate, (None, 0, 0)))(dynamic, jnp.asarray(x), jnp.asarray(phase)))
     scale = np.abs(expected).max()
     np.testing.assert_allclose(predict_rows(run, x, phase, CHOICE), expected, atol=FLOAT32 * scale)
     each = RowStyles(np.tile(np.arange(3), (3, 1)), np.tile(np.asarray(WEIGHTS), (3, 1)))
     np.testing.assert_allclose(predict_rows(run, x, phase, each), expected, atol=FLOAT32 * scale)
     table = make_lookup(make_predictor(run, CHOICE))
     at = 2 * np.pi * 10 / 50
-    found, wanted = evaluate_lookup(table, jnp.asarray(x[0]), at), evaluate(dynamic, jnp.asarray(x[0]), jnp.asarray(at))
+    found, wanted = evaluate_lookup(table, x[0], at), jax.jit(evaluate)(dynamic, jnp.asarray(x[0]), jnp.asarray(at))
     np.testing.assert_allclose(found, wanted, atol=FLOAT32 * scale)
 
 
@@ -86,7 +84,7 @@ def test_a_mixture_at_a_vertex_is_that_style(tmp_path):
 def output(network: Network, style: Style | None) -> np.ndarray:
     x, c = jnp.linspace(-1.0, 1.0, LAYOUT.input_size), jnp.asarray([0.1, -0.2, 0.5, 0.6])
     with jax.default_matmul_precision("highest"):
-        return np.asarray(forward(network, style, c, x))
+        return np.asarray(jax.jit(forward)(network, style, c, x))
 
 
 @pytest.mark.parametrize("kind", ["cp_output", "one_hot", "full"])

@@ -71,4 +71,4 @@ def test_gradients(run):
         predictor: Predictor = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), make_predictor(run, "angry"))
         x = jnp.asarray(np.random.default_rng(4).normal(size=LAYOUT.input_size))
         phase = jnp.asarray(0.7)  # within a segment: the spline's second derivative jumps at the knots
-        check_grads(evaluate, (predictor, x, phase), order=1, modes=("fwd", "rev"))
+        check_grads(jax.jit(evaluate), (predictor, x, phase), order=1, modes=("fwd", "rev"))

@@ -22,6 +22,7 @@ def printed_code() -> list[str]:
     return re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 
 
+@pytest.mark.slow
 def test_a_stranger_drives_a_character_with_the_printed_code_alone(runs, tmp_path):
     """In a fresh interpreter that finds no package but the exported folder's, and in the folder above that."""
     pytest.importorskip("onnxruntime")
@@ -37,7 +38,7 @@ def test_a_stranger_drives_a_character_with_the_printed_code_alone(runs, tmp_pat
     assert (done.stdout, done.stderr) == ("True False\n", "")
 
 
-def test_the_printed_loop_equals_the_reference_loop(runs, tmp_path, monkeypatch):
+def test_the_printed_loop_equals_the_reference_loop(runs, recorded_walks, tmp_path, monkeypatch):
     pytest.importorskip("onnxruntime")
     run = runs("mason2018", "cp")
     export_run(run.path, "onnx", tmp_path / "exported", style="style1")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pfnn_jax.control.controller import make_controller, rollout_commands
+from pfnn_jax.control.controller import Controller, make_controller, rollout_commands
 from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import Command
 from pfnn_jax.inference.predictor import evaluate, make_predictor
@@ -36,7 +37,19 @@ from tests.raising import assert_refused
 FLOAT32 = 2e-5  # of an output's largest value: tables are rounded, inverted by least squares and summed again
 LOOP = 1e-4  # metres after 300 frames; float32 against float64 on real networks gives 2e-6
 FRAMES = 300
+pytestmark = pytest.mark.usefixtures("recorded_walks")
 IMPORTS = {"pfnn2017": import_released_pfnn, "mason2018": import_released_cp, "mason2022": import_released_lpn}
+
+
+@pytest.fixture(scope="module")
+def controllers(runs):
+    """Controllers of the published loop, by layout and kind of style: mixtures need no other one."""
+
+    @cache
+    def make(name: str, kind: str) -> Controller:
+        return make_controller(runs(name, kind), foot_ik=False, tracking=None)
+
+    return make
 
 
 def film_numbers(run, style) -> np.ndarray:
@@ -95,8 +108,8 @@ def commands(speed: float) -> tuple[np.ndarray, np.ndarray]:
     return np.where((np.arange(FRAMES) // 40) == 5, 0.0, speed * facing), facing
 
 
-def walk(run: Run, choice: str | dict[str, float], description: dict) -> np.ndarray:
-    """Returns world joints [T, J, 3] of the controller's published loop under `commands`, from the exported start."""
+def walk(run: Run, controller: Controller, choice: str | dict[str, float], description: dict) -> np.ndarray:
+    """Returns world joints [T, J, 3] of the controller's loop under `commands`, from the exported start."""
     start, layout = description["start"], run.layout
     x = np.array(start["x"])
     if layout.name == "mason2018":  # the files are in the authors' units
@@ -104,7 +117,6 @@ def walk(run: Run, choice: str | dict[str, float], description: dict) -> np.ndar
         x = x[columns] * factors
     x, zero = jnp.asarray(x, jnp.float32), jnp.zeros((), jnp.float32)
     motion = initial_state(layout, x, jnp.asarray(start["phase"], jnp.float32), jnp.zeros(2, jnp.float32), zero)
-    controller = make_controller(run, foot_ik=False, tracking=None)
     style = jnp.asarray(controller.style_weights(choice if isinstance(choice, str) else {**choice}))
     velocities, directions = (
         jnp.asarray(np.stack([np.imag(v), np.real(v)], -1), jnp.float32) for v in commands(start["asked_speed"])
@@ -136,11 +148,11 @@ def reference_walk(folder: Path) -> np.ndarray:
         ("mason2022", "film", {"style0": 0.4, "style1": 0.6}),
     ],
 )
-def test_reference_loop_equals_the_controller_loop(runs, tmp_path, name, kind, choice):
+def test_reference_loop_equals_the_controller_loop(runs, controllers, tmp_path, name, kind, choice):
     """Without command tracking and foot locks, in a style and in a mixture of two."""
     run = runs(name, kind)
     description = export_run(run.path, "bins", tmp_path / "bins", style=choice)
-    expected = walk(run, choice, description)
+    expected = walk(run, controllers(name, kind), choice, description)
     assert np.isfinite(expected).all() and np.ptp(expected, axis=0).max() > 10 * LOOP
     np.testing.assert_allclose(reference_walk(tmp_path / "bins"), expected, atol=LOOP)
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from typing import TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.layers import style_class, style_kinds
 from pfnn_jax.models.layers.film import layer_norm
-from pfnn_jax.models.network import Network, coefficients, forward
+from pfnn_jax.models.network import Network, coefficients, forward, init_network
 from pfnn_jax.models.style import Layer, Norm, Style, init_bank, init_style
 
 Tree = TypeVar("Tree")
@@ -20,28 +22,45 @@ STYLE_KINDS = style_kinds()
 LAYER_KINDS = tuple(kind for kind in STYLE_KINDS if issubclass(style_class(kind), Layer))
 
 
-def randomise(tree: Tree, seed: int) -> Tree:
-    """Returns the tree with normal leaves; the zero biases of fresh layers could hide a mistake."""
+def randomise(tree: Tree, seed: int, scale: float = 1.0) -> Tree:
+    """Returns the tree with normal leaves; the zero biases of fresh layers could hide a mistake.
+
+    The leaves of the tree need no more than shapes: `jax.eval_shape` makes them without compiling.
+    """
     leaves, structure = jax.tree.flatten(tree)
-    keys = jax.random.split(jax.random.key(seed), len(leaves))
-    return jax.tree.unflatten(structure, [jax.random.normal(k, v.shape) for k, v in zip(keys, leaves, strict=True)])
+    return jax.tree.unflatten(
+        structure, [normal(seed + 1000 * i, *leaf.shape, scale=scale) for i, leaf in enumerate(leaves)]
+    )
+
+
+def random_network(sizes: NetworkConfig, seed: int, scale: float = 1.0) -> Network:
+    """Returns a network with normal parameters."""
+    return randomise(jax.eval_shape(lambda: init_network(sizes, key=jax.random.key(0))), seed, scale)
+
+
+def normal(seed: int, *shape: int, scale: float = 1.0) -> jax.Array:
+    """Returns normal numbers, drawn by NumPy: JAX compiles a function for every shape."""
+    drawn = scale * np.random.default_rng(seed).normal(size=shape)
+    return jnp.asarray(drawn, jnp.zeros(()).dtype)
 
 
 def random_layer(kind: str, num_control_points: int, inputs: int, outputs: int, rank: int, seed: int = 0) -> Layer:
     """Returns a layer with normal parameters; `diagonal` and `bias` need inputs = outputs."""
-    layer = style_class(kind).init(inputs, outputs, num_control_points, rank=rank, key=jax.random.key(seed))
+    init = partial(style_class(kind).init, inputs, outputs, num_control_points, rank=rank)
+    layer = jax.eval_shape(lambda: init(key=jax.random.key(0)))
     assert isinstance(layer, Layer)
     return randomise(layer, seed)
 
 
 def random_style(kind: str, sizes: NetworkConfig, rank: int, seed: int = 0) -> Style:
     """Returns a style of any kind with normal parameters."""
-    return randomise(init_style(AdapterConfig(kind, rank), sizes, key=jax.random.key(seed)), seed)
+    return randomise(jax.eval_shape(lambda: init_style(AdapterConfig(kind, rank), sizes, key=jax.random.key(0))), seed)
 
 
 def random_bank(kind: str, num_styles: int, sizes: NetworkConfig, rank: int, seed: int = 0) -> Style:
     """Returns S styles of any kind with normal parameters, leaves [S, ...]."""
-    return randomise(init_bank(AdapterConfig(kind, rank), sizes, num_styles, key=jax.random.key(seed)), seed)
+    init = partial(init_bank, AdapterConfig(kind, rank), sizes, num_styles)
+    return randomise(jax.eval_shape(lambda: init(key=jax.random.key(0))), seed)
 
 
 def shapes(tree: object) -> dict[str, tuple[tuple[int, ...], str]]:

@@ -15,6 +15,7 @@ from pfnn_jax.models.convolution import (
     convolve_repeated,
     max_pool,
 )
+from tests.models.helpers import normal
 
 FLOAT64 = 1e-12
 """Sums of a hundred terms of size one in double precision."""
@@ -24,7 +25,7 @@ ODD = tuple(width for width in WIDTHS if width % 2)
 
 
 def random(seed: int, *shape: int) -> jax.Array:
-    return jax.random.normal(jax.random.key(seed), shape)
+    return normal(seed, *shape)
 
 
 def slow_convolution(frames: np.ndarray, filters: np.ndarray, before: int) -> np.ndarray:
@@ -78,4 +79,4 @@ def test_pooling_takes_the_larger_of_two_frames():
 def test_gradients_are_those_of_finite_differences(float64: None):
     frames, filters = random(5, 8, 2), random(6, 5, 2, 3)
     for function in (convolve, convolve_repeated):
-        check_grads(function, (frames, filters), order=2, modes=("fwd", "rev"))
+        check_grads(jax.jit(function), (frames, filters), order=2, modes=("fwd", "rev"))

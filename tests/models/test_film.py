@@ -15,9 +15,9 @@ from pfnn_jax.models.layers.bias import BiasLayer
 from pfnn_jax.models.layers.film import FiLMStyle, layer_norm, layer_norm_sample
 from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.layers.one_hot import OneHot
-from pfnn_jax.models.network import Dropout, Network, forward, init_network
+from pfnn_jax.models.network import Dropout, Network, forward
 from pfnn_jax.models.style import mix_styles
-from tests.models.helpers import randomise
+from tests.models.helpers import normal, random_network, randomise
 
 FLOAT64 = 1e-12  # a few small layers in double precision
 NO_VARIANCE = 1e-7  # relative effect of 1e-8 inside the root on variances near one
@@ -27,7 +27,7 @@ KEY = jax.random.key(21)
 
 
 def features(seed: int = 1) -> jax.Array:
-    return jax.random.normal(jax.random.key(seed), (HIDDEN,))
+    return normal(seed, HIDDEN)
 
 
 def random_film(seed: int = 2) -> FiLMStyle:
@@ -35,13 +35,12 @@ def random_film(seed: int = 2) -> FiLMStyle:
 
 
 def small_network(inputs: int = INPUTS) -> Network:
-    network = randomise(init_network(NetworkConfig(inputs, 3, HIDDEN, POINTS), key=KEY), 4)
-    return jax.tree.map(lambda leaf: 0.5 * leaf, network)
+    return random_network(NetworkConfig(inputs, 3, HIDDEN, POINTS), 4, 0.5)
 
 
 def frame() -> tuple[jax.Array, jax.Array]:
     """Returns (coefficients [K], x [I])."""
-    return jnp.asarray([0.1, 0.2, 0.3, 0.4]), jax.random.normal(jax.random.key(5), (INPUTS,))
+    return jnp.asarray([0.1, 0.2, 0.3, 0.4]), normal(5, INPUTS)
 
 
 def test_layer_norm_has_mean_zero_and_standard_deviation_one(float64: None):
@@ -160,7 +159,7 @@ def test_a_one_hot_style_is_a_one_hot_input(style: int, float64: None):
 def test_a_one_hot_input_is_kept_or_dropped_as_a_whole(float64: None):
     """Its one input, 1, is dropped at the adapter's rate: the style vanishes, or is scaled by 1 / (1 - rate)."""
     network, (c, x) = small_network(), frame()
-    style = OneHot(shift=BiasLayer(biases=jax.random.normal(KEY, (POINTS, HIDDEN))))
+    style = OneHot(shift=BiasLayer(biases=normal(21, POINTS, HIDDEN)))
     double = jax.tree.map(lambda leaf: 2 * leaf, style)
     rates = Dropout(main=jnp.asarray(0.0), adapter=jnp.asarray(0.5))
     keys = jax.random.split(KEY, 12)
@@ -171,7 +170,7 @@ def test_a_one_hot_input_is_kept_or_dropped_as_a_whole(float64: None):
 
 
 def test_gradients_of_forward_with_a_one_hot_style(float64: None):
-    style = OneHot(shift=BiasLayer(biases=jax.random.normal(KEY, (POINTS, HIDDEN))))
+    style = OneHot(shift=BiasLayer(biases=normal(21, POINTS, HIDDEN)))
     arguments = (small_network(), style, *frame())
     check_grads(jax.jit(forward), arguments, order=1, modes=("fwd", "rev"))
 

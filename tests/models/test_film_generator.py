@@ -16,7 +16,7 @@ from pfnn_jax.models.film_generator import FiLMGenerator
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.network import num_parameters
 from pfnn_jax.models.presets import LAYOUT_OF, TABLE2, Backbone, counts, network_config, paper_count
-from tests.models.helpers import randomise, shapes
+from tests.models.helpers import normal, randomise, shapes
 
 FLOAT64 = 1e-10  # sums of a hundred terms of size ten in double precision
 
@@ -26,11 +26,11 @@ TINY = GeneratorConfig(features=3, clip_frames=12, filters=4, width=5, hidden=6,
 
 def tiny() -> FiLMGenerator:
     """Returns a generator whose biases are not zero."""
-    return randomise(FiLMGenerator.init(TINY, key=KEY), 1)
+    return randomise(jax.eval_shape(lambda: FiLMGenerator.init(TINY, key=KEY)), 1)
 
 
 def clip(seed: int = 2, *batch: int) -> jax.Array:
-    return jax.random.normal(jax.random.key(seed), (*batch, TINY.clip_frames, TINY.features))
+    return normal(seed, *batch, TINY.clip_frames, TINY.features)
 
 
 def slow_convolution(value: np.ndarray, kernel: np.ndarray, bias: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from pfnn_jax.models.config import NetworkConfig
 from pfnn_jax.models.gating import Gating, gate, init_gating
 from pfnn_jax.models.network import Dropout, Network, coefficients, config_of, forward, init_network
 from pfnn_jax.models.spline import catmull_rom_basis
-from tests.models.helpers import predict, randomise, shapes
+from tests.models.helpers import normal, predict, random_network, randomise, shapes
 
 FLOAT64 = 1e-12  # a softmax over a few small layers in double precision
 FLOAT32 = 1e-6  # the same in single precision
@@ -24,11 +24,11 @@ KEY = jax.random.key(11)
 
 
 def small_gating() -> Gating:
-    return randomise(init_gating(LIMBS, WIDTH, EXPERTS, key=KEY), 1)
+    return randomise(jax.eval_shape(lambda: init_gating(LIMBS, WIDTH, EXPERTS, key=KEY)), 1)
 
 
 def phase(seed: int = 2) -> jax.Array:
-    return jax.random.normal(jax.random.key(seed), (LIMBS,))
+    return normal(seed, LIMBS)
 
 
 def with_logits(gating: Gating, logits: jax.Array) -> Gating:
@@ -39,7 +39,7 @@ def with_logits(gating: Gating, logits: jax.Array) -> Gating:
 
 def small_network(experts: int = EXPERTS) -> Network:
     config = NetworkConfig(4, 3, 6, experts, phase_size=LIMBS, gating_hidden=WIDTH)
-    return jax.tree.map(lambda leaf: 0.5 * leaf, randomise(init_network(config, key=KEY), 3))
+    return random_network(config, 3, 0.5)
 
 
 def test_gate_equals_its_formula(float64: None):
@@ -56,7 +56,7 @@ def test_gate_equals_its_formula(float64: None):
 
 
 def test_coefficients_are_positive_with_sum_one():
-    rows = jax.vmap(gate, (None, 0))(small_gating(), 3 * jax.random.normal(KEY, (50, LIMBS)))
+    rows = jax.vmap(gate, (None, 0))(small_gating(), 3 * normal(11, 50, LIMBS))
     assert (rows >= 0).all()
     np.testing.assert_allclose(rows.sum(axis=1), 1, atol=FLOAT32)
 
@@ -87,14 +87,14 @@ def test_gradients(float64: None):
 
 
 def test_gradients_of_predict(float64: None):
-    x = jax.random.normal(KEY, (4,))
+    x = normal(11, 4)
     arguments = (small_network(), None, x, phase())
     check_grads(jax.jit(predict), arguments, order=1, modes=("fwd", "rev"))
 
 
 def test_gradients_with_dropout(float64: None):
     rates = Dropout(main=jnp.asarray(0.3), adapter=jnp.asarray(0.0))
-    x = jax.random.normal(KEY, (4,))
+    x = normal(11, 4)
 
     def dropped(network, x, phase):
         return forward(network, None, coefficients(network, phase, dropout=rates, key=KEY), x, dropout=rates, key=KEY)

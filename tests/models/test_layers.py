@@ -13,7 +13,7 @@ from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.layers.dense import DenseLayer
 from pfnn_jax.models.layers.diagonal import DiagonalLayer
 from pfnn_jax.models.layers.full import BlendedLayer
-from tests.models.helpers import LAYER_KINDS, random_layer, shapes
+from tests.models.helpers import LAYER_KINDS, normal, random_layer, shapes
 
 FLOAT64 = 1e-12  # sums of a few dozen terms of size one in double precision
 
@@ -21,19 +21,19 @@ POINTS, SIZE, RANK, BATCH = 5, 6, 3, 4
 
 
 def coefficients(seed: int = 7) -> jax.Array:
-    return jax.random.normal(jax.random.key(seed), (POINTS,))
+    return normal(seed, POINTS)
 
 
 def inputs(seed: int = 8) -> jax.Array:
-    return jax.random.normal(jax.random.key(seed), (SIZE,))
+    return normal(seed, SIZE)
 
 
 def test_blended_layer_is_the_network_with_blended_weights(float64: None):
     """Published implementations blend the weights of each sample, then multiply."""
     layer = random_layer("full", POINTS, SIZE, 9, RANK)
     assert isinstance(layer, BlendedLayer)
-    c = jax.random.normal(jax.random.key(1), (BATCH, POINTS))
-    x = jax.random.normal(jax.random.key(2), (BATCH, SIZE))
+    c = normal(1, BATCH, POINTS)
+    x = normal(2, BATCH, SIZE)
     weights = jnp.einsum("bk,kio->bio", c, layer.weights)
     naive = jnp.einsum("bi,bio->bo", x, weights) + jnp.einsum("bk,ko->bo", c, layer.biases)
     batched = jax.vmap(layer)(c, x)

@@ -17,7 +17,15 @@ from pfnn_jax.models.layers.full import BlendedLayer
 from pfnn_jax.models.network import Dropout, Network, coefficients, drop, forward, init_network, num_parameters
 from pfnn_jax.models.spline import catmull_rom_basis
 from pfnn_jax.models.style import Layer, init_style
-from tests.models.helpers import LAYER_KINDS, array_sizes, predict, random_layer, randomise, shapes
+from tests.models.helpers import (
+    LAYER_KINDS,
+    array_sizes,
+    normal,
+    predict,
+    random_layer,
+    random_network,
+    shapes,
+)
 
 FLOAT64 = 1e-12  # three small layers in double precision
 # The mean of n kept-or-dropped numbers at rate r deviates by sqrt(r / (1 - r) / n): five of those, at n = 200,000.
@@ -30,7 +38,7 @@ KEY = jax.random.key(3)
 def small_network(seed: int = 0, rank: int | None = None) -> Network:
     """Returns a network with non-zero biases, whose weights are small enough that ELU is not linear."""
     config = NetworkConfig(SIZES.input_size, SIZES.output_size, SIZES.hidden, rank=rank)
-    return jax.tree.map(lambda leaf: 0.5 * leaf, randomise(init_network(config, key=KEY), seed))
+    return random_network(config, seed, 0.5)
 
 
 def adapter_of(kind: str, seed: int = 1) -> Layer:
@@ -39,7 +47,7 @@ def adapter_of(kind: str, seed: int = 1) -> Layer:
 
 def frame(seed: int = 2) -> tuple[jax.Array, jax.Array]:
     """Returns (coefficients [K], x [I])."""
-    return catmull_rom_basis(jnp.asarray(1.1)), jax.random.normal(jax.random.key(seed), (SIZES.input_size,))
+    return catmull_rom_basis(jnp.asarray(1.1)), normal(seed, SIZES.input_size)
 
 
 def rates(main: float, adapter: float) -> Dropout:

@@ -18,9 +18,17 @@ from pfnn_jax.models.layers.bias import BiasLayer
 from pfnn_jax.models.layers.cp import CPLayer
 from pfnn_jax.models.layers.film import FiLMStyle
 from pfnn_jax.models.layers.one_hot import OneHot
-from pfnn_jax.models.network import Network, forward, init_network, num_parameters
+from pfnn_jax.models.network import Network, forward, num_parameters
 from pfnn_jax.models.style import Drop, Layer, Style, init_bank, init_style, mix_styles
-from tests.models.helpers import LAYER_KINDS, STYLE_KINDS, random_bank, random_layer, random_style, randomise, shapes
+from tests.models.helpers import (
+    LAYER_KINDS,
+    STYLE_KINDS,
+    random_bank,
+    random_layer,
+    random_network,
+    random_style,
+    shapes,
+)
 
 FLOAT64 = 1e-12  # a few small products in double precision
 INPUTS, OUTPUTS, HIDDEN, POINTS, RANK = 5, 6, 7, 4, 2
@@ -30,8 +38,7 @@ WEIGHTS = ([0.0, 1.0, 0.0], [0.5, 0.2, 0.3], [0.0, 1.5, -0.5])
 
 def network() -> Network:
     """Returns a network with normal parameters, small enough that ELU is not linear."""
-    fresh = init_network(SIZES, key=jax.random.key(0))
-    return jax.tree.map(lambda leaf: 0.3 * leaf, randomise(fresh, 1))
+    return random_network(SIZES, 1, 0.3)
 
 
 def coefficients() -> jax.Array:
