@@ -1,7 +1,7 @@
 """Does a kill lose anything? Kills commands at random moments, and lets the next process go on.
 
-Question  `prepare`, `pretrain`, `few-shot` and a save are killed with SIGKILL at any moment: does every complete save
-          load, and does what is done again end bit for bit as without a kill?
+Question  `prepare`, `pretrain`, `few-shot`, the page and a save are killed with SIGKILL at any moment: does every
+          complete save load, and does what is done again end bit for bit as without a kill?
 Data      two procedural styles of two seconds and a network of 8 hidden units.
 Method    a process works; half of the kills come at a random moment of its usual time, half in the milliseconds after
           a temporary file has appeared, that is in the middle of a save. After each kill another process loads all that
@@ -28,6 +28,7 @@ import jax
 import numpy as np
 import tyro
 
+from experiments.common.page_work import check_styles, contents, use_page
 from pfnn_jax.io.checkpoint import fingerprint, load_record, save_record
 from pfnn_jax.io.files import locate, write_json
 from pfnn_jax.models.config import AdapterConfig
@@ -160,6 +161,18 @@ def do_few_shot(folder: Path) -> None:
     learn_style(folder / "run", folder / "clips" / "old" / "walk.bvh", FEW_SHOT, overwrite=True)
 
 
+def do_page(folder: Path) -> None:
+    use_page(folder, FEW_SHOT)
+
+
+def check_page(folder: Path) -> None:
+    check_styles(folder / "run")
+
+
+def digest_page(folder: Path) -> str:
+    return digest(contents(folder / "run"))
+
+
 def do_saves(folder: Path) -> None:
     for step in range(SAVES):
         save_record(folder / "state", saved(step), "note.json", {"step": step})
@@ -192,6 +205,7 @@ WORKS = {
     "prepare": Work(link("clips"), do_prepare, check_prepare, digest_prepare),
     "pretrain": Work(link("data"), do_pretrain, check_run, digest_run),
     "few-shot": Work(begin_few_shot, do_few_shot, check_run, digest_run),
+    "page": Work(begin_few_shot, do_page, check_page, digest_page),
     "save": Work(lambda sources, folder: None, do_saves, check_saves, digest_saves),
 }
 
@@ -201,6 +215,7 @@ def main(config: Config) -> dict[str, Any]:
     out, random, began = config.out, Random(config.seed), time.monotonic()
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
+    keep_compiled(out / "compiled")
     in_child(make_sources, out / "sources")
     names = config.only or tuple(WORKS)
     usual = {name: undisturbed(name, out) for name in names}
@@ -313,6 +328,13 @@ def _send(sender: Any, function: Callable[[Path], Any], folder: Path) -> None:
         sender.send((True, function(folder)))
     except Exception as error:
         sender.send((False, f"{type(error).__name__}: {error}"))
+
+
+def keep_compiled(folder: Path) -> None:
+    """Lets all processes share what they compile, so that a kill costs seconds."""
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder.absolute())
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 
 
 @cache
