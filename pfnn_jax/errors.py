@@ -14,7 +14,7 @@ LONGEST_RULE = 2000
 
 
 class InputError(ValueError):
-    """Bad input: names the file, the place in it, the value found and the rule it breaks. One line of bounded length."""
+    """Bad input: one line of bounded length names the file, the place in it, the value found and the rule it breaks."""
 
     def __init__(self, file: str | Path, place: str, value: object, rule: str):
         self.file, self.place, self.value, self.rule = str(file), place, value, rule

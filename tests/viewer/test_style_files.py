@@ -17,7 +17,7 @@ from pfnn_jax.run_config import list_styles, style_note
 from pfnn_jax.viewer.page import style_files
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.run_library import RunLibrary
-from pfnn_jax.viewer.page.style_files import empty_trash
+from pfnn_jax.viewer.page.style_files import empty_trash, remove_unfinished, unfinished_mark
 from tests.raising import assert_refused
 
 FRAME = 1.0 / 60.0
@@ -180,3 +180,19 @@ def test_a_style_trained_on_walks_ahead_cannot_strafe(library):
     assert library.strafes("run", "neutral") is False and library.strafes("run", "proud") is None
     library.rename_style("run", "mine", "other")
     assert library.strafes("run", "neutral") is None, "a name can be that of another style"
+
+
+def test_an_upload_that_was_being_learned_when_the_page_was_killed_is_removed(library):
+    """An upload whose style was saved stays, and so does one that nobody has marked."""
+    run = path_of(library)
+    for name in ("walk.bvh", "mine.bvh", "other.bvh"):
+        (run / "uploads" / name).write_text("a clip")
+        if name != "other.bvh":
+            unfinished_mark(run / "uploads" / name).touch()
+    RunLibrary([run])
+    assert sorted(path.name for path in (run / "uploads").iterdir()) == ["mine.bvh", "other.bvh"]
+    (run / "uploads" / "mine.bvh").unlink()
+    (run / "uploads" / "other.bvh").unlink()
+    unfinished_mark(run / "uploads" / "walk.bvh").touch()
+    remove_unfinished(run)
+    assert not (run / "uploads").exists()

@@ -4,9 +4,9 @@ Any site can open a websocket to any address, including this machine's. Browsers
 the name under which they reach the server (`Host`). A request is accepted if both agree, which rejects other sites,
 and if the name is one of this machine's, to prevent DNS rebinding.
 
-What a connection sends must be messages that the page's browsers send (`browser_messages`). One that sends anything else
-is closed: viser would end it as well, but with a traceback on the terminal of whoever runs the page. A value that does
-not fit its control is dropped, for the same reason.
+What a connection sends must be messages that the page's browsers send (`browser_messages`). One that sends anything
+else is closed: viser would end it as well, but with a traceback on the terminal of whoever runs the page. A value that
+does not fit its control is dropped, for the same reason.
 """
 
 from __future__ import annotations

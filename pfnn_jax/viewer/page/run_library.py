@@ -24,7 +24,14 @@ from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run import Run, load_run, load_style
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.viewer.page.learning import LearningBoard
-from pfnn_jax.viewer.page.style_files import DeletedStyle, delete_style, empty_trash, rename_style, restore_style
+from pfnn_jax.viewer.page.style_files import (
+    DeletedStyle,
+    delete_style,
+    empty_trash,
+    remove_unfinished,
+    rename_style,
+    restore_style,
+)
 from pfnn_jax.viewer.page.view import phase_scale
 from pfnn_jax.workflows.base import is_base
 from pfnn_jax.workflows.learn import default_config
@@ -163,6 +170,8 @@ class RunLibrary:
         self._strafes: dict[tuple[str, str], bool] = {}
         self.closing, self.learning = threading.Event(), LearningBoard()
         self.empty_trash()
+        for loaded in self._loaded.values():
+            remove_unfinished(loaded.run.path)
 
     @property
     def runs(self) -> tuple[str, ...]:
