@@ -173,7 +173,8 @@ def used(at: Path) -> int:
 
 
 def fill(command: Command, sources: Path, at: Path) -> None:
-    """Copies what a command needs into its folder."""
+    """Copies what a command needs into its folder, and makes one for what it writes."""
+    (at / "new").mkdir()
     for name in command.inputs:
         source = sources / name
         shutil.copytree(source, at / name) if source.is_dir() else shutil.copyfile(source, at / name)

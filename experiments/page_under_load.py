@@ -36,7 +36,7 @@ import psutil
 import tyro
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
-from experiments.common.page_tab import open_tab
+from experiments.common.page_tab import CONNECTING, PageTab, open_tab
 from experiments.common.random_visitor import acts
 from pfnn_jax.io.files import write_json
 from pfnn_jax.workflows.samples import sample_clips
@@ -51,6 +51,9 @@ ENDING = 60.0
 
 ANSWERING = 300.0
 """Seconds within which an upload must be answered, on a busy machine."""
+
+COMMANDS = 12
+"""Keys of a tab that viser triggers; they are the last that a tab adds."""
 
 CHARACTERS = (".glb", ".gltf", ".vrm")
 
@@ -179,9 +182,7 @@ async def visit(port: int, number: int, files: tuple[Path, ...], config: Config,
         ends = min(until, time.monotonic() + random.expovariate(1.0 / config.life))
         try:
             async with open_tab(HOST, port) as tab:
-                await tab.until(
-                    lambda tab=tab: any(control.kind == "UploadButton" for control in tab.controls.values()), 60.0
-                )
+                await complete(tab)
                 while time.monotonic() < ends:
                     name = random.choices(names, shares)[0]
                     with contextlib.suppress(KeyError, IndexError):  # a control that is not there
@@ -201,23 +202,37 @@ async def visit(port: int, number: int, files: tuple[Path, ...], config: Config,
 
 async def send_every_file(port: int, files: tuple[Path, ...], until: float, found: Found) -> None:
     """Uploads each file, clips as content to restyle and characters to be worn, and notes the answer."""
-    async with open_tab(HOST, port) as tab:
-        await tab.until(lambda: any(control.kind == "UploadButton" for control in tab.controls.values()), 60.0)
-        for number, file in enumerate(files):
-            if time.monotonic() > until:
-                return
-            label = "Wear a character" if file.suffix in CHARACTERS else "Upload the clip to restyle"
-            before = tab.messages()
-            await tab.upload(label, f"{number} {file.name}", file.read_bytes())
-            new: list[tuple[str, str]] = []
+    left = list(enumerate(files))
+    while left and time.monotonic() < until:
+        try:
+            async with open_tab(HOST, port) as tab:
+                await complete(tab)
+                while left and time.monotonic() < until:
+                    found.answers.append(await answer_to(tab, *left[0]))
+                    left.pop(0)
+        except Exception as error:
+            found.ends[f"of every file: {type(error).__name__}: {error}"[:200]] += 1
+            await asyncio.sleep(1.0)
 
-            def answered(before: Any = before, new: Any = new) -> bool:
-                new[:] = [line for line in tab.messages() if line not in before and not line[1].startswith("Reading ")]
-                return bool(new)
 
-            done = await tab.until(answered, ANSWERING)
-            kind, text = new[0] if done else ("none", "no answer")
-            found.answers.append({"file": file.name, "kind": kind, "text": text})
+async def complete(tab: PageTab) -> None:
+    """Waits until a tab has all of its controls; the last is a command."""
+    await tab.until(lambda: len(tab.commands) >= COMMANDS, CONNECTING)
+
+
+async def answer_to(tab: PageTab, number: int, file: Path) -> dict[str, Any]:
+    """Uploads a file, and returns what the page says of it."""
+    label = "Wear a character" if file.suffix in CHARACTERS else "Upload the clip to restyle"
+    before, new = tab.messages(), []
+    await tab.upload(label, f"{number} {file.name}", file.read_bytes())
+
+    def answered() -> bool:
+        new[:] = [line for line in tab.messages() if line not in before and not line[1].startswith("Reading ")]
+        return bool(new)
+
+    done = await tab.until(answered, ANSWERING)
+    kind, text = new[0] if done else ("none", "no answer")
+    return {"file": file.name, "kind": kind, "text": text}
 
 
 async def watch(server: psutil.Process, config: Config, until: float, began: float, found: Found) -> None:
@@ -246,7 +261,7 @@ async def load(server: psutil.Process, port: int, config: Config) -> Found:
 async def settle(port: int) -> None:
     """Opens and closes a tab, so that what the first one of a server needs is there."""
     async with open_tab(HOST, port) as tab:
-        await tab.until(lambda: any(control.kind == "UploadButton" for control in tab.controls.values()), 60.0)
+        await complete(tab)
 
 
 def wait_until_idle(server: psutil.Process, threads: int) -> dict[str, Any]:
