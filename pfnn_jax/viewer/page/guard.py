@@ -95,7 +95,8 @@ def guarded(host: str) -> Iterator[list[Any]]:
             if is_message(frame):
                 return frame
             await self.close(NOT_A_MESSAGE, "not a message")
-            return await super().recv()  # raises that it is closed, which viser expects
+            while True:  # what has come since is dropped; then it raises that it is closed, which viser expects
+                await super().recv()
 
     class Serve(module.serve):
         def __init__(self, *args: Any, process_request: Any = None, **options: Any) -> None:

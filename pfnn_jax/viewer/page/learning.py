@@ -17,6 +17,9 @@ USUAL_SECONDS = 40.0
 TRUSTED = 0.15
 """Share that must be done before its speed says how long the rest takes."""
 
+MOST_JOBS = 8
+"""Styles that are learned or wait for it; more are refused, because each holds its clip in memory and a thread."""
+
 SHOWN = 600.0
 """Seconds for which a result is shown in tabs that are opened later."""
 
@@ -74,10 +77,12 @@ class LearningBoard:
     _seconds: float = USUAL_SECONDS
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def begin(self, run: str, name: str) -> Job:
-        """Notes that a style is being learned."""
+    def begin(self, run: str, name: str) -> Job | None:
+        """Notes that a style is being learned; returns None if `MOST_JOBS` are already."""
         job = Job(run, name, self.clock())
         with self._lock:
+            if len(self._jobs) >= MOST_JOBS:
+                return None
             self._jobs.append(job)
         return job
 

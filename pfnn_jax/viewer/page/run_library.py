@@ -218,8 +218,13 @@ class RunLibrary:
         Raises:
             InputError: for an unknown run or style, or a style of another kind than the run's.
         """
-        with self._lock:
-            self._replace(run, self.get(run).with_style(style))
+        while True:
+            before = self.get(run)
+            after = before.with_style(style)  # without the lock: it may compile, and tabs would stand still meanwhile
+            with self._lock:
+                if self.get(run) is before:
+                    self._replace(run, after)
+                    return
 
     def rename_style(self, run: str, old: str, new: str) -> None:
         """Renames a learned style, in the run's folder and for all characters.
@@ -264,8 +269,8 @@ class RunLibrary:
                 raise InputError(run, "style", "none", "nothing was deleted that could be restored")
             restore_style(self.get(run).run.path, found[1])
             self._deleted.remove(found)
-            self.add_style(run, found[1].name)
-            return found[1].name
+        self.add_style(run, found[1].name)
+        return found[1].name
 
     def strafes(self, run: str, style: str) -> bool | None:
         """Returns whether a style can sidestep; None until `try_strafe` has found out."""
@@ -277,7 +282,10 @@ class RunLibrary:
         Raises:
             InputError: for an unknown run or style.
         """
-        found = can_strafe(self.get(run).controller, style)
+        loaded = self.get(run)
+        if style not in loaded.styles:  # renamed or deleted meanwhile
+            raise InputError(run, "style", ascii(style)[:60], f"must be one of {', '.join(loaded.styles)}")
+        found = can_strafe(loaded.controller, style)
         self._strafes = {**self._strafes, (run, style): found}
         return found
 

@@ -139,6 +139,11 @@ class Tab:
             return
         run, board, name = character.run, self._library.learning, panel.take_name()
         job = board.begin(run, (name or PurePath(filename).stem)[:LONGEST_NAME])
+        if job is None:
+            self._learning.release()
+            panel.return_name(name)
+            panel.notify(f"{filename[:80]} is not learned", "Too many clips wait already; try this one again later.")
+            return
 
         def report(share: float, what: str) -> None:
             board.report(job, share, what == WAITING)
