@@ -23,7 +23,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -255,13 +255,15 @@ def try_removed(command: Command, sources: Path, at: Path) -> dict[str, Any]:
     with file_system(at):
         fill(command, sources, at)
         watched, stop = at / ("run" if command.writes_run else "new"), threading.Event()
-        known = set(watched.rglob("*"))
+        known, gone = set(watched.rglob("*")), at / "gone"
 
         def remove() -> None:
             while not stop.is_set():
-                if watched.exists() and set(watched.rglob("*")) - known:
-                    shutil.rmtree(watched, ignore_errors=True)
-                    return
+                with suppress(OSError):  # what is renamed while it is listed
+                    if watched.exists() and set(watched.rglob("*")) - known:
+                        watched.rename(gone)  # at once: removing file by file would race with what is written
+                        shutil.rmtree(gone, ignore_errors=True)
+                        return
                 time.sleep(0.002)
 
         thread = threading.Thread(target=remove)
@@ -270,8 +272,8 @@ def try_removed(command: Command, sources: Path, at: Path) -> dict[str, Any]:
         stop.set()
         thread.join()
         found = faults_of(ended, at)
-        if watched.name == "run" and (watched / "config.json").exists() and not (watched / "shared").exists():
-            found.append("the run was made again, in part")
+        if watched.exists() and (ended.code or command.writes_run):
+            found.append("the folder was made again")
     return {"code": ended.code, "said": ended.errors[-1:], "faults": found}
 
 

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from pfnn_jax.errors import InputError
+
 if TYPE_CHECKING:
     from pfnn_jax.viewer.page.uploads import LearnedUpload
 
@@ -77,12 +79,16 @@ class LearningBoard:
     _seconds: float = USUAL_SECONDS
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def begin(self, run: str, name: str) -> Job | None:
-        """Notes that a style is being learned; returns None if `MOST_JOBS` are already."""
+    def begin(self, run: str, name: str) -> Job:
+        """Notes that a style is being learned.
+
+        Raises:
+            InputError: if `MOST_JOBS` are already.
+        """
         job = Job(run, name, self.clock())
         with self._lock:
             if len(self._jobs) >= MOST_JOBS:
-                return None
+                raise InputError(name, "learning", f"{MOST_JOBS} clips wait already", "try this one again later")
             self._jobs.append(job)
         return job
 
