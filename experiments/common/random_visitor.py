@@ -34,7 +34,7 @@ WRONG: tuple[Any, ...] = (
     None,
     True,
     -1,
-    10**30,
+    2**63,
     1e308,
     float("nan"),
     "",
