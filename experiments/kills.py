@@ -1,7 +1,7 @@
 """Does a kill lose anything? Kills commands at random moments, and lets the next process go on.
 
-Question  `prepare`, `pretrain`, `few-shot` and a save are killed with SIGKILL at any moment: does every complete save
-          load, and does what is done again end bit for bit as without a kill?
+Question  `prepare`, `pretrain`, `few-shot`, the page and a save are killed with SIGKILL at any moment: does every
+          complete save load, and does what is done again end bit for bit as without a kill?
 Data      two procedural styles of two seconds and a network of 8 hidden units.
 Method    a process works; half of the kills come at a random moment of its usual time, half in the milliseconds after
           a temporary file has appeared, that is in the middle of a save. After each kill another process loads all that
@@ -28,6 +28,7 @@ import jax
 import numpy as np
 import tyro
 
+from experiments.common.page_work import check_styles, contents, use_page
 from pfnn_jax.io.checkpoint import fingerprint, load_record, save_record
 from pfnn_jax.io.files import locate, write_json
 from pfnn_jax.models.config import AdapterConfig
@@ -160,6 +161,18 @@ def do_few_shot(folder: Path) -> None:
     learn_style(folder / "run", folder / "clips" / "old" / "walk.bvh", FEW_SHOT, overwrite=True)
 
 
+def do_page(folder: Path) -> None:
+    use_page(folder, FEW_SHOT)
+
+
+def check_page(folder: Path) -> None:
+    check_styles(folder / "run")
+
+
+def digest_page(folder: Path) -> str:
+    return digest(contents(folder / "run"))
+
+
 def do_saves(folder: Path) -> None:
     for step in range(SAVES):
         save_record(folder / "state", saved(step), "note.json", {"step": step})
@@ -192,6 +205,7 @@ WORKS = {
     "prepare": Work(link("clips"), do_prepare, check_prepare, digest_prepare),
     "pretrain": Work(link("data"), do_pretrain, check_run, digest_run),
     "few-shot": Work(begin_few_shot, do_few_shot, check_run, digest_run),
+    "page": Work(begin_few_shot, do_page, check_page, digest_page),
     "save": Work(lambda sources, folder: None, do_saves, check_saves, digest_saves),
 }
 
@@ -201,6 +215,7 @@ def main(config: Config) -> dict[str, Any]:
     out, random, began = config.out, Random(config.seed), time.monotonic()
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
+    keep_compiled(out / "compiled")
     in_child(make_sources, out / "sources")
     names = config.only or tuple(WORKS)
     usual = {name: undisturbed(name, out) for name in names}
@@ -215,21 +230,33 @@ def main(config: Config) -> dict[str, Any]:
     return counts
 
 
-def undisturbed(name: str, out: Path) -> tuple[float, str]:
-    """Returns the seconds of a work that nobody kills, and the digest of its result."""
-    folder = fresh(name, out)
-    started = time.monotonic()
-    in_child(WORKS[name].do, folder)
-    return time.monotonic() - started, in_child(WORKS[name].digest, folder)
+class Usual(NamedTuple):
+    """A work that nobody kills: its seconds, how many temporary files appear, and the digest of its result."""
+
+    seconds: float
+    appearances: int
+    digest: str
 
 
-def disturbed(name: str, out: Path, usual: tuple[float, str], count: dict[str, int], random: Random) -> None:
+def undisturbed(name: str, out: Path) -> Usual:
+    """Does a work without a kill; twice, because the first one compiles."""
+    work = WORKS[name]
+    in_child(work.do, fresh(name, out))
+    folder, started = fresh(name, out), time.monotonic()
+    process = context().Process(target=work.do, args=(folder,))
+    process.start()
+    appearances = await_temporaries(process, folder, None)
+    process.join()
+    return Usual(time.monotonic() - started, appearances, in_child(work.digest, folder))
+
+
+def disturbed(name: str, out: Path, usual: Usual, count: dict[str, int], random: Random) -> None:
     """Kills a work once or several times, until it ends; counts what went wrong, and says it."""
     folder, work, killed = fresh(name, out), WORKS[name], 0
     try:
         while killed < 4:
             aimed = random.random() < 0.5
-            if not killed_at(work.do, folder, None if aimed else random.uniform(0.0, usual[0]), random):
+            if not killed_at(work.do, folder, usual, aimed, random):
                 break
             killed += 1
             count["kills"] += 1
@@ -237,7 +264,7 @@ def disturbed(name: str, out: Path, usual: tuple[float, str], count: dict[str, i
             in_child(work.check, folder)
         in_child(work.do, folder)
         found = in_child(work.digest, folder)
-        assert found == usual[1], "the result differs from the undisturbed one"
+        assert found == usual.digest, "the result differs from the undisturbed one"
         left = {name for name in temporaries(folder) if name.endswith(".new")}
         assert not left, f"temporary files are left: {left}"
         count["finished"] += 1
@@ -247,30 +274,37 @@ def disturbed(name: str, out: Path, usual: tuple[float, str], count: dict[str, i
         shutil.copytree(folder, out / f"fault_{name}_{count['kills']}", symlinks=True)
 
 
-def killed_at(do: Callable[[Path], None], folder: Path, moment: float | None, random: Random) -> bool:
+def killed_at(do: Callable[[Path], None], folder: Path, usual: Usual, aimed: bool, random: Random) -> bool:
     """Starts a work in a process and kills it; returns whether it was still at work.
 
     Args:
         do: the work.
         folder: in which it works.
-        moment: seconds after its start; None for the milliseconds after a temporary file has appeared.
-        random: draws which temporary file, and how many milliseconds.
+        usual: how it goes without a kill.
+        aimed: kill it in the milliseconds after a temporary file has appeared, not at any moment.
+        random: draws the moment.
     """
     process = context().Process(target=do, args=(folder,))
     process.start()
-    if moment is not None:
-        process.join(moment)
-    else:
-        seen, wanted = 0, random.randrange(1, 8)
-        while process.is_alive() and seen < wanted:
-            before = temporaries(folder)
-            time.sleep(0.001)
-            seen += bool(temporaries(folder) - before)
+    if aimed:
+        await_temporaries(process, folder, random.randint(1, max(usual.appearances, 1)))
         time.sleep(random.uniform(0.0, 0.02))
+    else:
+        process.join(random.uniform(0.0, usual.seconds))
     working = process.is_alive()
     process.kill()
     process.join()
     return working
+
+
+def await_temporaries(process: Any, folder: Path, wanted: int | None) -> int:
+    """Waits until so many temporary files have appeared, or the process has ended; returns how many were seen."""
+    seen = 0
+    while process.is_alive() and seen != wanted:
+        before = temporaries(folder)
+        time.sleep(0.001)
+        seen += bool(temporaries(folder) - before)
+    return seen
 
 
 def temporaries(folder: Path) -> set[str]:
@@ -313,6 +347,13 @@ def _send(sender: Any, function: Callable[[Path], Any], folder: Path) -> None:
         sender.send((True, function(folder)))
     except Exception as error:
         sender.send((False, f"{type(error).__name__}: {error}"))
+
+
+def keep_compiled(folder: Path) -> None:
+    """Lets all processes share what they compile, so that a kill costs seconds."""
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder.absolute())
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 
 
 @cache

@@ -6,13 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+LONGEST_PART = 300
+"""Characters that a message shows of a place and of a value: a damaged file may hold a number of 5,000 digits."""
+
+LONGEST_RULE = 2000
+"""Characters that a message shows of a rule, which may list the styles of a run."""
+
 
 class InputError(ValueError):
-    """Bad input: names the file, the place in it, the value found and the rule it breaks."""
+    """Bad input: one line of bounded length names the file, the place in it, the value found and the rule it breaks."""
 
     def __init__(self, file: str | Path, place: str, value: object, rule: str):
         self.file, self.place, self.value, self.rule = str(file), place, value, rule
-        super().__init__(f"{file}: {place}: {value}; {rule}")
+        parts = ((self.file, LONGEST_RULE), (place, LONGEST_PART), (value, LONGEST_PART), (rule, LONGEST_RULE))
+        super().__init__("{}: {}: {}; {}".format(*(one_line(part, most) for part, most in parts)))
 
     def __reduce__(self):
         # Exceptions are unpickled with the arguments of `Exception.__init__`, here one; worker processes need all four.
@@ -59,6 +66,17 @@ class LostProcessError(RuntimeError):
 
     def __reduce__(self):
         return type(self), (self.found,)
+
+
+def one_line(text: object, most: int) -> str:
+    """Returns a text as one line of at most `most` characters: the unprintable is escaped, the middle is left out."""
+    escaped = (letter if letter.isprintable() else ascii(letter)[1:-1] for letter in _ends(str(text), most))
+    return _ends("".join(escaped), most)
+
+
+def _ends(text: str, most: int) -> str:
+    """Returns a text if it is short enough, else its beginning and its end."""
+    return text if len(text) <= most else f"{text[: most - most // 4 - 5]} ... {text[-(most // 4) :]}"
 
 
 def check_field(config: Any, name: str, rule: str, holds: Callable[[Any], bool]) -> None:

@@ -89,6 +89,16 @@ def test_motion_does_not_import_jax():
     run_python(f"import {modules}, sys; assert not {{'jax', 'flax', 'matplotlib'}} & set(sys.modules), 'imported'")
 
 
+def test_no_module_needs_what_only_one_system_has_to_be_imported():
+    """Such modules are imported in a function, or below a comparison of the system."""
+    of_one_system = {"fcntl", "grp", "msvcrt", "pty", "pwd", "resource", "termios", "tty", "winreg"}
+    found = [node for path in FILES for node in ast.walk(parsed(path)) if isinstance(node, ast.Import)]
+    assert {alias.name for node in found for alias in node.names} & of_one_system, "some are used"
+    at_once = [node for path in FILES for node in parsed(path).body if isinstance(node, ast.Import | ast.ImportFrom)]
+    names = {alias.name for node in at_once for alias in node.names} | {getattr(node, "module", "") for node in at_once}
+    assert not names & of_one_system
+
+
 def test_models_touch_no_files():
     wrong = []
     for path in FILES:

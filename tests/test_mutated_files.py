@@ -27,7 +27,7 @@ from pfnn_jax.io.npz import read_arrays
 from pfnn_jax.motion.bvh import read_bvh
 from pfnn_jax.motion.datasets.dataset import load_dataset
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
-from pfnn_jax.motion.skeleton import skeleton_from_json, skeleton_to_json
+from pfnn_jax.motion.skeleton import MAX_JOINTS, skeleton_from_json, skeleton_to_json
 from pfnn_jax.motion.synthetic.skeleton import synthetic_skeleton
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from tests.raising import assert_refused
@@ -224,6 +224,13 @@ SKELETON = skeleton_to_json(synthetic_skeleton())
 def test_skeletons_that_are_no_tree_are_refused(entry, value):
     changed = {**json.loads(json.dumps(SKELETON)), entry: value}
     assert_refused(lambda: skeleton_from_json(changed, "config.json"), file="config.json")
+
+
+def test_skeletons_of_too_many_joints_are_refused():
+    joints = MAX_JOINTS + 1
+    entries = {"names": ["a"] * joints, "parents": [-1] + [0] * (joints - 1), "offsets": [[0.0, 1.0, 0.0]] * joints}
+    many = {**SKELETON, **entries, "mirror": list(range(joints))}
+    assert_refused(lambda: skeleton_from_json(many, "config.json"), place="skeleton.names", value=f"{joints} joints")
 
 
 def test_skeletons_of_another_kind_are_refused():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import sys
 import tempfile
 import time
@@ -46,7 +45,8 @@ def measure_preparation(files: Sequence[ClipFile], layout: str) -> Prepared:
         layout: name in `LAYOUTS`.
 
     Returns:
-        Rows written, mirror images included; seconds; and the peak memory of the process and its workers.
+        Rows written, mirror images included; seconds; and the peak memory of the process and its workers, 0 on
+        Windows.
     """
     (found,) = map_in_order(_prepare, [(tuple(files), layout)], 2)
     return found
@@ -58,8 +58,17 @@ def _prepare(task: tuple[tuple[ClipFile, ...], str]) -> Prepared:
     with tempfile.TemporaryDirectory() as folder:
         dataset = prepare(files, Path(folder) / "dataset", PrepareConfig(layout=layout))
         rows, seconds = sum(dataset.frames.values()), time.perf_counter() - started
+    return Prepared(rows, seconds, _peak_bytes())
+
+
+def _peak_bytes() -> int:
+    """Returns the peak memory of this process and its workers; 0 on Windows, which does not tell."""
+    if sys.platform == "win32":
+        return 0
+    import resource
+
     own, largest = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return Prepared(rows, seconds, MAXRSS_BYTES * (own + default_workers() * largest))
+    return MAXRSS_BYTES * (own + default_workers() * largest)
 
 
 def preparation_figures(mocap: Path | None, seconds_per_style: float, repetitions: int) -> list[Figure]:

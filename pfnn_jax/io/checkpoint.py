@@ -39,6 +39,9 @@ COMMITTED = "commit_success.txt"
 LATE, LONGEST_LATE = 0.3, 3.0
 """Seconds without a new file after which the threads of a failed save have ended, and for which they are awaited."""
 
+SMALL_FILES = 2**18
+"""Bytes for what Orbax writes besides the arrays: some twenty files, each of at least one block of the disk."""
+
 FILES = "files.json"
 """The checkpoint's files and their sizes, by which a damaged copy is recognised."""
 
@@ -159,7 +162,7 @@ def fingerprint(tree: Any) -> str:
 
 def _need_room(target: Path, folder: Path, size: int) -> None:
     """Refuses a save that does not fit before Orbax begins: its threads report a full disk with many tracebacks."""
-    free = shutil.disk_usage(folder).free
+    free, size = shutil.disk_usage(folder).free, size + SMALL_FILES
     if free < size:
         raise InputError(target, "disk", f"{free / 1e6:.1f} MB free", f"the save needs up to {size / 1e6:.1f} MB")
 

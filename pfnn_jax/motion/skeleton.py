@@ -22,6 +22,9 @@ ALIKE = 10.0
 SAME_DIRECTION = 35.0
 """Degrees by which bones of people of other build may differ in the rest pose."""
 
+MAX_JOINTS = 4_000
+"""Most joints of a stored skeleton and of a layout: readers of clips allow 2,000, and the ends of hands are added."""
+
 LONG_BONE = 0.3
 """Share of the longest bone from which on a bone's direction is compared: clavicles and fingers vary more."""
 
@@ -248,6 +251,8 @@ def _from_json(data: Mapping[str, Any], source: str | Path) -> Skeleton:
     if missing:
         raise InputError(source, "skeleton", f"no {', '.join(missing)}", "must have all entries of a skeleton")
     joints = len(data["names"])
+    if joints > MAX_JOINTS:
+        raise InputError(source, "skeleton.names", f"{joints} joints", f"must be at most {MAX_JOINTS}")
     for key in ("parents", "offsets", "mirror"):
         if len(data[key]) != joints:
             rule = f"must have one for each of {joints} joints"

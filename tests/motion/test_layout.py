@@ -20,6 +20,7 @@ from pfnn_jax.motion.features.layout import (
     pfnn2017,
 )
 from pfnn_jax.motion.roles import assign_roles
+from pfnn_jax.motion.skeleton import MAX_JOINTS
 from tests.motion.skeletons import body
 from tests.raising import assert_refused
 
@@ -107,8 +108,11 @@ def test_unknown_block_lists_the_blocks():
 
 
 def test_impossible_layouts_are_refused():
-    with pytest.raises(ValueError, match="num_joints must be at least 1"):
+    with pytest.raises(ValueError, match="num_joints must be 1 to"):
         mason2018(0)
+    for layout in LAYOUTS.values():  # of a damaged file: the columns of so many joints would fill the memory
+        with pytest.raises(ValueError, match="num_joints must be 1 to"):
+            layout(MAX_JOINTS + 1)
     with pytest.raises(ValueError, match="units must be positive"):
         dataclasses.replace(mason2018(), fps=0.0)
     for ends in ((1, 2, 3), (1, 2, 3, 25)):

@@ -88,6 +88,47 @@ def test_connections_that_send_no_messages_are_closed_and_nothing_is_left(server
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
 
+def test_what_follows_garbage_is_dropped(server, caplog):
+    """It has arrived already when the connection is closed, and would reach viser without a check."""
+    from websockets.exceptions import ConnectionClosed
+
+    caplog.set_level(logging.ERROR)
+    for _ in range(5):
+        with connect(server) as connection, pytest.raises(ConnectionClosed):
+            for _ in range(20):
+                connection.send(packed({"type": "Nothing"}))
+            while True:
+                connection.recv(timeout=SECONDS)
+    began = time.monotonic()
+    while connections(server) and time.monotonic() - began < SECONDS:
+        time.sleep(0.05)
+    gc.collect()
+    assert not connections(server) and not caplog.records
+
+
+CAMERA = {
+    **{"type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [0, 0, 1], "look_at": [0, 0, 0]},
+    **{"up_direction": [0, 1, 0], "fov": 1, "near": 0.1, "far": 10.0, "image_height": 10, "image_width": 10},
+}
+
+
+@pytest.mark.parametrize(
+    ("message", "changes"),
+    [
+        (CAMERA, {"position": [float("nan"), 0, 0]}),
+        (CAMERA, {"look_at": [0, 0]}),
+        (CAMERA, {"image_width": -1}),
+        ({"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": True}}, {"updates": {"update_cb": []}}),
+        ({"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 0.5}}, {"updates": {"value": [1]}}),
+        ({"type": "CommandTriggerMessage", "uuid": "a"}, {"type": "GuiFormDirtyMessage"}),
+        ({"type": "CommandTriggerMessage", "uuid": "a"}, {"type": "GuiRemoveMessage"}),
+    ],
+)
+def test_only_the_messages_of_browsers_are_taken(message, changes):
+    """Others are viser's too, but of servers, or name attributes of its controls."""
+    assert is_message(packed(message)) and not is_message(packed({**message, **changes}))
+
+
 def test_messages_of_a_browser_are_still_taken(server):
     message = packed({"type": "GuiUpdateMessage", "uuid": "unknown", "updates": {"value": 1}})
     assert is_message(message)

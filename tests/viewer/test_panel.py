@@ -20,13 +20,14 @@ viser = pytest.importorskip("viser", reason="viser is not installed")
 from pfnn_jax.viewer.page import downloads, wear_panel  # noqa: E402
 from pfnn_jax.viewer.page import tab as tab_module  # noqa: E402
 from pfnn_jax.viewer.page.frame_scheduler import SILENCE  # noqa: E402
-from pfnn_jax.viewer.page.learning import LearningBoard  # noqa: E402
+from pfnn_jax.viewer.page.learning import MOST_JOBS, LearningBoard  # noqa: E402
 from pfnn_jax.viewer.page.panel import Panel  # noqa: E402
 from pfnn_jax.viewer.page.style_picker import MIXTURE, StylePicker, spread  # noqa: E402
 from pfnn_jax.viewer.page.tab import Tab  # noqa: E402
 from pfnn_jax.viewer.page.uploads import MOST_BUFFERED, LearnedUpload, drop_large  # noqa: E402
 from pfnn_jax.viewer.page.wear_panel import NOTHING  # noqa: E402
 from pfnn_jax.viewer.page.worn_character import FileContent  # noqa: E402
+from tests.raising import assert_refused  # noqa: E402
 
 SOON = 20.0  # seconds for a thread to start or end on a loaded machine
 
@@ -219,6 +220,21 @@ def test_every_tab_shows_what_is_learned_and_its_outcome(client):
     opened_later.serve(0.3)
     assert opened_later._jobs.content == "" and "no feet" in opened_later._message.content
     assert 'data-message="bad"' in opened_later._message.content
+
+
+def test_a_tab_opens_in_another_style_if_its_own_was_deleted_meanwhile(client):
+    library, character = Library(), StubCharacter()
+    library.styles["run"] = ("neutral", "proud")
+    opened = Panel(client, any_of(library), any_of(character), any_of(SimpleNamespace(yaw=0.0, worn=None)))
+    assert opened._picker._style.value == "neutral"
+
+
+def test_no_more_clips_wait_to_be_learned_than_fit_into_memory():
+    board = LearningBoard()
+    jobs = [board.begin("run", str(number)) for number in range(MOST_JOBS)]
+    assert_refused(lambda: board.begin("run", "one more"), place="learning", rule_mentions="later")
+    board.end(jobs[0], error="refused")
+    assert board.begin("run", "again").name == "again"
 
 
 def test_an_old_outcome_is_not_shown():

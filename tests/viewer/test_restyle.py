@@ -225,3 +225,13 @@ def test_the_last_style_clips_are_kept(panel, walk):
 def test_the_player_is_isolated():
     frame = player_frame('<p title="a">&</p>')
     assert 'sandbox="allow-scripts"' in frame and "&lt;p title=&quot;a&quot;&gt;&amp;&lt;/p&gt;" in frame
+
+
+def test_no_more_clips_wait_to_be_restyled_than_fit_into_memory(monkeypatch):
+    monkeypatch.setattr(restyle_module, "_waiting", threading.BoundedSemaphore(1))
+    clip = ClipUpload("walk", b"")
+    with restyle_module._waiting:
+        assert_refused(lambda: restyle(clip, clip, 1.0, "all"), place="restyling", rule_mentions="later")
+    refused = assert_refused(lambda: restyle(clip, clip, 1.0, "all"))
+    assert refused.place != "restyling", "the place is free again"
+    assert restyle_module._waiting.acquire(blocking=False), "and given back"

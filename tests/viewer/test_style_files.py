@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,12 @@ from pfnn_jax.run import load_run, load_style, save_style
 from pfnn_jax.run_config import list_styles, style_note
 from pfnn_jax.viewer.page import style_files
 from pfnn_jax.viewer.page.character import Character
-from pfnn_jax.viewer.page.run_library import RunLibrary
-from pfnn_jax.viewer.page.style_files import empty_trash
+from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary
+from pfnn_jax.viewer.page.style_files import empty_trash, remove_unfinished, unfinished_mark
 from tests.raising import assert_refused
 
 FRAME = 1.0 / 60.0
+SECONDS = 20.0  # on a loaded machine
 
 
 @pytest.fixture
@@ -180,3 +182,47 @@ def test_a_style_trained_on_walks_ahead_cannot_strafe(library):
     assert library.strafes("run", "neutral") is False and library.strafes("run", "proud") is None
     library.rename_style("run", "mine", "other")
     assert library.strafes("run", "neutral") is None, "a name can be that of another style"
+
+
+def test_an_upload_that_was_being_learned_when_the_page_was_killed_is_removed(library):
+    """An upload whose style was saved stays, and so does one that nobody has marked."""
+    run = path_of(library)
+    for name in ("walk.bvh", "mine.bvh", "other.bvh"):
+        (run / "uploads" / name).write_text("a clip")
+        if name != "other.bvh":
+            unfinished_mark(run / "uploads" / name).touch()
+    RunLibrary([run])
+    assert sorted(path.name for path in (run / "uploads").iterdir()) == ["mine.bvh", "other.bvh"]
+    (run / "uploads" / "mine.bvh").unlink()
+    (run / "uploads" / "other.bvh").unlink()
+    unfinished_mark(run / "uploads" / "walk.bvh").touch()
+    remove_unfinished(run)
+    assert not (run / "uploads").exists()
+
+
+def test_what_is_asked_of_a_style_that_was_deleted_meanwhile_is_asked_of_another(library):
+    character = Character(library, style="mine")
+    library.delete_style("run", "mine")
+    character.reset()
+    assert "mine" not in character.shares and len(shown(character, 0.0)) == 1
+    assert_refused(lambda: library.try_strafe("run", "mine"), place="style", rule_mentions="neutral")
+
+
+def test_nobody_waits_while_a_style_is_added(library, monkeypatch):
+    """Adding one can compile, which takes seconds; a style that is renamed meanwhile keeps its new name."""
+    add, calls = LoadedRun.with_style, []
+
+    def slow(loaded: LoadedRun, style: str) -> LoadedRun:
+        calls.append(style)
+        if len(calls) == 1:
+            other = threading.Thread(target=library.rename_style, args=("run", "mine", "renamed"))
+            other.start()
+            other.join(SECONDS)
+            assert not other.is_alive(), "it waits"
+        return add(loaded, style)
+
+    run = path_of(library)
+    save_style(run, "new", load_style(load_run(run), "proud"), {"speed": 1.0})
+    monkeypatch.setattr(LoadedRun, "with_style", slow)
+    library.add_style("run", "new")
+    assert calls == ["new", "new"] and {"new", "renamed"} < set(library.get("run").styles)

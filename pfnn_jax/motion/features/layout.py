@@ -27,7 +27,7 @@ from typing import Literal
 
 import numpy as np
 
-from pfnn_jax.motion.skeleton import Skeleton, need_roles
+from pfnn_jax.motion.skeleton import MAX_JOINTS, Skeleton, need_roles
 
 Block = tuple[str, int]
 """Name and number of columns."""
@@ -151,8 +151,8 @@ class FrameLayout:
     ends: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.num_joints < 1:
-            raise ValueError(f"FrameLayout.num_joints must be at least 1, got {self.num_joints}.")
+        if not 1 <= self.num_joints <= MAX_JOINTS:
+            raise ValueError(f"FrameLayout.num_joints must be 1 to {MAX_JOINTS}, got {self.num_joints}.")
         if min(self.fps, self.length_unit, self.time_unit, self.phase_unit) <= 0 or self.yaw_unit == 0:
             raise ValueError(f"FrameLayout units must be positive, got {self}.")
         if self.ends and (len(self.ends) != 4 or not all(0 <= end < self.num_joints for end in self.ends)):

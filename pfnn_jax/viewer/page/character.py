@@ -193,7 +193,9 @@ class Character:
             self._keys.clear()
             self._stick = DriveInput()
             self._heading = 0.0
-            self._begin(self._library.get(self._run), np.zeros(2, np.float32), 0.0)
+            loaded = self._library.get(self._run)
+            self._follow_changes(loaded)
+            self._begin(loaded, np.zeros(2, np.float32), 0.0)
 
     # Output
 

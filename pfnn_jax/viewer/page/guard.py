@@ -4,19 +4,23 @@ Any site can open a websocket to any address, including this machine's. Browsers
 the name under which they reach the server (`Host`). A request is accepted if both agree, which rejects other sites,
 and if the name is one of this machine's, to prevent DNS rebinding.
 
-What a connection sends must be messages that viser can read. One that sends anything else is closed: viser would end it
-as well, but with a traceback on the terminal of whoever runs the page.
+What a connection sends must be messages that the page's browsers send (`browser_messages`). One that sends anything
+else is closed: viser would end it as well, but with a traceback on the terminal of whoever runs the page. A value that
+does not fit its control is dropped, for the same reason.
 """
 
 from __future__ import annotations
 
+import asyncio
 import http
 import inspect
 import ipaddress
 import socket
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -42,10 +46,12 @@ def objection(origin: str | None, host: str | None, names: frozenset[str]) -> st
 
 
 def is_message(frame: bytes | str) -> bool:
-    """Returns whether viser can read what a browser has sent."""
+    """Returns whether what a connection has sent is a message of a browser, which viser can read."""
     from viser._messages import Message
 
-    if not isinstance(frame, bytes):
+    from pfnn_jax.viewer.page.browser_messages import is_browser_message  # needs what viser brings with it
+
+    if not isinstance(frame, bytes) or not is_browser_message(frame):
         return False
     try:
         Message.deserialize(frame)
@@ -89,12 +95,14 @@ def guarded(host: str) -> Iterator[list[Any]]:
             if is_message(frame):
                 return frame
             await self.close(NOT_A_MESSAGE, "not a message")
-            return await super().recv()  # raises that it is closed, which viser expects
+            while True:  # what has come since is dropped; then it raises that it is closed, which viser expects
+                await super().recv()
 
     class Serve(module.serve):
         def __init__(self, *args: Any, process_request: Any = None, **options: Any) -> None:
             checked = {"process_request": _checked(process_request, names), "create_connection": Connection}
             super().__init__(*args, **options, **checked)
+            asyncio.get_running_loop().set_exception_handler(_drop_values)
             started.append(self)
 
     with _installing:
@@ -103,6 +111,16 @@ def guarded(host: str) -> Iterator[list[Any]]:
             yield started
         finally:
             module.serve = before
+
+
+def _drop_values(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Drops values that a browser has sent and viser cannot make one of their control, such as a word for a number."""
+    error = context.get("exception")
+    if isinstance(error, TypeError | ValueError | OverflowError):
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        if place.name == "_handle_gui_updates" and Path(place.filename).name == "_gui_api.py":
+            return
+    loop.default_exception_handler(context)
 
 
 def _checked(inner: Callable[[Any, Any], Any] | None, names: frozenset[str]) -> Callable[[Any, Any], Any]:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from pfnn_jax.errors import InputError
+
 if TYPE_CHECKING:
     from pfnn_jax.viewer.page.uploads import LearnedUpload
 
@@ -16,6 +18,9 @@ USUAL_SECONDS = 40.0
 
 TRUSTED = 0.15
 """Share that must be done before its speed says how long the rest takes."""
+
+MOST_JOBS = 8
+"""Styles that are learned or wait for it; more are refused, because each holds its clip in memory and a thread."""
 
 SHOWN = 600.0
 """Seconds for which a result is shown in tabs that are opened later."""
@@ -75,9 +80,15 @@ class LearningBoard:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def begin(self, run: str, name: str) -> Job:
-        """Notes that a style is being learned."""
+        """Notes that a style is being learned.
+
+        Raises:
+            InputError: if `MOST_JOBS` are already.
+        """
         job = Job(run, name, self.clock())
         with self._lock:
+            if len(self._jobs) >= MOST_JOBS:
+                raise InputError(name, "learning", f"{MOST_JOBS} clips wait already", "try this one again later")
             self._jobs.append(job)
         return job
 

@@ -24,7 +24,11 @@ from pfnn_jax.viewer.page.worn_character import clip_bytes, read_content
 from pfnn_jax.viewer.player.player import player_page
 from pfnn_jax.workflows.transfer import transfer_clip
 
+MOST_WAITING = 4
+"""Clips that are restyled or wait for it; more are refused, because each holds two clips in memory and a thread."""
+
 _restyling = threading.Lock()  # one clip at a time: two would both take twice as long
+_waiting = threading.BoundedSemaphore(MOST_WAITING)
 
 
 class ClipUpload(NamedTuple):
@@ -93,15 +97,20 @@ def restyle(
         progress: called from another thread with the fraction done, 0 to 1, and the present activity.
 
     Raises:
-        InputError: as `transfer_clip`; files are named as they were uploaded.
+        InputError: as `transfer_clip`, with files named as they were uploaded; if too many clips wait already.
     """
-    if not _restyling.acquire(blocking=False):
-        progress(0.0, WAITING)
-        _restyling.acquire()
+    if not _waiting.acquire(blocking=False):
+        raise InputError("page", "restyling", f"{MOST_WAITING} clips wait already", "try this one again later")
     try:
-        return background.do(partial(_restyle, content, style, strength, parts, progress), niceness=NICENESS)
+        if not _restyling.acquire(blocking=False):
+            progress(0.0, WAITING)
+            _restyling.acquire()
+        try:
+            return background.do(partial(_restyle, content, style, strength, parts, progress), niceness=NICENESS)
+        finally:
+            _restyling.release()
     finally:
-        _restyling.release()
+        _waiting.release()
 
 
 def _restyle(

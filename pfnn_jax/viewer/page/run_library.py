@@ -25,7 +25,14 @@ from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run import Run, load_run, load_style
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.viewer.page.learning import LearningBoard
-from pfnn_jax.viewer.page.style_files import DeletedStyle, delete_style, empty_trash, rename_style, restore_style
+from pfnn_jax.viewer.page.style_files import (
+    DeletedStyle,
+    delete_style,
+    empty_trash,
+    remove_unfinished,
+    rename_style,
+    restore_style,
+)
 from pfnn_jax.viewer.page.view import phase_scale
 from pfnn_jax.workflows.base import is_base
 from pfnn_jax.workflows.learn import default_config
@@ -165,6 +172,8 @@ class RunLibrary:
         self._strafes: dict[tuple[str, str], bool] = {}
         self.closing, self.learning = threading.Event(), LearningBoard()
         self.empty_trash()
+        for loaded in self._loaded.values():
+            remove_unfinished(loaded.run.path)
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -211,8 +220,13 @@ class RunLibrary:
         Raises:
             InputError: for an unknown run or style, or a style of another kind than the run's.
         """
-        with self._lock:
-            self._replace(run, self.get(run).with_style(style))
+        while True:
+            before = self.get(run)
+            after = before.with_style(style)  # without the lock: it may compile, and tabs would stand still meanwhile
+            with self._lock:
+                if self.get(run) is before:
+                    self._replace(run, after)
+                    return
 
     def rename_style(self, run: str, old: str, new: str) -> None:
         """Renames a learned style, in the run's folder and for all characters.
@@ -257,8 +271,8 @@ class RunLibrary:
                 raise InputError(run, "style", "none", "nothing was deleted that could be restored")
             restore_style(self.get(run).run.path, found[1])
             self._deleted.remove(found)
-            self.add_style(run, found[1].name)
-            return found[1].name
+        self.add_style(run, found[1].name)
+        return found[1].name
 
     def strafes(self, run: str, style: str) -> bool | None:
         """Returns whether a style can sidestep; None until `try_strafe` has found out."""
@@ -270,7 +284,10 @@ class RunLibrary:
         Raises:
             InputError: for an unknown run or style.
         """
-        found = can_strafe(self.get(run).controller, style)
+        loaded = self.get(run)
+        if style not in loaded.styles:  # renamed or deleted meanwhile
+            raise InputError(run, "style", ascii(style)[:60], f"must be one of {', '.join(loaded.styles)}")
+        found = can_strafe(loaded.controller, style)
         self._strafes = {**self._strafes, (run, style): found}
         return found
 

@@ -25,6 +25,9 @@ from pfnn_jax.run_config import check_new_style, list_styles
 DELETED_FOLDER = re.compile(r"\.deleted\.(\d+)")
 """Name of the hidden folder: with the number of the process that has made it."""
 
+UNFINISHED = ".unfinished"
+"""Ending of the name of a hidden file next to an upload whose style is not saved yet."""
+
 
 @dataclass(frozen=True)
 class DeletedStyle:
@@ -110,6 +113,24 @@ def empty_trash(run: Path) -> None:
             number = int(found[1]) if found is not None else None
             if number is not None and (number == os.getpid() or not is_running(number)) and not folder.is_symlink():
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def unfinished_mark(upload: Path) -> Path:
+    """Returns the hidden file that is next to an upload until its style is saved."""
+    return upload.with_name(f".{upload.name}{UNFINISHED}")
+
+
+def remove_unfinished(run: Path) -> None:
+    """Removes uploads whose style was not saved because the page was killed, unless another process writes the run."""
+    if not any(path.name.endswith(UNFINISHED) for path in _uploads(run)):
+        return
+    with suppress(OSError, InputError), writing(run):
+        for mark in [path for path in _uploads(run) if path.name.endswith(UNFINISHED)]:
+            upload = mark.with_name(mark.name[1:].removesuffix(UNFINISHED))
+            if upload.stem not in list_styles(run):
+                upload.unlink(missing_ok=True)
+            mark.unlink()
+        (run / "uploads").rmdir()  # if it is empty
 
 
 def own_folder(run: Path, *parts: str) -> Path:

@@ -43,9 +43,10 @@ class StylePicker:
         self._mixing, self._shares = False, (1 / 3, 1 / 3, 1 / 3)
         self._redraw_at = math.inf
         self._values = FieldChanges()
-        runs, names = library.runs, self._names(character.run)
+        loaded = library.get(character.run)  # one moment of it: styles are renamed and deleted meanwhile
+        runs, names, first = library.runs, loaded.styles, loaded.present_style(next(iter(character.shares)))
         self._run = gui.add_dropdown("Run", runs, initial_value=character.run, visible=len(runs) > 1)
-        self._style = gui.add_dropdown("Style", (*names, MIXTURE), initial_value=next(iter(character.shares)))
+        self._style = gui.add_dropdown("Style", (*names, MIXTURE), initial_value=first)
         with gui.add_folder("Mix three", expand_by_default=len(names) > 2):
             self._triangle = gui.add_html("")
             with gui.add_folder("Corners and shares", expand_by_default=False):
@@ -186,12 +187,12 @@ class StylePicker:
 
     def _offer(self, run: str) -> None:
         """Offers the options of a run; fields keep their values if the run has them."""
-        names, library = self._names(run), self._library.get(run)
-        corners = tuple(library.present_style(corner) for corner in self._corner_names())
+        loaded = self._library.get(run)
+        names, corners = loaded.styles, tuple(loaded.present_style(corner) for corner in self._corner_names())
         if not set(self._corner_names()) <= set(names):  # of another run, or of a style that was renamed or deleted
             corners = spread(corners, names)
         style = self._style.value
-        values = (*corners, style if style == MIXTURE else library.present_style(style))
+        values = (*corners, style if style == MIXTURE else loaded.present_style(style))
         for field, value in zip((*self._corners, self._style), values, strict=True):
             options = names if field is not self._style else (*names, MIXTURE)
             if tuple(field.options) != options:

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
+from pfnn_jax.errors import InputError
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.frame_scheduler import SLOWEST, FrameScheduler, picture_interval
@@ -138,7 +139,13 @@ class Tab:
             )
             return
         run, board, name = character.run, self._library.learning, panel.take_name()
-        job = board.begin(run, (name or PurePath(filename).stem)[:LONGEST_NAME])
+        try:
+            job = board.begin(run, (name or PurePath(filename).stem)[:LONGEST_NAME])
+        except InputError as error:
+            self._learning.release()
+            panel.return_name(name)
+            panel.notify(f"{filename[:80]} is not learned", str(error))
+            return
 
         def report(share: float, what: str) -> None:
             board.report(job, share, what == WAITING)

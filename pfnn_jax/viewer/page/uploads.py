@@ -27,7 +27,7 @@ from pfnn_jax.run import Run
 from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, compile_calibration
-from pfnn_jax.viewer.page.style_files import own_folder, taken_names
+from pfnn_jax.viewer.page.style_files import own_folder, taken_names, unfinished_mark
 from pfnn_jax.workflows.learn import default_config, learn_style, precompile
 
 MOST_BYTES = 10_000_000
@@ -289,6 +289,7 @@ def _kept_upload(loaded: LoadedRun, name: str, suffix: str, data: bytes) -> Iter
     _unfinished.add(path)
     try:
         folder.mkdir(exist_ok=True)
+        unfinished_mark(path).touch()
         write_whole(path, data)
         yield ClipFile(path, free)
     except BaseException:
@@ -296,6 +297,8 @@ def _kept_upload(loaded: LoadedRun, name: str, suffix: str, data: bytes) -> Iter
         raise
     finally:
         _unfinished.discard(path)
+        with suppress(OSError):
+            unfinished_mark(path).unlink(missing_ok=True)
 
 
 @contextmanager
@@ -320,6 +323,7 @@ def _remove(upload: Path) -> None:
     """Removes an upload, and its folder if it is empty; if neither can be removed, neither was written."""
     with suppress(OSError):
         upload.unlink(missing_ok=True)
+        unfinished_mark(upload).unlink(missing_ok=True)
         upload.parent.rmdir()
 
 
