@@ -18,6 +18,7 @@ from pfnn_jax.training.film_styles import mean_styles
 from pfnn_jax.training.loop import Progress, RowTraining, TrainState, no_progress
 from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import StepOrder, order_of
+from pfnn_jax.training.precision import at_precision
 from pfnn_jax.training.sharding import data_mesh
 from pfnn_jax.training.steps import Frozen, equal_dropout, init_train_state, make_pretrain_step, with_pose_noise
 
@@ -67,6 +68,7 @@ def pretrain(
     noise = pose_noise(config, rows.layout)
     if noise:
         step = with_pose_noise(step, noise, rows.layout)
+    step = at_precision(step, config.precision)
     frozen = Frozen(jax.random.fold_in(key, 1), rows.bones() if objective.bone_length else None)
     state = init_state(config, rows.layout, len(rows.styles), key=key) if state is None else state
     steps = total_steps(config, order)
