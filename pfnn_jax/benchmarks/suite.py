@@ -24,6 +24,7 @@ from pfnn_jax.benchmarks.lpn import (
     lpn_step_figures,
 )
 from pfnn_jax.benchmarks.preparation import preparation_figures
+from pfnn_jax.benchmarks.pytorch import has_torch, torch_step_figures
 from pfnn_jax.benchmarks.runtime import character_figures
 from pfnn_jax.benchmarks.timing import Figure, machine, versions
 from pfnn_jax.benchmarks.training import few_shot_figures, rate_figures, step_figures
@@ -127,6 +128,7 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
         sections[f"training steps of {batch} frames"] = lambda b=batch: step_figures(sizes, rank, b, repetitions, steps)
     largest = max(config.batch_sizes)
     sections["share of the matrix-product rate"] = lambda: rate_figures(sizes, rank, largest, repetitions, steps)
+    sections |= _sections_pytorch(config)
     sections["one character"] = lambda: character_figures(sizes, rank, repetitions, config.frames)
     few = max(1, repetitions // 3)
     sections["crowds"] = lambda: crowd_figures(config.hidden, config.characters, few)
@@ -139,6 +141,19 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
         sizes, rank, config.few_shot_frames, config.few_shot_epochs, few
     )
     return sections
+
+
+def _sections_pytorch(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
+    """Returns the sections that compare with PyTorch; where it is not installed, a line that says so."""
+    if not has_torch():
+        return {"no comparison with PyTorch, which is not installed (extra `compare`)": lambda: []}
+    options = config.network, config.rank
+    return {
+        f"training steps of {batch} frames in PyTorch": lambda b=batch: torch_step_figures(
+            *options, b, config.repetitions, config.steps_per_dispatch
+        )
+        for batch in config.batch_sizes
+    }
 
 
 def _sections_2022(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
