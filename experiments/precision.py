@@ -131,9 +131,8 @@ def judge(state: TrainState, dataset: Dataset) -> dict[str, float]:
         rows = Rows.from_dataset(dataset, [name], split="validation")
         batch: Batch = rows.take(np.linspace(0, rows.first_row[-1] - 1, HELD_OUT_ROWS).round().astype(int))
         errors.append(float(jnp.mean((predict_batch(state.params.shared, style, batch, None, None) - batch.y) ** 2)))
-        check = make_stability_check(
-            state.params.shared, dataset.normaliser, dataset.layout, *map(np.asarray, dataset.arrays(name))
-        )
+        x, y, phase = (np.asarray(values) for values in dataset.arrays(name))
+        check = make_stability_check(state.params.shared, dataset.normaliser, dataset.layout, x, y, phase)
         stable.append(check(style))
     return {"error": float(np.mean(errors)), "stable": float(np.mean(stable))}
 

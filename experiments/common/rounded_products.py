@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+from jax.core import eval_jaxpr
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from pfnn_jax.training.config import Precision
@@ -56,7 +57,7 @@ def _evaluate(closed: ClosedJaxpr, args: list[Any], bits: int) -> list[Any]:
         else:
             named = {v: value for v, value in zip(equation.invars, inputs, strict=True) if not isinstance(v, Literal)}
             alone = closed.jaxpr.replace(constvars=[], invars=[*named], outvars=equation.outvars, eqns=[equation])
-            outputs = jax.core.eval_jaxpr(alone, (), *named.values())
+            outputs = eval_jaxpr(alone, (), *named.values())
         values.update(zip(equation.outvars, outputs, strict=True))
     return [read(variable) for variable in closed.jaxpr.outvars]
 
