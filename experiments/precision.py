@@ -9,7 +9,7 @@ Measured  emulated: factors rounded to 10 or 7 bits of mantissa, sums in float32
           minibatches and masks; walks are evaluated in float32, on circles at 45 degrees per second.
 Expect    see docs/scale.md.
 Run       python -m experiments.precision --reference FOLDER --out runs/precision
-          About 5 minutes of processor time.
+          About 3 minutes of processor time.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class Config:
 
     out: Path
     reference: Path | None = None
-    steps: int = 1000
-    batch_size: int = 256
+    steps: int = 1200
+    batch_size: int = 128
     learning_rate: float = 1e-3
     seeds: int = 2
     seconds_per_style: float = 60.0
