@@ -3,6 +3,7 @@
     with lowering(platforms) as lowered:
         pretrain(rows, config)
     assert "pfnn_jax.training.loop.scan" in lowered
+    assert "stablehlo.dot_general" in lowered["pfnn_jax.training.loop.scan"]
 
 Inside the block every function that `jax.jit` has compiled in the package is exported for the platforms, with the
 arguments that the package itself gives it, and returns ones of the right shapes. Nothing is compiled.
@@ -67,9 +68,9 @@ def lower(function: Any, platforms: Sequence[str], *args: Any, **kwargs: Any) ->
 
 
 @contextmanager
-def lowering(packages: Sequence[str], platforms: Sequence[str] = PLATFORMS) -> Iterator[set[str]]:
-    """Replaces the compiled functions of some packages; yields the names of those that have been lowered."""
-    lowered: set[str] = set()
+def lowering(packages: Sequence[str], platforms: Sequence[str] = PLATFORMS) -> Iterator[dict[str, str]]:
+    """Replaces the compiled functions of some packages; yields the programs of those lowered last, by name."""
+    lowered: dict[str, str] = {}
 
     def replaced(function: Any, named: Callable) -> Callable:
         @wraps(named)
@@ -77,7 +78,7 @@ def lowering(packages: Sequence[str], platforms: Sequence[str] = PLATFORMS) -> I
             if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs))):
                 return function(*args, **kwargs)  # inside another compiled function, which is lowered as a whole
             exported = lower(function, platforms, *args, **kwargs)
-            lowered.add(name_of(named))
+            lowered[name_of(named)] = exported.mlir_module()
             ones = [jnp.ones(aval.shape, aval.dtype) for aval in exported.out_avals]
             return jax.tree.unflatten(exported.out_tree, ones)
 

@@ -27,6 +27,7 @@ from pfnn_jax.benchmarks.other_libraries import PACKAGES, is_installed
 from pfnn_jax.benchmarks.preparation import preparation_figures
 from pfnn_jax.benchmarks.runtime import character_figures
 from pfnn_jax.benchmarks.timing import REST, Figure, machine, versions
+from pfnn_jax.benchmarks.torch_training import torch_step_figures
 from pfnn_jax.benchmarks.training import few_shot_figures, rate_figures, step_figures
 from pfnn_jax.benchmarks.transfer import (
     TransferSizes,
@@ -132,6 +133,7 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
         sections[f"training steps of {batch} frames"] = lambda b=batch: step_figures(sizes, rank, b, repetitions, steps)
     largest = max(config.batch_sizes)
     sections["share of the matrix-product rate"] = lambda: rate_figures(sizes, rank, largest, repetitions, steps)
+    sections |= _sections_pytorch(config)
     sections["one character"] = lambda: character_figures(sizes, rank, repetitions, config.frames, config.rest)
     few = max(1, repetitions // 3)
     sections["crowds"] = lambda: crowd_figures(config.hidden, config.characters, few)
@@ -144,6 +146,19 @@ def _sections(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
         sizes, rank, config.few_shot_frames, config.few_shot_epochs, few
     )
     return sections
+
+
+def _sections_pytorch(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:
+    """Returns the sections that compare training steps with PyTorch, where it is installed."""
+    if not is_installed("PyTorch"):
+        return {}
+    options = config.network, config.rank
+    return {
+        f"training steps of {batch} frames in PyTorch": lambda b=batch: torch_step_figures(
+            *options, b, config.repetitions, config.steps_per_dispatch
+        )
+        for batch in config.batch_sizes
+    }
 
 
 def _sections_2022(config: BenchmarkConfig) -> dict[str, Callable[[], list[Figure]]]:

@@ -23,6 +23,9 @@ SPLINE_POINTS, EXPERTS = 4, 8
 
 PenaltyNorm = Literal["mean", "sum"]
 
+Precision = Literal["float32", "tf32", "bfloat16"]
+"""Of the factors of matrix products; sums are float32."""
+
 METHODS = (*style_kinds(), "fine_tune", "scratch")
 """Every kind of style, and training of all weights from the shared network's or from random ones."""
 
@@ -57,6 +60,7 @@ class PretrainConfig:
         l1_norm: mean of |W| over each array, as the authors' code, or sum, as the paper writes it.
         bone_length: weight of the bone-length loss; by default 0, or 1 with the layouts of 2022.
         seed: of initialisation, shuffling and dropout.
+        precision: of matrix products on GPUs and TPUs; CPUs compute all of them in float32 (docs/scale.md).
         steps_per_dispatch: steps that are compiled into one call, and between two lines of metrics.
         save_every: steps between saves of the training state.
         device_bytes: data larger than this stays on disk and is sent batch by batch.
@@ -81,6 +85,7 @@ class PretrainConfig:
     l1_norm: PenaltyNorm = "mean"
     bone_length: float | None = None
     seed: int = 0
+    precision: Precision = "float32"
     steps_per_dispatch: int = 100
     save_every: int = 1000
     device_bytes: int = 2**32
@@ -91,6 +96,7 @@ class PretrainConfig:
         check_positive(self, "learning_rate")
         check_not_negative(self, "pose_noise", "l1", "bone_length", "seed")
         check_one_of(self, "l1_norm", get_args(PenaltyNorm))
+        check_one_of(self, "precision", get_args(Precision))
         # Sizes that no layout could have; `network` and `generator` check those for one layout by the same rules.
         NetworkConfig(1, 1, self.hidden, self._points(1), self.rank, phase_size=1, gating_hidden=self.gating_hidden)
         self._generator(1)
@@ -171,6 +177,7 @@ class FewShotConfig:
             0 takes the best. Where rates and epochs differ, the frames of a straight walk favour settings that fit
             straight walks.
         seed: of initialisation, shuffling and dropout.
+        precision: of matrix products on GPUs and TPUs.
     """
 
     method: Method = "cp"
@@ -187,9 +194,11 @@ class FewShotConfig:
     held_out: float = 0.2
     tolerance: float = 0.0
     seed: int = 0
+    precision: Precision = "float32"
 
     def __post_init__(self):
         check_one_of(self, "method", METHODS)
+        check_one_of(self, "precision", get_args(Precision))
         check_at_least(self, "rank", "batch_size")
         check_field(self, "eval_epochs", "be increasing whole numbers from 1", _are_increasing)
         if self.decay:
@@ -241,6 +250,7 @@ class TuningConfig:
         dropout: drop probability.
         l1, bone_length: as in `PretrainConfig`; None for the value of the layout's paper.
         seed: of shuffling and dropout.
+        precision: of matrix products on GPUs and TPUs.
         steps_per_dispatch: steps between two reports of the loss.
     """
 
@@ -253,10 +263,12 @@ class TuningConfig:
     l1: float | None = None
     bone_length: float | None = None
     seed: int = 0
+    precision: Precision = "float32"
     steps_per_dispatch: int = 100
 
     def __post_init__(self):
         check_at_least(self, "epochs", "batch_size", "clips_per_batch", "steps_per_dispatch", "steps")
+        check_one_of(self, "precision", get_args(Precision))
         _check_shares(self)
         check_probability(self, "dropout")
         check_positive(self, "learning_rate")

@@ -27,6 +27,7 @@ from pfnn_jax.training.config import FewShotConfig
 from pfnn_jax.training.data import Batch, Rows, join_batches
 from pfnn_jax.training.loop import TrainState, chunks, no_progress, train_steps
 from pfnn_jax.training.losses import Bones, Objective
+from pfnn_jax.training.precision import at_precision
 from pfnn_jax.training.restyling import StyleDifferences, restyle
 from pfnn_jax.training.steps import descend, predict_batch
 
@@ -376,6 +377,7 @@ class EpochTrainer:
         self._epochs = config.eval_epochs[-1]
         self._inputs = _commit((shared, pad_rows(data, axis, math.lcm(TRAINING_ROWS, config.batch_size)), bones))
         self._key = key
+        self._train = at_precision(_train_many, config.precision)
         self._options = {
             "batch_size": config.batch_size,
             "objective": Objective(l1=config.l1, bone_length=config.bone_length),
@@ -396,7 +398,7 @@ class EpochTrainer:
 
         def scan(states: TrainState, first: int, count: int) -> tuple[TrainState, None]:
             counts = np.asarray([first, first + count, self._epochs, self._count], np.int32)
-            return _train_many(states, settings, *self._inputs, counts, self._key, **self._options), None
+            return self._train(states, settings, *self._inputs, counts, self._key, **self._options), None
 
         return train_steps(states, scan, chunks(*epochs, EPOCHS), lambda _, done, __: progress_callback(done))
 

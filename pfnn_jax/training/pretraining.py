@@ -21,6 +21,7 @@ from pfnn_jax.training.hosts import check_same, is_first
 from pfnn_jax.training.loop import Progress, RowTraining, TrainState, no_progress
 from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import StepOrder, identity, order_of
+from pfnn_jax.training.precision import at_precision
 from pfnn_jax.training.sharding import data_mesh, in_host_memory, is_spread
 from pfnn_jax.training.steps import Frozen, equal_dropout, init_train_state, make_pretrain_step, with_pose_noise
 
@@ -75,6 +76,7 @@ def pretrain(
     noise = pose_noise(config, rows.layout)
     if noise:
         step = with_pose_noise(step, noise, rows.layout)
+    step = at_precision(step, config.precision)
     frozen = Frozen(jax.random.fold_in(key, 1), rows.bones() if objective.bone_length else None)
     mesh = data_mesh(config.batch_size, devices)
     check_same("settings and rows", config, np.asarray(jax.random.key_data(key)), *identity(rows))

@@ -152,11 +152,13 @@ def make_pretrain_step(
     a whole in every step. `predict` computes the outputs of a batch in a style; benchmarks replace it.
     """
 
-    def update(params: PretrainParams, opt_state: PretrainParams, batch: Batch, key: jax.Array, bones: Bones | None):
+    def update(params, opt_state, batch: Batch, key: jax.Array, bones: Bones | None, descend_modulation=descend):
         loss = partial(pretrain_loss, predict=predict)
         gradient, error = jax.grad(loss, has_aux=True)(params, batch, objective, bones, dropout, key)
         shared, shared_state = descend(tx, gradient.shared, opt_state.shared, params.shared)
-        modulation, modulation_state = descend(tx, gradient.modulation, opt_state.modulation, params.modulation)
+        modulation, modulation_state = descend_modulation(
+            tx, gradient.modulation, opt_state.modulation, params.modulation
+        )
         return PretrainParams(shared, modulation), PretrainParams(shared_state, modulation_state), error
 
     def bank_step(state: TrainState, batch: Batch, frozen: Frozen):
@@ -165,7 +167,8 @@ def make_pretrain_step(
         number = state.step % jax.tree.leaves(state.params.modulation)[0].shape[0]
         style, style_state = jax.tree.map(lambda leaf: leaf[number], bank)
         params, opt_state = replace(state.params, modulation=style), replace(state.opt_state, modulation=style_state)
-        params, opt_state, error = update(params, opt_state, batch, key, frozen.bones)
+        apart = partial(descend_apart, always=state.step >= 0)
+        params, opt_state, error = update(params, opt_state, batch, key, frozen.bones, apart)
         changed = params.modulation, opt_state.modulation
         bank, bank_state = jax.tree.map(lambda leaf, new: leaf.at[number].set(new), bank, changed)
         params, opt_state = replace(params, modulation=bank), replace(opt_state, modulation=bank_state)
@@ -218,3 +221,22 @@ def descend(tx: optax.GradientTransformation, gradient: Any, opt_state: Any, par
     """Returns (new parameters, new optimiser state) after one step of an optimiser on any tree."""
     updates, opt_state = tx.update(gradient, opt_state, params)
     return optax.apply_updates(params, updates), opt_state
+
+
+def descend_apart(
+    tx: optax.GradientTransformation, gradient: Any, opt_state: Any, params: Any, *, always: jax.Array
+) -> tuple[Any, Any]:
+    """Returns what `descend` does, for one style of a bank that is written in place.
+
+    XLA for CPUs fuses reading, changing and writing a style into loops that read the bank while they write it, for
+    which it copies the whole bank in every step. It does not fuse across a branch.
+
+    Args:
+        tx, gradient, opt_state, params: as in `descend`.
+        always: [] a condition that holds, as the compiler cannot know.
+    """
+
+    def in_branch(gradient: Any, opt_state: Any, params: Any) -> tuple[Any, Any]:
+        return jax.lax.cond(always, lambda: descend(tx, gradient, opt_state, params), lambda: (params, opt_state))
+
+    return jax.lax.platform_dependent(gradient, opt_state, params, cpu=in_branch, default=partial(descend, tx))

@@ -20,6 +20,7 @@ from pfnn_jax.training.hosts import check_same
 from pfnn_jax.training.loop import Progress, RowTraining, TrainState, no_progress
 from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import identity, order_of
+from pfnn_jax.training.precision import at_precision
 from pfnn_jax.training.sharding import data_mesh
 from pfnn_jax.training.steps import Frozen, PretrainParams, Step, descend, equal_dropout, pretrain_loss
 
@@ -70,7 +71,8 @@ def tune_generator(
     copied = jax.tree.map(lambda leaf: jnp.array(leaf, copy=True), generator)  # training donates its state
     check_same("settings and rows", config, np.asarray(jax.random.key_data(key)), *identity(rows))
     steps = config.epochs * order.steps_per_epoch if config.steps is None else config.steps
-    step, mesh = _make_step(tx, objective, config), data_mesh(config.batch_size, devices)
+    step = at_precision(_make_step(tx, objective, config), config.precision)
+    mesh = data_mesh(config.batch_size, devices)
     training = RowTraining(step, rows, order, steps, config.steps_per_dispatch, mesh=mesh)
     state = TrainState(copied, tx.init(copied), jnp.zeros((), jnp.int32))
     frozen = Frozen(jax.random.fold_in(key, 1), bones, shared)

@@ -80,6 +80,7 @@ def train_autoencoder(
         loss,
         optax.adam(_schedule(config)),
         draw_order(len(windows), config.steps, config.batch_size, config.seed),
+        precision=config.precision,
         steps_per_dispatch=config.steps_per_dispatch,
         progress_callback=progress_callback,
     )

@@ -13,6 +13,7 @@ from pfnn_jax.errors import (
     check_positive,
     check_probability,
 )
+from pfnn_jax.training.config import Precision
 
 Start = Literal["content", "noise"]
 
@@ -49,6 +50,7 @@ class AutoencoderTrainingConfig:
         l1: α of Eq. 3, on the mean absolute weight of the filters, as in the authors' code (0.01).
         dropout: drop probability before the encoder and before the decoder (0.25 in the authors' code).
         seed: of initialisation, shuffling and dropout.
+        precision: of matrix products and convolutions on GPUs and TPUs.
         steps_per_dispatch: steps that are compiled into one call, and between two reports of the loss.
     """
 
@@ -59,10 +61,12 @@ class AutoencoderTrainingConfig:
     l1: float = 0.01
     dropout: float = 0.0
     seed: int = 0
+    precision: Precision = "float32"
     steps_per_dispatch: int = 50
 
     def __post_init__(self):
         check_at_least(self, "steps", "batch_size", "steps_per_dispatch")
+        check_one_of(self, "precision", get_args(Precision))
         check_positive(self, "learning_rate")
         check_not_negative(self, "l1", "seed")
         check_probability(self, "dropout")
@@ -155,6 +159,7 @@ class TransformationTrainingConfig:
             the network's own motion, as in the paper.
         held_out: share of the contents that training does not see, and that the losses are measured on.
         seed: of initialisation and shuffling.
+        precision: of matrix products and convolutions on GPUs and TPUs.
         steps_per_dispatch: steps that are compiled into one call, and between two reports of the loss.
     """
 
@@ -166,10 +171,12 @@ class TransformationTrainingConfig:
     keep_detail: bool = True
     held_out: float = 0.1
     seed: int = 0
+    precision: Precision = "float32"
     steps_per_dispatch: int = 25
 
     def __post_init__(self):
         check_at_least(self, "epochs", "batch_size", "steps_per_dispatch")
+        check_one_of(self, "precision", get_args(Precision))
         check_positive(self, "learning_rate")
         check_not_negative(self, "seed")
         check_probability(self, "held_out")

@@ -285,6 +285,7 @@ def _train(
         loss,
         optax.adam(optax.cosine_decay_schedule(config.learning_rate, steps)),
         draw_order(len(windows.x), steps, config.batch_size, config.seed),
+        precision=config.precision,
         steps_per_dispatch=config.steps_per_dispatch,
         progress_callback=progress_callback,
     )

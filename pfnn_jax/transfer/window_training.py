@@ -11,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from pfnn_jax.training.config import Precision
 from pfnn_jax.training.loop import Progress, TrainState, check_finite, chunks, scan_steps, train_steps
+from pfnn_jax.training.precision import at_precision
 
 Loss = Callable[[Any, Any, Any, jax.Array], tuple[jax.Array, jax.Array]]
 """(params, minibatch of windows, frozen, [] number of the step) -> (loss, value to report)."""
@@ -33,6 +35,7 @@ def train_windows(
     tx: optax.GradientTransformation,
     order: np.ndarray,
     *,
+    precision: Precision,
     steps_per_dispatch: int,
     progress_callback: Callable[[Progress], Any],
 ) -> tuple[Any, np.ndarray]:
@@ -45,6 +48,7 @@ def train_windows(
         loss: of a minibatch.
         tx: the optimiser.
         order: [steps, B] windows of every minibatch, as `draw_order` returns them.
+        precision: of matrix products and convolutions.
         steps_per_dispatch: steps that are compiled into one call, and between two reports.
         progress_callback: called after every chunk of steps.
 
@@ -63,7 +67,8 @@ def train_windows(
         progress_callback(Progress(step, steps, float(losses.mean()), rate))
         started = time.perf_counter()
 
-    scan = scan_steps(_make_step(loss, tx), lambda data, rows: jax.tree.map(lambda leaf: leaf[rows], data))
+    step = at_precision(_make_step(loss, tx), precision)
+    scan = scan_steps(step, lambda data, rows: jax.tree.map(lambda leaf: leaf[rows], data))
     state = TrainState(params=params, opt_state=tx.init(params), step=jnp.zeros((), jnp.int32))
     state = train_steps(
         state,

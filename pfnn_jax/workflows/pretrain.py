@@ -235,6 +235,7 @@ def _check_rows(dataset: Dataset, config: PretrainConfig) -> None:
 def _check_resumable(out: Path, wanted: RunConfig) -> None:
     """Refuses to resume a run that was started with other settings, or to train it for fewer steps than it has."""
     found, wanted_entries = _plain(load_config(out)), _plain(wanted)
+    found["pretrain"].setdefault("precision", PretrainConfig().precision)  # runs of earlier versions have none
     for entries in (found["pretrain"], wanted_entries["pretrain"]):
         for name in LENGTHS:
             entries.pop(name, None)

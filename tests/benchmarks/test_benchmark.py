@@ -19,6 +19,7 @@ from pfnn_jax.benchmarks.preparation import prepare_clips, write_synthetic
 from pfnn_jax.benchmarks.runtime import NumpyTable, frame_inputs, random_predictor
 from pfnn_jax.benchmarks.suite import BenchmarkConfig, print_benchmark, run_benchmark
 from pfnn_jax.benchmarks.timing import figure, interleave
+from pfnn_jax.benchmarks.torch_training import TorchTraining, check_outputs, torch_stepper
 from pfnn_jax.benchmarks.training import flops, fresh_state, per_sample_outputs, products, random_frames, stepper
 from pfnn_jax.benchmarks.transfer import TransferSizes, fast_works
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
@@ -171,3 +172,13 @@ def test_printed_table_names_every_figure(result):
 def test_sizes_below_one_are_refused_by_field(name):
     with pytest.raises(ValueError, match=f"BenchmarkConfig.{name}"):
         dataclasses.replace(TINY, **{name: 0})
+
+
+def test_pytorch_computes_the_same_function():
+    pytest.importorskip("torch")
+    state = fresh_state(SIZES, AdapterConfig("cp", 3), 2)
+    state = dataclasses.replace(state, params=randomise(state.params, 1))
+    training = TorchTraining(state)
+    data = random_frames((2, 8), SIZES)
+    check_outputs(training, state, jax.tree.map(lambda leaf: leaf[0], data))
+    assert np.isfinite(torch_stepper(training, data, 4, 3)())

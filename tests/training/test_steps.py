@@ -95,9 +95,8 @@ def test_a_batch_is_its_frames_one_by_one():
 
 
 def test_every_frame_of_a_batch_draws_a_mask_of_its_own():
-    one = toy_style(num_frames=1)
-    same = jax.tree.map(lambda leaf: jnp.repeat(leaf, 8, axis=0), one)
-    outputs = predict_batch(toy_network(), None, same, DROPOUT, KEY)
+    network, frame = init_network(NetworkConfig(32, 32, hidden=32), key=KEY), np.ones((8, 32), np.float32)
+    outputs = predict_batch(network, None, Batch(frame, frame, np.ones(8, np.float32)), DROPOUT, KEY)
     assert len(np.unique(np.asarray(outputs), axis=0)) == 8
 
 

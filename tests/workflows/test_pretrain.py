@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -128,6 +129,20 @@ def test_a_run_is_resumed_only_with_its_own_settings(dataset, whole):
         lambda: pretrain_run(dataset, whole.path, replace(CONFIG, learning_rate=1e-3), resume=True),
         place="pretrain",
         rule_mentions="started with",
+    )
+
+
+def test_a_run_from_before_precision_was_a_setting_is_resumed(dataset, whole, tmp_path):
+    """On processors it was trained in float32, the default."""
+    old = shutil.copytree(whole.path, tmp_path / "run")
+    written = json.loads((old / "config.json").read_text())
+    del written["pretrain"]["precision"]
+    (old / "config.json").write_text(json.dumps(written))
+    assert_bitwise_equal(parameters(pretrain_run(dataset, old, CONFIG, resume=True)), parameters(whole))
+    assert_refused(
+        lambda: pretrain_run(dataset, old, replace(CONFIG, precision="tf32"), resume=True),
+        place="pretrain",
+        value="precision float32 differs from the settings given now",
     )
 
 
