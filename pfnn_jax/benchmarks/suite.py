@@ -209,7 +209,7 @@ def print_benchmark(result: dict[str, Any], console: Console | None = None) -> N
         table.add_row(f"  {row['name']}", value, spread, aim, met, str(row["repetitions"]))
     console.print(table)
     for library in result["left_out"]:
-        console.print(f"{library} is not installed: its frames were left out.")
+        console.print(f"{library} is not installed: what compares with it was left out.")
 
 
 def _number(value: float) -> str:

@@ -154,7 +154,9 @@ def test_a_new_kind_needs_only_its_class(law: Callable[[str], None], new_kind: s
 @pytest.mark.parametrize("kind", LAYER_KINDS)
 def test_a_layer_at_coefficients_is_a_layer_of_one_control_point(kind: str, float64: None):
     layer, c, x = random_layer(kind, POINTS, HIDDEN, HIDDEN, RANK), coefficients(), hidden_frame()
-    np.testing.assert_allclose(layer.at(c)(jnp.ones(1), x), layer(c, x), atol=FLOAT64)
+    at = layer.at(c)
+    assert isinstance(at, Layer)
+    np.testing.assert_allclose(at(jnp.ones(1), x), layer(c, x), atol=FLOAT64)
 
 
 @pytest.mark.parametrize("kind", LAYER_KINDS)
@@ -178,6 +180,7 @@ def test_a_mixture_of_layers_is_the_weighted_sum_of_outputs(kind: str, weights: 
     expected = jnp.asarray(weights) @ each
     np.testing.assert_allclose(mixed(coefficients(), hidden_frame()), expected, atol=FLOAT64)
     at = mixed.at(coefficients())
+    assert isinstance(at, Layer)
     np.testing.assert_allclose(at(jnp.ones(1), hidden_frame()), expected, atol=FLOAT64)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 import jax
@@ -31,11 +30,6 @@ from pfnn_jax.training.steps import equal_dropout, make_pretrain_step, predict_b
 
 OUTPUTS = 1e-4
 """Largest difference of normalised outputs, which are near 1: sums of 2,048 products in float32."""
-
-
-def has_torch() -> bool:
-    """Returns whether PyTorch is installed."""
-    return find_spec("torch") is not None
 
 
 class TorchTraining:
