@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from pfnn_jax.benchmarks.torch_training import TorchTraining, check_outputs, torch_stepper
 from rich.console import Console
 
 from pfnn_jax.benchmarks.other_libraries import PACKAGES, check_equal, is_installed, other_frames, torch_lookup
@@ -20,6 +19,7 @@ from pfnn_jax.benchmarks.preparation import prepare_clips, write_synthetic
 from pfnn_jax.benchmarks.runtime import NumpyTable, frame_inputs, random_predictor
 from pfnn_jax.benchmarks.suite import BenchmarkConfig, print_benchmark, run_benchmark
 from pfnn_jax.benchmarks.timing import figure, interleave
+from pfnn_jax.benchmarks.torch_training import TorchTraining, check_outputs, torch_stepper
 from pfnn_jax.benchmarks.training import flops, fresh_state, per_sample_outputs, products, random_frames, stepper
 from pfnn_jax.benchmarks.transfer import TransferSizes, fast_works
 from pfnn_jax.inference.lookup import evaluate_lookup, make_lookup
