@@ -7,8 +7,10 @@ atomic rename covers neither the note nor an exchange of an earlier record.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import logging
+import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping
@@ -22,7 +24,7 @@ import numpy as np
 from orbax.checkpoint import v1 as ocp
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import locate, read_json, remove, replacing, write_json
+from pfnn_jax.io.files import json_text, locate, read_json, remove, replacing
 
 Tree = TypeVar("Tree")
 
@@ -58,12 +60,13 @@ def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]
     with replacing(folder) as new:
         new.mkdir()
         _need_room(folder, new, sum(leaf.nbytes for leaf in jax.tree.leaves(arrays)))
+        (new / note_name).write_text(json_text(note), encoding="utf-8")
         with _quiet(), _ending_late_writes(new):
             ocp.save(str((new / TREE).absolute()), arrays)
+        _need_same(new, note_name)
         # Orbax writes the checkpoint's path into this file; runs are passed on, and that path is gone after the rename.
         (new / TREE / COMMITTED).write_text("Checkpoint commit was successful\n", encoding="utf-8")
-        write_json(new / FILES, _sizes(new / TREE))
-        write_json(new / note_name, note)
+        (new / FILES).write_text(json_text(_sizes(new / TREE)), encoding="utf-8")
 
 
 @contextmanager
@@ -131,6 +134,16 @@ def _need_room(target: Path, folder: Path, size: int) -> None:
     free, size = shutil.disk_usage(folder).free, size + SMALL_FILES
     if free < size:
         raise InputError(target, "disk", f"{free / 1e6:.1f} MB free", f"the save needs up to {size / 1e6:.1f} MB")
+
+
+def _need_same(new: Path, note_name: str) -> None:
+    """Refuses a folder that was removed while it was written, for example with its run: Orbax makes it again."""
+    if not (new / note_name).is_file():
+        remove(new)
+        with suppress(OSError):  # folders that hold something else stay
+            new.parent.rmdir()
+            new.parent.parent.rmdir()
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(new))
 
 
 def _sizes(folder: Path) -> dict[str, int]:
