@@ -98,7 +98,7 @@ COMMANDS = {
     ),
     "few-shot": Command(
         ("run", "clips"),
-        lambda at: ["few-shot", at / "run", at / "clips" / "old" / "walk.bvh", "--name", "new", *LEARN],
+        lambda at: ["few-shot", at / "run", at / "clips" / "old" / "walk.bvh", "--name", "learned", *LEARN],
     ),
     "generate": Command(("run",), lambda at: ["generate", at / "run", "--seconds", "2", "--out", at / "new" / "a.bvh"]),
     "export": Command(("run",), lambda at: ["export", at / "run", "--format", "bins", "--out", at / "new" / "export"]),
