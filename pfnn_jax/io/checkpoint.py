@@ -54,14 +54,14 @@ def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]
         note: what can be read without loading the tree.
 
     Raises:
-        InputError: if the disk is full.
+        InputError: if the disk is full or too slow, or the folder was removed meanwhile; the last save is kept.
     """
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, int | float) else leaf, tree)
     with replacing(folder) as new:
         new.mkdir()
         _need_room(folder, new, sum(leaf.nbytes for leaf in jax.tree.leaves(arrays)))
         (new / note_name).write_text(json_text(note), encoding="utf-8")
-        with _quiet(), _ending_late_writes(new):
+        with _quiet(), _ending_late_writes(folder, new):
             ocp.save(str((new / TREE).absolute()), arrays)
         _need_same(new, note_name)
         # Orbax writes the checkpoint's path into this file; runs are passed on, and that path is gone after the rename.
@@ -70,11 +70,15 @@ def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]
 
 
 @contextmanager
-def _ending_late_writes(new: Path) -> Iterator[None]:
-    """Removes what Orbax's threads still write after one of them has failed, until nothing comes for a while."""
+def _ending_late_writes(folder: Path, new: Path) -> Iterator[None]:
+    """Removes what Orbax's threads still write after one of them has failed, until nothing comes for a while.
+
+    Raises:
+        InputError: if Orbax has given up waiting, which it measures by the time of day.
+    """
     try:
         yield
-    except Exception:
+    except Exception as error:
         quiet_since, ends = time.monotonic(), time.monotonic() + LONGEST_LATE
         while time.monotonic() < min(quiet_since + LATE, ends):
             if new.exists():
@@ -82,6 +86,12 @@ def _ending_late_writes(new: Path) -> Iterator[None]:
                     remove(new)
                 quiet_since = time.monotonic()
             time.sleep(0.01)
+        if isinstance(error, TimeoutError):
+            value, rule = (
+                "timed out",
+                "must not take minutes, nor the clock jump meanwhile; the last save is kept, try again",
+            )
+            raise InputError(folder, "save", value, rule) from error
         raise
 
 

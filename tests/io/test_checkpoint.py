@@ -209,6 +209,19 @@ def test_a_save_that_cannot_fit_is_refused_before_it_begins(tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_save_that_times_out_is_one_line_and_keeps_the_last_one(tmp_path, monkeypatch):
+    """Orbax measures how long it waits by the time of day, which can jump."""
+
+    def time_out(place, arrays):
+        raise TimeoutError
+
+    save(tmp_path / "state", seed=1)
+    monkeypatch.setattr(checkpoint.ocp, "save", time_out)
+    assert_refused(lambda: save(tmp_path / "state", seed=2), file="state", place="save", value="timed out")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["state"]
+    assert_equal(load_record(tmp_path / "state", make_state()), make_state(1))
+
+
 def test_a_folder_that_is_removed_during_a_save_is_not_made_again(tmp_path, monkeypatch):
     """Orbax makes what is missing above the place at which it writes."""
     write, run = checkpoint.ocp.save, tmp_path / "run"
