@@ -7,9 +7,9 @@ Method    each command runs in a folder that is a file system of its own (`tmpfs
           - full: with room for a part of what the command writes when nothing hinders it; then again with enough;
           - read-only: mounted so, because the superuser is refused by no permission;
           - removed: the folder of the output is removed as soon as something appears in it;
-          - clock: a library loaded ahead of the program (`--clock libfaketime.so.1`) makes the time of day jump by
-            1,000 hours, back and forth, each quarter of a second.
-Run       python -m experiments.disk_faults --out OUT [--clock LIBRARY] (as the superuser, on Linux)
+          - clock: the time of day that Python tells jumps by 1,000 hours, back and forth, four times a second. A
+            library that makes it jump for all of a process (libfaketime) is no use: it makes `time.sleep` fail.
+Run       python -m experiments.disk_faults --out OUT (as the superuser, on Linux)
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ ENOUGH = "1g"
 JUMP = 1000
 """Hours by which the clock jumps."""
 
-PROGRAM = "import sys; from experiments.disk_faults import act; act(sys.argv[1:])"
+PROGRAM = "import sys; from experiments.disk_faults import act, jump; jump(); act(sys.argv[1:])"
 """A process whose clock jumps from its start."""
 
 
@@ -58,13 +58,11 @@ class Config:
 
     Attributes:
         out: folder of the file systems and of `disk_faults.json`.
-        clock: the library that makes the clock jump; without it the clock does not.
         only: names of commands; all by default.
         faults: which of full, read-only, removed and clock.
     """
 
     out: Path
-    clock: Path | None = None
     only: tuple[str, ...] = ()
     faults: tuple[str, ...] = ("full", "read-only", "removed", "clock")
 
@@ -98,7 +96,7 @@ COMMANDS = {
     ),
     "few-shot": Command(
         ("run", "clips"),
-        lambda at: ["few-shot", at / "run", at / "clips" / "old" / "walk.bvh", "--name", "new", *LEARN],
+        lambda at: ["few-shot", at / "run", at / "clips" / "old" / "walk.bvh", "--name", "learned", *LEARN],
     ),
     "generate": Command(("run",), lambda at: ["generate", at / "run", "--seconds", "2", "--out", at / "new" / "a.bvh"]),
     "export": Command(("run",), lambda at: ["export", at / "run", "--format", "bins", "--out", at / "new" / "export"]),
@@ -277,34 +275,28 @@ def try_removed(command: Command, sources: Path, at: Path) -> dict[str, Any]:
     return {"code": ended.code, "said": ended.errors[-1:], "faults": found}
 
 
-def try_clock(command: Command, sources: Path, at: Path, library: Path) -> dict[str, Any]:
+def jump() -> None:
+    """Makes the time of day of this process jump, ahead and back."""
+    real, nanoseconds = time.time, time.time_ns
+
+    def ahead() -> float:
+        return 3600.0 * JUMP * (-1) ** int(4.0 * time.monotonic())
+
+    time.time = lambda: real() + ahead()
+    time.time_ns = lambda: nanoseconds() + int(1e9 * ahead())
+
+
+def try_clock(command: Command, sources: Path, at: Path) -> dict[str, Any]:
     """Runs a command whose clock jumps, in a process of its own."""
     with file_system(at):
         fill(command, sources, at)
-        clock, stop = at.with_name("clock"), threading.Event()
-        clock.write_text("+0")
-
-        def jump() -> None:
-            sign = 1
-            while not stop.wait(0.25):
-                clock.with_suffix(".next").write_text(f"{sign * JUMP:+d}h")
-                clock.with_suffix(".next").rename(clock)
-                sign = -sign
-
-        thread = threading.Thread(target=jump)
-        thread.start()
-        own = {"FAKETIME_TIMESTAMP_FILE": str(clock), "FAKETIME_NO_CACHE": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1"}
         program = [sys.executable, "-c", PROGRAM, *map(str, command.words(at))]
-        ended = subprocess.run(
-            program, capture_output=True, text=True, env={**os.environ, **own, "LD_PRELOAD": str(library)}
-        )
-        stop.set()
-        thread.join()
-        errors = ended.stderr.splitlines()
-        found = faults_of(Ended(ended.returncode, errors), at)
-        if ended.returncode:
-            found.append(f"code {ended.returncode}: {errors[-3:]}")
-    return {"code": ended.returncode, "said": errors[-1:], "faults": found}
+        done = subprocess.run(program, capture_output=True, text=True)
+        ended = Ended(done.returncode, done.stderr.splitlines())
+        found = faults_of(ended, at)
+        if ended.code:
+            found.append(f"code {ended.code}: {ended.errors[-3:]}")
+    return {"code": ended.code, "said": ended.errors[-1:], "faults": found}
 
 
 def make_sources(folder: Path) -> None:
@@ -331,8 +323,8 @@ def main(config: Config) -> dict[str, Any]:
             tries["read-only"] = try_read_only
         if "removed" in config.faults:
             tries["removed"] = try_removed
-        if "clock" in config.faults and config.clock is not None:
-            tries["clock"] = partial(try_clock, library=config.clock)
+        if "clock" in config.faults:
+            tries["clock"] = try_clock
         for fault, attempt in tries.items():
             results[f"{name}, {fault}"] = found = attempt(COMMANDS[name], out / "sources", out / "place")
             print(f"{name}, {fault}: {json.dumps(found)}", flush=True)

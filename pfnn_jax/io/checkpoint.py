@@ -7,8 +7,10 @@ atomic rename covers neither the note nor an exchange of an earlier record.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import logging
+import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping
@@ -23,7 +25,7 @@ import orbax.checkpoint as orbax
 from orbax.checkpoint import v1 as ocp
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import locate, read_json, remove, replacing, write_json
+from pfnn_jax.io.files import json_text, locate, read_json, remove, replacing
 
 Tree = TypeVar("Tree")
 
@@ -56,18 +58,19 @@ def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]
         note: what can be read without loading the tree.
 
     Raises:
-        InputError: if the disk is full.
+        InputError: if the disk is full or too slow, or the folder was removed meanwhile; the last save is kept.
     """
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, int | float) else leaf, tree)
     with replacing(folder) as new:
         new.mkdir()
         _need_room(folder, new, sum(leaf.nbytes for leaf in jax.tree.leaves(arrays)))
-        with _quiet(), _ending_late_writes(new):
+        (new / note_name).write_text(json_text(note), encoding="utf-8")
+        with _quiet(), _ending_late_writes(folder, new):
             _save((new / TREE).absolute(), arrays)
+        _need_same(new, note_name)
         # Orbax writes the checkpoint's path into this file; runs are passed on, and that path is gone after the rename.
         (new / TREE / COMMITTED).write_text("Checkpoint commit was successful\n", encoding="utf-8")
-        write_json(new / FILES, _sizes(new / TREE))
-        write_json(new / note_name, note)
+        (new / FILES).write_text(json_text(_sizes(new / TREE)), encoding="utf-8")
 
 
 def _save(path: Path, arrays: Any) -> None:
@@ -100,11 +103,15 @@ def _alone() -> dict[str, Any]:
 
 
 @contextmanager
-def _ending_late_writes(new: Path) -> Iterator[None]:
-    """Removes what Orbax's threads still write after one of them has failed, until nothing comes for a while."""
+def _ending_late_writes(folder: Path, new: Path) -> Iterator[None]:
+    """Removes what Orbax's threads still write after one of them has failed, until nothing comes for a while.
+
+    Raises:
+        InputError: if Orbax has given up waiting, which it measures by the time of day.
+    """
     try:
         yield
-    except Exception:
+    except Exception as error:
         quiet_since, ends = time.monotonic(), time.monotonic() + LONGEST_LATE
         while time.monotonic() < min(quiet_since + LATE, ends):
             if new.exists():
@@ -112,6 +119,12 @@ def _ending_late_writes(new: Path) -> Iterator[None]:
                     remove(new)
                 quiet_since = time.monotonic()
             time.sleep(0.01)
+        if isinstance(error, TimeoutError):
+            value, rule = (
+                "timed out",
+                "must not take minutes, nor the clock jump meanwhile; the last save is kept, try again",
+            )
+            raise InputError(folder, "save", value, rule) from error
         raise
 
 
@@ -165,6 +178,16 @@ def _need_room(target: Path, folder: Path, size: int) -> None:
     free, size = shutil.disk_usage(folder).free, size + SMALL_FILES
     if free < size:
         raise InputError(target, "disk", f"{free / 1e6:.1f} MB free", f"the save needs up to {size / 1e6:.1f} MB")
+
+
+def _need_same(new: Path, note_name: str) -> None:
+    """Refuses a folder that was removed while it was written, for example with its run: Orbax makes it again."""
+    if not (new / note_name).is_file():
+        remove(new)
+        with suppress(OSError):  # folders that hold something else stay
+            new.parent.rmdir()
+            new.parent.parent.rmdir()
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(new))
 
 
 def _sizes(folder: Path) -> dict[str, int]:

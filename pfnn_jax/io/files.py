@@ -97,8 +97,10 @@ def replacing(target: Path) -> Iterator[Path]:
             remove(new)
             yield new
             exchange(new, target)
-    finally:
-        remove(new)
+    except BaseException:
+        with suppress(OSError):  # what cannot be removed now, because threads still write it, must not hide the reason
+            remove(new)
+        raise
 
 
 def copy_once(source: Path, target: Path) -> bool:

@@ -209,6 +209,34 @@ def test_a_save_that_cannot_fit_is_refused_before_it_begins(tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_save_that_times_out_is_one_line_and_keeps_the_last_one(tmp_path, monkeypatch):
+    """Orbax measures how long it waits by the time of day, which can jump."""
+
+    def time_out(place, arrays):
+        raise TimeoutError
+
+    save(tmp_path / "state", seed=1)
+    monkeypatch.setattr(checkpoint.ocp, "save", time_out)
+    assert_refused(lambda: save(tmp_path / "state", seed=2), file="state", place="save", value="timed out")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["state"]
+    assert_equal(load_record(tmp_path / "state", make_state()), make_state(1))
+
+
+def test_a_folder_that_is_removed_during_a_save_is_not_made_again(tmp_path, monkeypatch):
+    """Orbax makes what is missing above the place at which it writes."""
+    write, run = checkpoint.ocp.save, tmp_path / "run"
+    (run / "styles").mkdir(parents=True)
+    (run / "config.json").write_text("{}")
+
+    def remove_and_save(place, arrays):
+        shutil.rmtree(run)
+        write(place, arrays)
+
+    monkeypatch.setattr(checkpoint.ocp, "save", remove_and_save)
+    assert_refused(lambda: save(run / "styles" / "mine"), file="mine", value="No such file or directory")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_other_errors_pass_and_leave_nothing(tmp_path):
     with pytest.raises(KeyError), replacing(tmp_path / "file") as new:
         new.write_text("half")

@@ -67,6 +67,25 @@ def test_a_failure_keeps_its_code_while_something_compiles(left, ended):
     assert (process.returncode, process.stderr) == (ended, "")
 
 
+HOLDING = """
+import threading, time
+from pfnn_jax.viewer.page import background
+def hold():
+    with background.temporary_folder() as folder:
+        print(folder, flush=True)
+        background.do(lambda: time.sleep(600))
+threading.Thread(target=hold, daemon=True).start()
+while not background._working:
+    time.sleep(0.01)
+background.leave_work(0)
+"""
+
+
+def test_temporary_files_of_work_that_is_left_are_removed():
+    process = subprocess.run([sys.executable, "-c", HOLDING], capture_output=True, text=True, timeout=TIMEOUT_SECONDS)
+    assert process.returncode == 0 and process.stdout and not Path(process.stdout.strip()).exists()
+
+
 def test_a_result_that_cannot_be_written_sets_the_exit_code(monkeypatch, played_run, tmp_path: Path):
     """The page ends while it compiles, and the file of the result is in a folder that does not exist."""
     codes = []

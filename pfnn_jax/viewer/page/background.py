@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import atexit
 import os
+import shutil
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +20,7 @@ LONGEST_ERROR = 300
 Result = TypeVar("Result")
 
 _working: set[threading.Thread] = set()
+_folders: set[str] = set()
 _left = False
 
 
@@ -81,6 +84,17 @@ def unexpected(error: Exception, about: str = "") -> str:
     return ": ".join(part for part in (about, type(error).__name__, str(error)) if part)[:LONGEST_ERROR]
 
 
+@contextmanager
+def temporary_folder() -> Iterator[str]:
+    """Yields a temporary folder, which is removed after the block, or by `leave_work` if the program ends before."""
+    with tempfile.TemporaryDirectory() as folder:
+        _folders.add(folder)
+        try:
+            yield folder
+        finally:
+            _folders.discard(folder)
+
+
 def leave_work(code: int = 0) -> None:
     """Lets the program end while work is running, after its exit handlers.
 
@@ -111,4 +125,6 @@ def _end_at_once(code: int) -> None:
     if _working:
         sys.stdout.flush()
         sys.stderr.flush()
+        for folder in tuple(_folders):
+            shutil.rmtree(folder, ignore_errors=True)
         os._exit(code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 from functools import partial
 from pathlib import Path
@@ -87,7 +86,7 @@ def recording_bytes(clip: MotionClip, kind: str, worn: WornCharacter | None = No
         return bvh_bytes(clip)
     if worn is None:
         return glb_bytes(clip.skeleton, grow_body(clip.skeleton), {clip.style: clip}, root_motion=True)
-    with tempfile.TemporaryDirectory() as folder:
+    with background.temporary_folder() as folder:
         path = Path(folder) / f"{worn.name}{worn.suffix}"
         path.write_bytes(worn.data)
         return put_onto(clip, path, root_motion=True)

@@ -7,7 +7,6 @@ the name says, and as nothing else.
 from __future__ import annotations
 
 import re
-import tempfile
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -116,7 +115,7 @@ def restyle(
 def _restyle(
     content: ClipUpload, style: ClipUpload, strength: float, parts: Parts, progress: Callable[[float, str], None]
 ) -> Restyled:
-    with tempfile.TemporaryDirectory() as folder:
+    with background.temporary_folder() as folder:
         paths = [_write(Path(folder) / role, clip) for role, clip in (("content", content), ("style", style))]
         try:
             done = transfer_clip(*paths, strength=strength, parts=parts, progress_callback=progress)

@@ -6,7 +6,6 @@ nothing from outside the temporary folder of the file.
 
 from __future__ import annotations
 
-import tempfile
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -25,6 +24,7 @@ from pfnn_jax.motion.gltf.skin import read_mesh
 from pfnn_jax.motion.retargeting.retarget import Retargeter, make_retargeter, stance_frames
 from pfnn_jax.motion.skeleton import Skeleton
 from pfnn_jax.motion.skinned_mesh import SkinnedMesh
+from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.recording import bvh_bytes
 from pfnn_jax.viewer.page.uploads import (
     LONGEST,
@@ -166,7 +166,7 @@ def read_worn_character(filename: str, data: bytes) -> WornCharacter:
 def _kept(name: str, suffix: str, data: bytes) -> Iterator[Path]:
     """Writes a file into a folder of its own for the block; errors name it as it was sent."""
     check_size(f"{name}{suffix}", data, MOST_CHARACTER_BYTES)
-    with tempfile.TemporaryDirectory() as folder:
+    with background.temporary_folder() as folder:
         path = Path(folder) / f"{name}{suffix}"
         path.write_bytes(data)
         try:
