@@ -33,7 +33,7 @@ from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.styles import PRETRAINING_STYLES
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.training.config import PretrainConfig
-from pfnn_jax.training.data import Batch, Rows
+from pfnn_jax.training.data import Batch, Rows, evenly_spaced
 from pfnn_jax.training.loop import Progress, TrainState
 from pfnn_jax.training.pretraining import pretrain
 from pfnn_jax.training.steps import PretrainParams, predict_batch
@@ -115,7 +115,7 @@ def load_data(config: Config) -> tuple[Rows, Batch]:
     with tempfile.TemporaryDirectory() as folder:
         dataset = prepare(clips, Path(folder) / "data", PrepareConfig(mirror=False, validation=0.1))
         held = [
-            rows.take(np.linspace(0, rows.first_row[-1] - 1, HELD_OUT_ROWS).round().astype(int))
+            rows.take(evenly_spaced(rows.first_row[-1], HELD_OUT_ROWS))
             for rows in (Rows.from_dataset(dataset, [style], split="validation") for style in dataset.styles)
         ]
         return Rows.from_dataset(dataset), jax.tree.map(lambda *leaves: jnp.stack(leaves), *held)

@@ -40,7 +40,7 @@ from pfnn_jax.motion.synthetic.styles import PRETRAINING_STYLES
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
 from pfnn_jax.run import load_style
 from pfnn_jax.training.config import Precision, PretrainConfig
-from pfnn_jax.training.data import Batch, Rows, make_gather
+from pfnn_jax.training.data import Batch, Rows, evenly_spaced, make_gather
 from pfnn_jax.training.loop import TrainState, scan_steps
 from pfnn_jax.training.losses import Objective
 from pfnn_jax.training.order import order_of
@@ -129,7 +129,7 @@ def judge(state: TrainState, dataset: Dataset) -> dict[str, float]:
     for index, name in enumerate(dataset.styles):
         style = jax.tree.map(lambda leaf, i=index: leaf[i], state.params.modulation)
         rows = Rows.from_dataset(dataset, [name], split="validation")
-        batch: Batch = rows.take(np.linspace(0, rows.first_row[-1] - 1, HELD_OUT_ROWS).round().astype(int))
+        batch: Batch = rows.take(evenly_spaced(rows.first_row[-1], HELD_OUT_ROWS))
         errors.append(float(jnp.mean((predict_batch(state.params.shared, style, batch, None, None) - batch.y) ** 2)))
         x, y, phase = (np.asarray(values) for values in dataset.arrays(name))
         check = make_stability_check(state.params.shared, dataset.normaliser, dataset.layout, x, y, phase)

@@ -61,7 +61,7 @@ class LostProcessError(RuntimeError):
         self.found = found
         super().__init__(
             f"training: another process is lost: {found}; the last complete save is kept, "
-            "start all processes again with resume=True"
+            "start all processes again, a pretraining with resume=True"
         )
 
     def __reduce__(self):

@@ -34,7 +34,7 @@ from tests.trained import made_once
 
 SMALL = "--hidden 8 --adapter.rank 3 --steps 30 --batch-size 16 --steps-per-dispatch 10".split()
 SOON = 5.0  # processor seconds in which an interrupted command ends: what it began would take more than 20
-PATIENCE = 120.0  # seconds, on a loaded machine, after which a program counts as hanging
+LONGEST = 120.0  # seconds, on a loaded machine, after which a program counts as hanging
 
 QUICK = "--rank 3 --no-decay --eval-epochs 1 2 --learning-rates 0.001 --main-dropouts 0 --batch-size 16".split()
 
@@ -589,7 +589,7 @@ def interrupt(command, at: Callable[[subprocess.Popen], None], times: int = 1) -
             used = processor_seconds(process)
             for _ in range(times):
                 process.send_signal(signal.SIGINT)
-            _, errors = process.communicate(timeout=PATIENCE)
+            _, errors = process.communicate(timeout=LONGEST)
         finally:
             process.kill()  # otherwise a command that hangs would hang the test
         return process.returncode, errors, children_seconds() - ended - used
@@ -611,7 +611,7 @@ def having_used(seconds: float) -> Callable[[subprocess.Popen], None]:
     """Returns a function that waits until a program has used some seconds of processor time."""
 
     def wait(process: subprocess.Popen) -> None:
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + LONGEST
         while processor_seconds(process) < seconds:
             assert process.poll() is None and time.monotonic() < end
             time.sleep(0.01)
@@ -655,7 +655,7 @@ class TestInterrupts:
 
 
 def wait_for(path: Path) -> None:
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + LONGEST
     while not path.exists():
         assert time.monotonic() < end, path
         time.sleep(0.05)

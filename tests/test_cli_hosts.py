@@ -1,12 +1,10 @@
-"""`pfnn-jax pretrain` in two processes: one is killed, the other says so, and the run is resumed on one device."""
+"""`pfnn-jax pretrain` in two processes: one is killed, the other says so, and both resume the run."""
 
 from __future__ import annotations
 
-import os
+import json
 import signal
-import socket
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -23,12 +21,12 @@ from pfnn_jax.run_config import train_step
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.log import read_metrics
 from pfnn_jax.workflows.pretrain import pretrain_run
+from tests.training.processes import LONGEST, free_port, start
 
-ROOT = Path(__file__).resolve().parents[1]
 PROGRAM = "from pfnn_jax.cli import main; main()"
-LONGEST = 600  # seconds, on a machine with much else to do
+ENDLESS = 1_000_000  # steps
 SUMS = 1e-5  # relative, of losses of some hundred steps: devices are summed in another order
-SETTINGS = "--adapter.rank 2 --hidden 8 --batch-size 16 --steps-per-dispatch 5 --save-every 10 --steps 1000000".split()
+SETTINGS = "--adapter.rank 2 --hidden 8 --batch-size 16 --steps-per-dispatch 5 --save-every 10".split()
 
 
 @pytest.fixture(scope="module")
@@ -43,24 +41,28 @@ def config(steps: int) -> PretrainConfig:
     )
 
 
-def start(number: int, port: int, *words: object) -> subprocess.Popen[str]:
+def pretraining(number: int, port: int, steps: int, *words: object) -> subprocess.Popen[str]:
+    """Starts `pretrain` in one of two processes."""
     hosts = ("--coordinator", f"127.0.0.1:{port}", "--process-id", number, "--processes", 2)
-    command = [sys.executable, "-c", PROGRAM, "pretrain", *words, *SETTINGS, *hosts]
-    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
-    pipe = subprocess.PIPE
-    return subprocess.Popen([*map(str, command)], cwd=ROOT, env=environment, stdout=pipe, stderr=pipe, text=True)
+    return start("-c", PROGRAM, "pretrain", *words, *SETTINGS, "--steps", steps, *hosts)
 
 
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
+def resume(dataset: Path, out: Path, steps: int, result: Path) -> None:
+    """Resumes a run in two processes, by the same command line but for their numbers."""
+    words, port = (dataset, "--out", out, "--resume", "--json", result), free_port()
+    both = [pretraining(number, port, steps, *words) for number in range(2)]
+    try:
+        ended = [process.communicate(timeout=LONGEST) for process in both]
+    finally:
+        for process in both:
+            process.kill()
+    assert [process.returncode for process in both] == [0, 0], ended
 
 
 def test_when_one_process_is_killed_the_other_ends_and_the_run_resumes(dataset, tmp_path):
     out, port, deadline = tmp_path / "run", free_port(), time.monotonic() + LONGEST
-    first = start(0, port, dataset.path, "--out", out)
-    other = start(1, port, dataset.path, "--out", tmp_path / "elsewhere")
+    first = pretraining(0, port, ENDLESS, dataset.path, "--out", out)
+    other = pretraining(1, port, ENDLESS, dataset.path, "--out", tmp_path / "elsewhere")
     try:
         while len(read_metrics(out)) < 5 or train_step(out) is None:
             assert first.poll() is None and other.poll() is None and time.monotonic() < deadline
@@ -78,7 +80,8 @@ def test_when_one_process_is_killed_the_other_ends_and_the_run_resumes(dataset, 
 
     saved = train_step(out)
     assert saved is not None
-    pretrain_run(dataset, out, config(saved + 10), resume=True)
+    resume(dataset.path, out, saved + 10, result := tmp_path / "result.json")
+    assert json.loads(result.read_text())["styles"] == ["neutral", "old"]
     pretrain_run(dataset, tmp_path / "whole", config(saved + 10))
     losses = [[record["loss"] for record in read_metrics(run)] for run in (out, tmp_path / "whole")]
     np.testing.assert_allclose(*losses, rtol=SUMS)
@@ -108,7 +111,9 @@ def test_the_end_of_a_process_is_said_in_one_line(code, messages, kind, said):
 
 
 def test_a_lost_process_is_answered_by_resuming():
-    assert in_options(str(LostProcessError("process 1"))).endswith("start all processes again with --resume")
+    assert in_options(str(LostProcessError("process 1"))).endswith(
+        "start all processes again, a pretraining with --resume"
+    )
 
 
 @pytest.mark.parametrize(

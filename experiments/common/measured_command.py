@@ -57,7 +57,8 @@ def measure_command(command: Sequence[str], log: Path, interval: float = 1.0) ->
         usage.peak_bytes = max(usage.peak_bytes, sum(whole for whole, _ in found.values()))
         usage.peak_own_bytes = max(usage.peak_own_bytes, sum(own for _, own in found.values()))
         for pid, (whole, _) in found.items():
-            peaks[pid], read[pid] = max(peaks.get(pid, 0), whole), disk_bytes(pid)
+            peaks[pid] = max(peaks.get(pid, 0), whole)
+            read[pid] = max(read.get(pid, 0), disk_bytes(pid))
         pid, status, resources = os.wait4(process.pid, os.WNOHANG)
         if pid:
             break

@@ -67,7 +67,7 @@ def run(args: Sequence[str] | None) -> None:
         with command.ending():
             try:
                 result = command.run()
-                if command.json is not None:
+                if command.json is not None and result is not None:  # of several processes one has a result
                     from pfnn_jax.io.files import json_text, write_whole
 
                     write_whole(command.json, json_text(result))

@@ -107,7 +107,7 @@ class FewShot(Command):
         tuning = sorted(name for name in self.given if name.startswith("tuning."))
         ignored = tuning if self.recipe != "generator" else grid
         if self.recipe == "mason2018":
-            ignored = grid + tuning
+            ignored = [name for name in grid if name != "precision"] + tuning
         if ignored:
             options = ", ".join(f"--{name.replace('_', '-')}" for name in ignored)
             rule = (

@@ -119,7 +119,7 @@ def run_in_child(work: Callable[[], Any], hosts: HostsConfig) -> Any:
 
 
 def _work(work: Callable[[], Any], hosts: HostsConfig, sender: Connection, log: Path) -> None:
-    """Runs in the child: sends (result, None) or (None, error), and lets nobody wait for it after an error."""
+    """Runs in the child: sends (result, None) or (None, error), and exits at once after an error."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process, and says so
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _keep_messages(log)
@@ -160,7 +160,10 @@ def how_it_ended(code: int, messages: str, hosts: HostsConfig) -> BaseException:
         return SystemExit(code)
     sys.stderr.write(messages[-SHOWN:])
     name = signal.Signals(-code).name if code else "exit code 0"
-    rule = "the last complete save is kept: look for a lack of memory, and start all processes again with resume=True"
+    rule = (
+        "the last complete save is kept: look for a lack of memory, and start all processes again, a pretraining with "
+        "resume=True"
+    )
     return InputError("training", "process", f"was ended by {name}", rule)
 
 

@@ -281,7 +281,7 @@ def _with_rows(old: Any, rows: Sequence[int], new: Any, capacity: int) -> Any:
             bank[: len(old)] = old
         bank[rows] = new
         # Committed to a device, as what a step returns is: else the second frame would compile the step again.
-        return jax.device_put(bank, jax.devices()[0])
+        return jax.device_put(bank, jax.local_devices()[0])
 
     if old[0] is None:
         return jax.tree.map(lambda leaf: put(leaf, None), new)

@@ -274,7 +274,7 @@ def _stacked(trees: Sequence[Any]) -> Any:
 
 def _on_device(tree: Any) -> Any:
     """Commits arrays to the default device, as what a block returns is: else the second would be compiled again."""
-    return jax.device_put(tree, jax.devices()[0])
+    return jax.device_put(tree, jax.local_devices()[0])
 
 
 @partial(jax.jit, static_argnames="setup")

@@ -106,7 +106,7 @@ def make_stability_check(
     mean, std = (jnp.asarray(value, jnp.float32) for value in (normaliser.outputs.mean, normaliser.outputs.std))
 
     def is_stable(trained: Any) -> bool:
-        predictor = jax.device_put(predictor_of(trained, shared, normaliser), jax.devices()[0])
+        predictor = jax.device_put(predictor_of(trained, shared, normaliser), jax.local_devices()[0])
         found = _stability(layout, walk_circles(predictor, layout, x[0], phase[0], speed, SECONDS, config), mean, std)
         return bool(is_stable_turn(found, PEAK_RATIO * own).all())
 

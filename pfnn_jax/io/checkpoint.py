@@ -144,7 +144,7 @@ def load_record(folder: Path, abstract: Tree) -> Tree:
     """
     record = locate(folder) or folder
     _check_files(folder, record)
-    device: Any = jax.config.jax_default_device or jax.local_devices()[0]  # pyright: ignore[reportAttributeAccessIssue]
+    device = next(iter(jnp.zeros(()).devices()))  # the default one, which JAX's settings may also give by a name
     sharding = jax.sharding.SingleDeviceSharding(device)
 
     def described(leaf: Any) -> jax.ShapeDtypeStruct:
@@ -186,7 +186,8 @@ def _need_same(new: Path, note_name: str) -> None:
         remove(new)
         with suppress(OSError):  # folders that hold something else stay
             new.parent.rmdir()
-            new.parent.parent.rmdir()
+            if new.parent.name == "styles":  # in the run, which is one of possibly other things in its folder
+                new.parent.parent.rmdir()
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(new))
 
 

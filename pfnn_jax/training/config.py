@@ -52,7 +52,8 @@ class PretrainConfig:
         steps: number of steps; overrides `epochs` where set.
         batch_size: frames of one minibatch, all of one style.
         learning_rate: of Adam (1e-4 in the authors' code).
-        dropout: drop probability before every layer and adapter, and in the gating network and the generator.
+        dropout: drop probability before every layer and adapter, and in the gating network and the generator;
+            rounded to 1/256.
         pose_noise: standard deviation of noise on the normalised joint inputs, of which each frame takes a random
             share: a network that has seen disturbed poses returns to its walk instead of leaving it. By default 0.05,
             half of the inputs' own deviation under grouped statistics, or 0 where the layout has local phases.
@@ -163,7 +164,7 @@ class FewShotConfig:
             network) are the baselines of §8.1.
         rank: R of a CP adapter.
         learning_rates: of Adam, to try.
-        main_dropouts: drop probabilities before the shared layers to try.
+        main_dropouts: drop probabilities before the shared layers to try, rounded to 1/256.
         adapter_dropouts: drop probabilities before the adapter to try (the variable dropout of §7.2).
         eval_epochs: numbers of epochs after which candidates are kept, increasing; training ends after the last.
         decay: whether the learning rates fall to zero along half a cosine; takes one number of epochs.
@@ -247,7 +248,7 @@ class TuningConfig:
         batch_size: frames of a minibatch.
         clips_per_batch: clips that the generator reads for it, each modulating an equal share of the frames.
         learning_rate: of Adam.
-        dropout: drop probability.
+        dropout: drop probability, rounded to 1/256.
         l1, bone_length: as in `PretrainConfig`; None for the value of the layout's paper.
         seed: of shuffling and dropout.
         precision: of matrix products on GPUs and TPUs.

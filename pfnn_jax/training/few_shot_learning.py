@@ -35,8 +35,9 @@ ROWS = 512
 """Frames to a multiple of which rows are padded whose errors are measured: 4 seconds and their mirror image."""
 
 TRAINING_ROWS = 4096
-"""Frames to a multiple of which rows are padded that are trained on: 20 seconds, their mirror image, and the restyled
-rows. Padding costs memory and the sorting of a few more numbers in each epoch; another size would be compiled anew."""
+"""Frames to a multiple of which rows are padded that are trained on, or as many more as fill minibatches: 20 seconds,
+their mirror image, and the restyled rows. Padding costs memory and the sorting of a few more numbers in each epoch;
+another size would be compiled again."""
 
 EPOCHS = 5
 """Epochs between two calls of `progress_callback`."""
@@ -375,7 +376,7 @@ class EpochTrainer:
         axis = 1 if per_style else 0
         self._count = jax.tree.leaves(data)[0].shape[axis]
         self._epochs = config.eval_epochs[-1]
-        self._inputs = _commit((shared, pad_rows(data, axis, math.lcm(TRAINING_ROWS, config.batch_size)), bones))
+        self._inputs = _commit((shared, pad_rows(data, axis, _padded_size(config.batch_size)), bones))
         self._key = key
         self._train = at_precision(_train_many, config.precision)
         self._options = {
@@ -415,6 +416,11 @@ def pad_rows(data: Batch, axis: int, multiple: int) -> Batch:
     count = jax.tree.leaves(data)[0].shape[axis]
     rows = np.arange(-(-count // multiple) * multiple) % count
     return jax.tree.map(lambda leaf: np.take(np.asarray(leaf), rows, axis=axis), data)
+
+
+def _padded_size(batch_size: int) -> int:
+    """Returns the number of rows, of whole minibatches, to a multiple of which rows are padded that are trained on."""
+    return -(-TRAINING_ROWS // batch_size) * batch_size
 
 
 def sorts_of(count: int) -> int:
@@ -507,4 +513,4 @@ def _decimal(rate: float) -> float:
 
 def _commit(tree: Any) -> Any:
     """Commits arrays to the default device: uncommitted inputs would trigger a recompilation."""
-    return jax.device_put(tree, jax.devices()[0])
+    return jax.device_put(tree, jax.local_devices()[0])

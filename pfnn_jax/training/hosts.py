@@ -54,7 +54,7 @@ def initialise(coordinator: str | None = None, process_id: int | None = None, pr
         )
     except (ValueError, RuntimeError) as error:
         first = str(error).splitlines()[0]
-        rule = "must be HOST:PORT of process 0, or auto under SLURM, GKE, Cloud TPU or Open MPI"
+        rule = "must be HOST:PORT of process 0, with a free port, or auto under SLURM, GKE, Cloud TPU or Open MPI"
         raise InputError("command line", "coordinator", f"{coordinator or 'auto'}: {first}", rule) from error
     wait_for_all("start")  # connects the devices of all: later, processes might come to a first sum minutes apart
 
@@ -65,17 +65,27 @@ def is_first() -> bool:
 
 
 def wait_for_all(moment: str) -> None:
-    """Waits until all processes are at the same moment; a process that dies ends the waiting."""
-    multihost_utils.sync_global_devices(moment)
+    """Waits until all processes are at the same moment; a process that dies ends the waiting.
+
+    Raises:
+        LostProcessError: if another process has ended.
+    """
+    with reporting_lost_process():
+        multihost_utils.sync_global_devices(moment)
 
 
 def broadcast(tree: Tree) -> Tree:
-    """Returns the first process's arrays in every process, in host memory; the others need only have the shapes."""
+    """Returns the first process's arrays in every process, in host memory; the others need only have the shapes.
+
+    Raises:
+        LostProcessError: if another process has ended.
+    """
 
     def sent(leaf: Any) -> np.ndarray:
         return np.asarray(leaf) if is_first() else np.zeros(leaf.shape, leaf.dtype)
 
-    return multihost_utils.broadcast_one_to_all(jax.tree.map(sent, tree))
+    with reporting_lost_process():
+        return multihost_utils.broadcast_one_to_all(jax.tree.map(sent, tree))
 
 
 def check_same(what: str, *values: Any) -> None:
@@ -108,6 +118,8 @@ def reporting_lost_process() -> Iterator[None]:
     """
     try:
         yield
+    except InputError:  # a ValueError too, and what it says is already known
+        raise
     except (jax.errors.JaxRuntimeError, ValueError) as error:
         text = str(error)
         if jax.process_count() == 1 or not any(word in text.lower() for word in LOST):

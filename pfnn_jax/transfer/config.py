@@ -48,9 +48,10 @@ class AutoencoderTrainingConfig:
         learning_rate: the largest of Adam: it rises over the first twentieth of the steps, then falls to zero along a
             cosine (1e-5 throughout in the authors' code).
         l1: α of Eq. 3, on the mean absolute weight of the filters, as in the authors' code (0.01).
-        dropout: drop probability before the encoder and before the decoder (0.25 in the authors' code).
+        dropout: drop probability before the encoder and before the decoder (0.25 in the authors' code), rounded to
+            1/256.
         seed: of initialisation, shuffling and dropout.
-        precision: of matrix products and convolutions on GPUs and TPUs.
+        precision: of matrix products and, but for bfloat16, of convolutions on GPUs and TPUs.
         steps_per_dispatch: steps that are compiled into one call, and between two reports of the loss.
     """
 
@@ -159,7 +160,7 @@ class TransformationTrainingConfig:
             the network's own motion, as in the paper.
         held_out: share of the contents that training does not see, and that the losses are measured on.
         seed: of initialisation and shuffling.
-        precision: of matrix products and convolutions on GPUs and TPUs.
+        precision: of matrix products and, but for bfloat16, of convolutions on GPUs and TPUs.
         steps_per_dispatch: steps that are compiled into one call, and between two reports of the loss.
     """
 

@@ -48,7 +48,7 @@ def train_windows(
         loss: of a minibatch.
         tx: the optimiser.
         order: [steps, B] windows of every minibatch, as `draw_order` returns them.
-        precision: of matrix products and convolutions.
+        precision: of matrix products and, but for bfloat16, of convolutions.
         steps_per_dispatch: steps that are compiled into one call, and between two reports.
         progress_callback: called after every chunk of steps.
 

@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import socket
-import subprocess
-import sys
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -15,25 +10,9 @@ import pytest
 
 from pfnn_jax.training.order import order_of
 from tests.training.on_devices import BATCH, FILM, FULL, training
+from tests.training.processes import LONGEST, free_port, start
 from tests.training.test_sharding import assert_same
 from tests.training.toy import body_rows, toy_rows
-
-ROOT = Path(__file__).resolve().parents[2]
-LONGEST = 600  # seconds, on a machine with much else to do
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
-
-
-def start(*arguments: object) -> subprocess.Popen[str]:
-    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
-    program = [sys.executable, *map(str, arguments)]
-    return subprocess.Popen(
-        program, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
 
 
 @pytest.fixture(scope="module")

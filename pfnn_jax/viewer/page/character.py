@@ -344,7 +344,7 @@ def with_capacity(state: ControllerState, capacity: int) -> ControllerState:
         return state
     weights = np.zeros(capacity, np.float32)
     weights[: len(state.style)] = state.style
-    return replace(state, style=jax.device_put(weights, jax.devices()[0]))
+    return replace(state, style=jax.device_put(weights, jax.local_devices()[0]))
 
 
 def _wrapped(angle: float) -> float:

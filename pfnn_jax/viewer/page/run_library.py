@@ -400,7 +400,7 @@ def _with_row(rows: Any, index: int, row: Any) -> np.ndarray:
 
 def _on_device(controller: Controller) -> Controller:
     """Commits the controller's arrays to the default device: uncommitted ones would trigger a recompilation."""
-    return replace(controller, params=jax.device_put(controller.params, jax.devices()[0]))
+    return replace(controller, params=jax.device_put(controller.params, jax.local_devices()[0]))
 
 
 def _speeds(controller: Controller) -> dict[str, float]:
