@@ -47,7 +47,7 @@ play: .venv/.installed
 serve: .venv/.installed
 	$(BIN)/mkdocs serve
 
-# Writes the lock file anew; needs uv. The lock names no package index and serves every supported Python.
+# Writes the lock file again; needs uv. The lock names no package index and serves every supported Python.
 lock:
 	uv pip compile pyproject.toml --extra test --extra docs --extra notebooks --extra experiments --group build --upgrade \
 	  --universal --python-version 3.11 --fork-strategy fewest \

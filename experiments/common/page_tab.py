@@ -22,8 +22,8 @@ import zstandard
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-PART = 1024 * 1024
-"""Bytes of a part of an upload, as browsers send them."""
+PART = 512 * 1024
+"""Bytes of a part of an upload, as viser's page sends them."""
 
 CONNECTING = 120.0
 """Seconds within which a busy server must answer."""

@@ -7,6 +7,7 @@ from functools import cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
 import jax
+from jax.core import Tracer
 
 QUICK: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_parallel_codegen_split_count": 4}
 """Options of XLA's compiler for CPUs. Its fusion emitters take half of the time to compile a character's step, which
@@ -19,7 +20,7 @@ Result = TypeVar("Result")
 def jit_quickly(function: Callable[Arguments, Result], **options: Any) -> Callable[Arguments, Result]:
     """Returns a jitted function that compiles quickly on a CPU.
 
-    It cannot be called by functions that are themselves compiled, which decide for all that they call.
+    Within functions that are themselves compiled or mapped, which decide for all that they call, it is the function.
 
     Args:
         function: to be compiled; it may be jitted.
@@ -35,6 +36,8 @@ def jit_quickly(function: Callable[Arguments, Result], **options: Any) -> Callab
 
     @wraps(function)
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs))):
+            return function(*args, **kwargs)
         return compiled()(*args, **kwargs)
 
     vars(call)["compiled"] = compiled

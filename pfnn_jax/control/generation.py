@@ -240,7 +240,8 @@ def track_paths(
     Args:
         controller: of the characters.
         weights: [C] of the style of each.
-        paths: in metres, one for each; a character starts at its first point.
+        paths: in metres, one for each, with at most `LEAST_POINTS` points or equally many; a character starts at its
+            first point.
         speeds: metres per second to request, one for each.
         num_frames: T.
         lanes: their number is filled up to a multiple of this, so that about as many are compiled once.
@@ -370,7 +371,7 @@ def loop_frames(
         state, progress = block.state, _on_device(np.asarray(block.progress)[-1])
         blocks.append(jax.tree.map(np.asarray, replace(block, state=None)))
     whole = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:num_frames], *blocks)
-    return replace(whole, state=state)
+    return whole  # without the last state, which is that of the end of a block
 
 
 _follow_block = jit_quickly(follow_path, static_argnames=("evaluate_fn", "layout", "num_frames", "config"))

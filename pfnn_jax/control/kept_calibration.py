@@ -1,4 +1,4 @@
-"""The calibration of styles, and where it is kept: walks of a few seconds, whose compilation takes longer than a start.
+"""Keeps the calibration of styles, because compiling the trial walks takes longer than the rest of a start.
 
 A calibration is kept under a digest of all that it follows from: the network, the style, the statistics and the
 settings. Nothing else finds it, so no style can get that of another. Those of the base network come with the package,
@@ -162,7 +162,9 @@ def _file(digest: str) -> Path | None:
 
 @cache
 def _shipped() -> dict[str, np.ndarray]:
-    return read_tensors(SHIPPED)[0] if SHIPPED.is_file() else {}
+    with suppress(InputError):
+        return read_tensors(SHIPPED)[0]
+    return {}
 
 
 @cache

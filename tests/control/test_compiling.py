@@ -43,6 +43,12 @@ def test_a_compiler_that_does_not_know_the_options_compiles_without_them(monkeyp
         compiling._quick_options.cache_clear()
 
 
+def test_a_quickly_compiled_function_can_be_compiled_and_mapped():
+    double = jit_quickly(lambda x: 2 * x)
+    assert jax.jit(lambda x: double(x) + 1)(3) == 7
+    np.testing.assert_array_equal(jax.vmap(double)(np.arange(3)), [0, 2, 4])
+
+
 def test_walks_of_other_lengths_and_paths_need_no_compilation(controller):
     block: Any = generation._track_block
     weights = [controller.style_weights(0)]
@@ -58,8 +64,8 @@ def test_walks_of_other_lengths_and_paths_need_no_compilation(controller):
 def test_blocks_are_the_whole_walk(controller, monkeypatch):
     """The frames of several blocks, side by side with another walk, are those of a loop over all frames."""
     monkeypatch.setattr(generation, "BLOCK", 24)
-    afresh: Any = vars(generation)["track_block"]
-    monkeypatch.setattr(generation, "_track_block", jit_quickly(afresh.__wrapped__, static_argnums=0))
+    unjitted: Any = vars(generation)["track_block"]
+    monkeypatch.setattr(generation, "_track_block", jit_quickly(unjitted.__wrapped__, static_argnums=0))
     weights, frames = [controller.style_weights(name) for name in ("old", "neutral")], 72
     paths, speeds = [straight(3.0), circle(1.0)], [0.9, 0.8]
     side_by_side = track_paths(controller, weights, paths, speeds, frames, lanes=2)

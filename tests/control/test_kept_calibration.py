@@ -68,7 +68,7 @@ def test_a_calibration_is_kept_and_found_again(controller, private, monkeypatch)
     for file in private.iterdir():
         file.write_bytes(file.read_bytes()[:100])
     kept_calibration.kept_calibration(controller.setup, controller.params, [0])
-    assert walked[-1] == [0], "a damaged file is as none"
+    assert walked[-1] == [0], "a damaged file is ignored"
 
 
 def test_what_another_version_has_found_is_not_used(controller, private, monkeypatch):

@@ -35,7 +35,7 @@ def until(what) -> bool:
 def test_random_input_leaves_no_thread_and_no_traceback(served, tmp_path, caplog, capsys, monkeypatch):
     """Learning is left out, which takes longer than this."""
     offered = page_under_load.acts(())
-    fewer = {name: offered[name] for name in offered if name != "sample"}
+    fewer = {name: (offered[name][0], 1.0) for name in offered if name != "sample"}
     monkeypatch.setattr(page_under_load, "acts", lambda files: fewer)
     caplog.set_level(logging.WARNING)
     config = page_under_load.Config(tmp_path, seconds=6.0, tabs=4, pause=0.02, life=2.0, every=1.0)

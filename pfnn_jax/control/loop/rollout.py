@@ -41,7 +41,7 @@ class Frames:
         phase: [T] radians, or [T, G] in layout units, at which frame i was evaluated.
         joint_positions: [T, J, 3] metres in the world, blended with the previous pose: of frame i, or of frame i+1
             where the layout is of the next frame (as the outputs are).
-        state: of the character after the last frame, to continue from.
+        state: of the character after the last frame, to continue from; None where frames were cut from longer ones.
         progress: [T] metres along the followed path, never decreasing, or None.
         path_distance: [T] metres from the root to the path there, or None.
     """
@@ -51,7 +51,7 @@ class Frames:
     root_yaw: jax.Array
     phase: jax.Array
     joint_positions: jax.Array
-    state: CharacterState
+    state: CharacterState | None
     progress: jax.Array | None = None
     path_distance: jax.Array | None = None
 

@@ -44,7 +44,7 @@ class UploadStart(Struct, tag="FileTransferStartUpload", forbid_unknown_fields=T
     filename: str
     mime_type: str
     part_count: Index
-    size_bytes: Index
+    size_bytes: Annotated[int, Meta(ge=0)]  # of any size: what is too large is refused by a message, not here
 
 
 class UploadPart(Struct, tag="FileTransferPart", forbid_unknown_fields=True):

@@ -88,7 +88,9 @@ class LearningBoard:
         job = Job(run, name, self.clock())
         with self._lock:
             if len(self._jobs) >= MOST_JOBS:
-                raise InputError(name, "learning", f"{MOST_JOBS} clips wait already", "try this one again later")
+                raise InputError(
+                    name, "learning", f"{MOST_JOBS} clips are being learned or waiting", "try this one again later"
+                )
             self._jobs.append(job)
         return job
 

@@ -99,7 +99,9 @@ def restyle(
         InputError: as `transfer_clip`, with files named as they were uploaded; if too many clips wait already.
     """
     if not _waiting.acquire(blocking=False):
-        raise InputError("page", "restyling", f"{MOST_WAITING} clips wait already", "try this one again later")
+        raise InputError(
+            "page", "restyling", f"{MOST_WAITING} clips are being restyled or waiting", "try this one again later"
+        )
     try:
         if not _restyling.acquire(blocking=False):
             progress(0.0, WAITING)

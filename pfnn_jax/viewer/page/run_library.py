@@ -42,7 +42,7 @@ DELETED = "\0"
 
 SPARE = 8
 """Least number of spare rows of a bank of styles: this many can be learned before the step must be compiled again.
-Banks have multiples of it, so that what was compiled before a style was learned serves the next start too."""
+Banks have multiples of it, so that what was compiled before a style was learned as a rule serves the next start too."""
 
 
 @dataclass(frozen=True, eq=False)

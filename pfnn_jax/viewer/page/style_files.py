@@ -122,15 +122,18 @@ def unfinished_mark(upload: Path) -> Path:
 
 def remove_unfinished(run: Path) -> None:
     """Removes uploads whose style was not saved because the page was killed, unless another process writes the run."""
-    if not any(path.name.endswith(UNFINISHED) for path in _uploads(run)):
-        return
-    with suppress(OSError, InputError), writing(run):
-        for mark in [path for path in _uploads(run) if path.name.endswith(UNFINISHED)]:
-            upload = mark.with_name(mark.name[1:].removesuffix(UNFINISHED))
-            if upload.stem not in list_styles(run):
-                upload.unlink(missing_ok=True)
-            mark.unlink()
-        (run / "uploads").rmdir()  # if it is empty
+    with suppress(OSError, InputError):
+        marks = [path for path in _uploads(run) if path.name.endswith(UNFINISHED)]
+        if not marks:
+            return
+        with writing(run):
+            for mark in marks:
+                with suppress(OSError):
+                    upload = mark.with_name(mark.name[1:].removesuffix(UNFINISHED))
+                    if upload.stem not in list_styles(run):
+                        upload.unlink(missing_ok=True)
+                    mark.unlink()
+            (run / "uploads").rmdir()  # if it is empty
 
 
 def own_folder(run: Path, *parts: str) -> Path:
