@@ -45,7 +45,7 @@ SOURCES = ("control", "inference", "models", "motion")
 
 @struct.dataclass
 class Calibration:
-    """What trial walks of S styles have shown; leaves [S, ...], in NumPy.
+    """Holds what trial walks of S styles have shown; leaves [S, ...], in NumPy.
 
     Attributes:
         speeds: [S] natural speeds, metres per second.

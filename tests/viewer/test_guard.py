@@ -129,6 +129,11 @@ def test_only_the_messages_of_browsers_are_taken(message, changes):
     assert is_message(packed(message)) and not is_message(packed({**message, **changes}))
 
 
+def test_files_of_any_size_may_begin_so_that_those_too_large_are_refused_by_a_message():
+    start = {"type": "FileTransferStartUpload", "source_component_uuid": "a", "transfer_uuid": "b", "filename": "c.bvh"}
+    assert is_message(packed({**start, "mime_type": "", "part_count": 6000, "size_bytes": 3 * 10**9}))
+
+
 def test_messages_of_a_browser_are_still_taken(server):
     message = packed({"type": "GuiUpdateMessage", "uuid": "unknown", "updates": {"value": 1}})
     assert is_message(message)
