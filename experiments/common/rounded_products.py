@@ -20,6 +20,9 @@ EXPONENT_BITS = 8
 
 PRODUCTS = ("dot_general", "conv_general_dilated")
 
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vmap_call": "call"}
+"""Calls of other programs, and the parameter that holds each; gradients are already part of a program."""
+
 
 def round_products(function: Callable, precision: Precision) -> Callable:
     """Returns a function of arrays whose products, and those of its gradients if it computes any, have rounded factors.
@@ -50,8 +53,8 @@ def _evaluate(closed: ClosedJaxpr, args: list[Any], bits: int) -> list[Any]:
         inputs, name = [read(variable) for variable in equation.invars], equation.primitive.name
         if name in PRODUCTS:
             inputs = [jax.lax.reduce_precision(value, EXPONENT_BITS, bits) for value in inputs]
-        if name in ("jit", "pjit"):
-            outputs = _evaluate(equation.params["jaxpr"], inputs, bits)
+        if name in CALLS:
+            outputs = _evaluate(equation.params[CALLS[name]], inputs, bits)
         elif any(_has_product(part) for part in _parts(equation.params)):
             raise NotImplementedError(f"A product inside `{name}` is not rounded.")
         else:
