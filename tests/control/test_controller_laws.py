@@ -31,7 +31,7 @@ MIRRORED = 0.3  # m between a turn and the reflected one to the other side in tw
 HALT = 1.25  # s after the command to stop in which the root moves: a last step and straightening; the mean of all walks
 DOWN = 0.016  # m above the least height that both feet come down to together, at a halt: the mean of all walks; small
 # networks of four seeds had up to 0.0152 (the base network's standing is measured in docs/results_appendix.md)
-SWAY = 0.021  # m/s of the root of a character that stands: 12 mm to and fro in 8 s, and in 4 s
+SWAY = 0.012  # m/s of the hips of a character that stands: the fastest moment of its weight shift, see `standing.sway`
 BODY = 2.2  # metres above which no joint of a body of 1.7 m rises
 ASTRAY, STRIDE = 0.25, 0.8  # m from a straight path, and from its end: hips sway, and a last step is taken to its end
 LEAP = 12.0  # m/s, faster than any hand or foot of these walks
