@@ -56,6 +56,12 @@ def test_one_frame_and_a_batch_are_the_float64_product():
     np.testing.assert_allclose(jax.jit(jax.vmap(forward))(c, x), expected, rtol=FLOAT32, atol=FLOAT32)
 
 
+def test_a_batch_of_one_is_computed_as_one_frame():
+    c, x = normal(3, POINTS), normal(4, INPUTS)
+    np.testing.assert_array_equal(jax.jit(jax.vmap(forward))(c[None], x[None])[0], jax.jit(forward)(c, x))
+    np.testing.assert_array_equal(jax.jit(jax.vmap(forward, (None, 0)))(c, x[None])[0], jax.jit(forward)(c, x))
+
+
 def test_derivatives_of_one_frame_are_those_of_the_batch():
     c, x = normal(3, POINTS), normal(4, INPUTS)
 
