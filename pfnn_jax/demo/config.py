@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """Sizes of the demo; the defaults take one and a half to three minutes on two cores.
+    """Sizes of the demo; the defaults take one to three minutes on two cores.
 
     Attributes:
         seconds_per_style: seconds of motion of each of the 8 pretraining styles, before mirroring.
