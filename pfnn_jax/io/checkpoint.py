@@ -144,7 +144,8 @@ def load_record(folder: Path, abstract: Tree) -> Tree:
     """
     record = locate(folder) or folder
     _check_files(folder, record)
-    device = next(iter(jnp.zeros(()).devices()))  # the default one, which JAX's settings may also give by a name
+    with jax.ensure_compile_time_eval():  # also where a compiled function reads a run
+        device = next(iter(jnp.zeros(()).devices()))  # the default one, which JAX's settings may also give by a name
     sharding = jax.sharding.SingleDeviceSharding(device)
 
     def described(leaf: Any) -> jax.ShapeDtypeStruct:
