@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from experiments.common.markdown import markdown_table
-from pfnn_jax.benchmarks.timing import machine, versions
-from pfnn_jax.io.files import json_text, write_whole
+from experiments.common.results_files import write_results
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.styles import PRETRAINING_STYLES
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
@@ -152,16 +151,7 @@ def run(config: Config) -> dict[str, Any]:
             target = trainings[0]["curve"][-1]["error"]
         last = trainings[-1]["curve"][-1]
         print(f"batch {size}, rate {rate:g}: error {last['error']:.4f} after {last['seconds']:.0f} s", flush=True)
-    result = {
-        "config": {name: str(value) if name == "out" else value for name, value in asdict(config).items()},
-        "machine": machine(),
-        "versions": versions(),
-        "target": target,
-        "trainings": trainings,
-    }
-    config.out.mkdir(parents=True, exist_ok=True)
-    write_whole(config.out / "results.json", json_text(result))
-    write_whole(config.out / "table.md", table(config, target, trainings))
+    result = write_results(config, table(config, target, trainings), target=target, trainings=trainings)
     plot(config, result).savefig(config.out / "batch_size.png", dpi=120)
     return result
 

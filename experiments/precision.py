@@ -15,7 +15,7 @@ Run       python -m experiments.precision --reference FOLDER --out runs/precisio
 from __future__ import annotations
 
 import tempfile
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -26,13 +26,12 @@ import optax
 import tyro
 
 from experiments.common.markdown import markdown_table
+from experiments.common.results_files import write_results
 from experiments.common.rounded_products import round_products
-from pfnn_jax.benchmarks.timing import machine, versions
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.inference.predictor import evaluate, make_predictor
 from pfnn_jax.interop.released.holden2017 import import_released_pfnn
 from pfnn_jax.interop.released.mason2022 import STYLES, import_released_lpn
-from pfnn_jax.io.files import json_text, write_whole
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.datasets.dataset import Dataset
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
@@ -150,17 +149,7 @@ def run(config: Config) -> dict[str, Any]:
                 found = judge(train(config, rows, precision, seed), dataset)
                 trainings.append({"precision": precision, "seed": seed, **found})
                 print(trainings[-1], flush=True)
-    result = {
-        "config": {name: str(value) if isinstance(value, Path) else value for name, value in asdict(config).items()},
-        "machine": machine(),
-        "versions": versions(),
-        "goldens": goldens,
-        "trainings": trainings,
-    }
-    config.out.mkdir(parents=True, exist_ok=True)
-    write_whole(config.out / "results.json", json_text(result))
-    write_whole(config.out / "table.md", tables(goldens, trainings))
-    return result
+    return write_results(config, tables(goldens, trainings), goldens=goldens, trainings=trainings)
 
 
 def tables(goldens: list[dict[str, Any]], trainings: list[dict[str, Any]]) -> str:

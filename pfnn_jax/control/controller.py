@@ -57,6 +57,7 @@ from pfnn_jax.inference.predictor import Predictor, assemble_predictor
 from pfnn_jax.inference.style_choice import check_weights
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.network import Network, config_of
+from pfnn_jax.models.placement import commit
 from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
@@ -280,8 +281,7 @@ def _with_rows(old: Any, rows: Sequence[int], new: Any, capacity: int) -> Any:
         if old is not None:
             bank[: len(old)] = old
         bank[rows] = new
-        # Committed to a device, as what a step returns is: else the second frame would compile the step again.
-        return jax.device_put(bank, jax.local_devices()[0])
+        return commit(bank)
 
     if old[0] is None:
         return jax.tree.map(lambda leaf: put(leaf, None), new)

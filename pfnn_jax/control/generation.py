@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,7 @@ from pfnn_jax.inference.lookup import table_phase
 from pfnn_jax.inference.modes import Mode
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor, evaluate
 from pfnn_jax.models.network import Network
+from pfnn_jax.models.placement import commit
 from pfnn_jax.models.style import Style
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.motion.features.decode import clip_from_outputs
@@ -51,6 +52,8 @@ def _constant50(predictor: Predictor, x: jax.Array, phase: jax.Array) -> jax.Arr
 EVALUATORS: dict[Mode, EvaluateFn] = {"cubic": evaluate, "nearest50": _nearest50, "constant50": _constant50}
 """How `rollout` and `follow_path` evaluate a `Predictor` in each mode. A scan needs no table: it blends the network at
 the table's phase, which is the same to rounding and gathers nothing."""
+
+Item = TypeVar("Item")
 
 WARM_UP_FRAMES = 60
 """Frames of straight walking before a path begins: the mean pose is not a valid pose; a few steps converge to the gait
@@ -252,15 +255,20 @@ def track_paths(
         controller.start(path.points[0], path.start_yaw, _choice(style))
         for path, style in zip(paths, weights, strict=True)
     ]
-    filled = [number % count for number in range(-(-count // lanes) * lanes)]
+    filled = fill_up(range(count), lanes)
     states, tracks = (_stacked([every[number] for number in filled]) for every in (begin, timed))
-    states, progress = _on_device((states, np.zeros(len(filled), np.float32)))
+    states, progress = commit((states, np.zeros(len(filled), np.float32)))
     blocks = []
     for _ in range(-(-num_frames // BLOCK)):
         (states, progress), frames = _track_block(controller.setup, controller.params, states, tracks, progress)
         blocks.append(jax.tree.map(np.asarray, frames))
     whole = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:num_frames], *blocks)
     return [jax.tree.map(lambda leaf, i=number: leaf[:, i], whole) for number in range(count)]
+
+
+def fill_up(items: Sequence[Item], multiple: int) -> list[Item]:
+    """Returns items, of which there is at least one, repeated in their order until they are a multiple."""
+    return [items[number % len(items)] for number in range(-(-len(items) // multiple) * multiple)]
 
 
 def _choice(weights: np.ndarray) -> dict[int, float]:
@@ -271,11 +279,6 @@ def _choice(weights: np.ndarray) -> dict[int, float]:
 def _stacked(trees: Sequence[Any]) -> Any:
     """Returns trees with their leaves stacked, in NumPy, because JAX would compile it."""
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *trees)
-
-
-def _on_device(tree: Any) -> Any:
-    """Commits arrays to the default device, as what a block returns is: else the second would be compiled again."""
-    return jax.device_put(tree, jax.local_devices()[0])
 
 
 @partial(jax.jit, static_argnames="setup")
@@ -365,10 +368,10 @@ def loop_frames(
     state = walking_state(evaluate_fn, predictor, layout, body.normaliser, speed, config=loop)
     state = place_state(state, jnp.asarray(path.points[0], jnp.float32), jnp.float32(path.start_yaw))
     timed, blocks = make_timed_path(path, speed), []
-    state, progress = _on_device((state, np.float32(0.0)))
+    state, progress = commit((state, np.float32(0.0)))
     for _ in range(-(-num_frames // BLOCK)):
         block = _follow_block(evaluate_fn, predictor, layout, state, timed, BLOCK, progress, config=loop)
-        state, progress = block.state, _on_device(np.asarray(block.progress)[-1])
+        state, progress = block.state, commit(np.asarray(block.progress)[-1])
         blocks.append(jax.tree.map(np.asarray, replace(block, state=None)))
     whole = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:num_frames], *blocks)
     return whole  # without the last state, which is that of the end of a block

@@ -16,6 +16,7 @@ from pfnn_jax.control.loop.state import initial_state
 from pfnn_jax.control.loop.step import LoopConfig
 from pfnn_jax.inference.predictor import Predictor, assemble_predictor, evaluate
 from pfnn_jax.models.network import Network
+from pfnn_jax.models.placement import commit
 from pfnn_jax.motion.features.decode import median_speed
 from pfnn_jax.motion.features.layout import FrameLayout
 from pfnn_jax.motion.features.normaliser import Normaliser
@@ -106,7 +107,7 @@ def make_stability_check(
     mean, std = (jnp.asarray(value, jnp.float32) for value in (normaliser.outputs.mean, normaliser.outputs.std))
 
     def is_stable(trained: Any) -> bool:
-        predictor = jax.device_put(predictor_of(trained, shared, normaliser), jax.local_devices()[0])
+        predictor = commit(predictor_of(trained, shared, normaliser))
         found = _stability(layout, walk_circles(predictor, layout, x[0], phase[0], speed, SECONDS, config), mean, std)
         return bool(is_stable_turn(found, PEAK_RATIO * own).all())
 

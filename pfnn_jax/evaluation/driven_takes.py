@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pfnn_jax.control.controller import Controller, Embodiment
-from pfnn_jax.control.generation import starting_row, track_paths, walking_state_from
+from pfnn_jax.control.generation import fill_up, starting_row, track_paths, walking_state_from
 from pfnn_jax.control.loop.pursuit import TimedPath, make_timed_path
 from pfnn_jax.control.loop.rollout import follow_path
 from pfnn_jax.control.loop.state import contacts_of_output, place_state
@@ -283,7 +283,7 @@ def _num_frames(layout: FrameLayout) -> int:
 def _commands(takes: Sequence[DrivenTake]) -> tuple[TimedPath, jax.Array, jax.Array]:
     """Returns the paths with speeds, their first points [N, 2] and their first yaws [N], N a multiple of
     `ROUND_UP_TAKES`."""
-    filled = [*takes, *[takes[0]] * (-len(takes) % ROUND_UP_TAKES)]
+    filled = fill_up(takes, ROUND_UP_TAKES)
     tracks = [make_timed_path(take.path, take.speed) for take in filled]
     points = jnp.asarray(np.stack([take.path.points[0] for take in filled]), jnp.float32)
     yaws = jnp.asarray([take.path.start_yaw for take in filled], jnp.float32)

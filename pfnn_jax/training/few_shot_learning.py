@@ -22,6 +22,7 @@ from flax import struct
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.dropout import Dropout
 from pfnn_jax.models.network import Network, config_of, init_network
+from pfnn_jax.models.placement import commit
 from pfnn_jax.models.style import Style, init_style
 from pfnn_jax.training.config import FewShotConfig
 from pfnn_jax.training.data import Batch, Rows, join_batches
@@ -376,7 +377,7 @@ class EpochTrainer:
         axis = 1 if per_style else 0
         self._count = jax.tree.leaves(data)[0].shape[axis]
         self._epochs = config.eval_epochs[-1]
-        self._inputs = _commit((shared, pad_rows(data, axis, _padded_size(config.batch_size)), bones))
+        self._inputs = commit((shared, pad_rows(data, axis, _padded_size(config.batch_size)), bones))
         self._key = key
         self._train = at_precision(_train_many, config.precision)
         self._options = {
@@ -395,7 +396,7 @@ class EpochTrainer:
         progress_callback: Callable[[int], Any] = no_progress,
     ) -> TrainState:
         """Returns the states after the epochs [first, last); calls back with the number done, `EPOCHS` at a time."""
-        states, settings = _commit((states, settings))
+        states, settings = commit((states, settings))
 
         def scan(states: TrainState, first: int, count: int) -> tuple[TrainState, None]:
             counts = np.asarray([first, first + count, self._epochs, self._count], np.int32)
@@ -407,7 +408,7 @@ class EpochTrainer:
 def row_errors(trained: Any, shared: Network, data: Batch) -> np.ndarray:
     """Returns squared normalised errors [G, N], mean over outputs, of every setting on N frames, without dropout."""
     count = len(data.x)
-    trained, shared, data = _commit((trained, shared, pad_rows(data, 0, ROWS)))
+    trained, shared, data = commit((trained, shared, pad_rows(data, 0, ROWS)))
     return np.asarray(_row_errors(trained, shared, data))[:, :count]
 
 
@@ -509,8 +510,3 @@ def _candidates(params: Any, settings: Setting, epochs: int, errors: np.ndarray)
 def _decimal(rate: float) -> float:
     """Returns a single-precision rate as it was written: 0.3, not 0.30000001."""
     return float(f"{rate:.6g}")
-
-
-def _commit(tree: Any) -> Any:
-    """Commits arrays to the default device: uncommitted inputs would trigger a recompilation."""
-    return jax.device_put(tree, jax.local_devices()[0])

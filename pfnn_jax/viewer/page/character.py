@@ -16,6 +16,7 @@ from pfnn_jax.control.controller import Command, ControllerState
 from pfnn_jax.control.loop.state import ROOT
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.style_choice import SUM_TOLERANCE
+from pfnn_jax.models.placement import commit
 from pfnn_jax.motion.clip import MotionClip
 from pfnn_jax.viewer.page.drive_input import DriveInput, HeldKeys
 from pfnn_jax.viewer.page.recording import Recording
@@ -344,7 +345,7 @@ def with_capacity(state: ControllerState, capacity: int) -> ControllerState:
         return state
     weights = np.zeros(capacity, np.float32)
     weights[: len(state.style)] = state.style
-    return replace(state, style=jax.device_put(weights, jax.local_devices()[0]))
+    return replace(state, style=commit(weights))
 
 
 def _wrapped(angle: float) -> float:

@@ -20,6 +20,7 @@ from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.errors import InputError
 from pfnn_jax.inference.mixture import in_parts
 from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.models.placement import commit
 from pfnn_jax.models.style import Style, StyleSum
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run import Run, load_run, load_style
@@ -399,8 +400,8 @@ def _with_row(rows: Any, index: int, row: Any) -> np.ndarray:
 
 
 def _on_device(controller: Controller) -> Controller:
-    """Commits the controller's arrays to the default device: uncommitted ones would trigger a recompilation."""
-    return replace(controller, params=jax.device_put(controller.params, jax.local_devices()[0]))
+    """Returns a controller whose arrays are committed to a device, so that its step is compiled once."""
+    return replace(controller, params=commit(controller.params))
 
 
 def _speeds(controller: Controller) -> dict[str, float]:
