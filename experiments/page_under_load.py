@@ -8,7 +8,8 @@ Data      a run of three procedural styles, trained here; uploads are the packag
           that are given. With `--every-file` each of those is sent once more by a tab that waits for the answer.
 Method    `pfnn-jax play` runs in a process with a home and folders of temporary files of its own. Tabs speak its
           protocol without a browser (`experiments/common/page_tab.py`): twenty browsers would draw in software on the
-          same cores. Every ten seconds the memory of the server, its threads and its open files are noted.
+          same cores. Every ten seconds the memory of the server, its threads and its open files are noted, and what
+          its memory holds: arrays, compiled programs, Python's objects (`experiments/common/watched_page.py`).
 Run       python -m experiments.page_under_load --out OUT --seconds 3600 [--uploads FOLDER ...] [--every-file]
 """
 
@@ -17,15 +18,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
@@ -36,24 +33,17 @@ import psutil
 import tyro
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
-from experiments.common.page_tab import CONNECTING, PageTab, open_tab
+from experiments.common.page_server import HELD, HOST, serving
+from experiments.common.page_tab import PageTab, complete, open_tab
 from experiments.common.random_visitor import acts
 from pfnn_jax.io.files import write_json
 from pfnn_jax.workflows.samples import sample_clips
-
-HOST = "127.0.0.1"
-
-STARTING = 600.0
-"""Seconds within which the page must have loaded its run, on a busy machine."""
 
 ENDING = 60.0
 """Seconds within which threads of closed tabs must have ended; what a tab was learning is learned to its end."""
 
 ANSWERING = 300.0
 """Seconds within which an upload must be answered, on a busy machine."""
-
-COMMANDS = 12
-"""Keys of a tab that viser triggers; they are the last that a tab adds."""
 
 CHARACTERS = (".glb", ".gltf", ".vrm")
 
@@ -120,57 +110,21 @@ def make_run(folder: Path) -> None:
     pretrain_run(prepare(clips, folder.with_name("data")), folder, settings)
 
 
-@contextlib.contextmanager
-def serving(run: Path, out: Path) -> Iterator[tuple[psutil.Process, int]]:
-    """Runs the page of a run in a process with a home of its own; yields it and its port once the page is loaded.
-
-    Args:
-        run: the run.
-        out: folder of the server's home and of its output, `server.log`.
-    """
-    home = out / "home"
-    (home / "tmp").mkdir(parents=True)
-    own = {"HOME": home, "XDG_CACHE_HOME": home / "cache", "XDG_DATA_HOME": home / "data", "TMPDIR": home / "tmp"}
-    program = "from pfnn_jax.cli import main; main()"
-    words = [sys.executable, "-u", "-c", program, "play", str(run), "--port", "0"]
-    with (out / "server.log").open("w") as log:
-        server = subprocess.Popen(
-            words, stdout=log, stderr=subprocess.STDOUT, env={**os.environ, **{k: str(v) for k, v in own.items()}}
-        )
-        try:
-            yield psutil.Process(server.pid), port_of(out / "server.log", server)
-        finally:
-            server.kill()
-            server.wait()
-
-
-def port_of(log: Path, server: subprocess.Popen[Any]) -> int:
-    """Returns the port of a page, once its runs are loaded.
-
-    Raises:
-        RuntimeError: if it ends, or does not come.
-    """
-    began = time.monotonic()
-    while time.monotonic() - began < STARTING and server.poll() is None:
-        found = re.search(r"styles at http://[^:]+:(\d+)", log.read_text())
-        if found:
-            return int(found[1])
-        time.sleep(0.2)
-    raise RuntimeError(f"the page does not start: {log.read_text()}")
-
-
-def measure(server: psutil.Process, began: float) -> dict[str, Any]:
-    """Returns seconds, memory in MiB, and the numbers of threads and open files of the server."""
+def measure(server: psutil.Process, began: float, out: Path) -> dict[str, Any]:
+    """Returns seconds, memory in MiB, threads, open files and styles of the server, and what its memory holds."""
     with server.oneshot():
         memory = server.memory_full_info()
-        return {
+        moment = {
             "seconds": round(time.monotonic() - began, 1),
             "rss": round(memory.rss / 2**20, 1),
             "pss": round(getattr(memory, "pss", memory.rss) / 2**20, 1),
             "threads": server.num_threads(),
             "files": server.num_fds(),
             "processor": round(sum(server.cpu_times()[:2]), 1),
+            "styles": len(list((out / "run" / "styles").glob("[!.]*"))),
         }
+    held = out / HELD
+    return {**moment, **json.loads(held.read_text())} if held.exists() else moment
 
 
 async def visit(port: int, number: int, files: tuple[Path, ...], config: Config, until: float, found: Found) -> None:
@@ -215,11 +169,6 @@ async def send_every_file(port: int, files: tuple[Path, ...], until: float, foun
             await asyncio.sleep(1.0)
 
 
-async def complete(tab: PageTab) -> None:
-    """Waits until a tab has all of its controls; the last is a command."""
-    await tab.until(lambda: len(tab.commands) >= COMMANDS, CONNECTING)
-
-
 async def answer_to(tab: PageTab, number: int, file: Path) -> dict[str, Any]:
     """Uploads a file, and returns what the page says of it."""
     label = "Wear a character" if file.suffix in CHARACTERS else "Upload the clip to restyle"
@@ -239,7 +188,7 @@ async def watch(server: psutil.Process, config: Config, until: float, began: flo
     """Measures the server until a moment."""
     with (config.out / "moments.jsonl").open("a") as file:
         while time.monotonic() < until:
-            found.moments.append(measure(server, began))
+            found.moments.append(measure(server, began, config.out))
             file.write(json.dumps(found.moments[-1]) + "\n")
             file.flush()
             await asyncio.sleep(config.every)
@@ -264,12 +213,12 @@ async def settle(port: int) -> None:
         await complete(tab)
 
 
-def wait_until_idle(server: psutil.Process, threads: int) -> dict[str, Any]:
+def wait_until_idle(server: psutil.Process, threads: int, out: Path) -> dict[str, Any]:
     """Returns a measurement once no more threads are left than before, or after a while."""
     began = time.monotonic()
     while server.num_threads() > threads and time.monotonic() - began < ENDING:
         time.sleep(0.5)
-    return measure(server, began)
+    return measure(server, began, out)
 
 
 def main(config: Config) -> dict[str, Any]:
@@ -281,11 +230,11 @@ def main(config: Config) -> dict[str, Any]:
         make_run(out / "run")
     else:
         shutil.copytree(config.run, out / "run")
-    with serving(out / "run", out) as (server, port):
+    with serving([str(out / "run")], out, watched=True) as (server, port):
         asyncio.run(settle(port))
-        before = wait_until_idle(server, 0)
+        before = wait_until_idle(server, 0, out)
         found = asyncio.run(load(server, port, config))
-        after = wait_until_idle(server, before["threads"])
+        after = wait_until_idle(server, before["threads"], out)
         server.send_signal(signal.SIGTERM)
         code = server.wait(timeout=ENDING)
     result = {
@@ -306,12 +255,13 @@ def main(config: Config) -> dict[str, Any]:
 
 
 def growth(moments: list[dict[str, Any]]) -> dict[str, float]:
-    """Returns by how many MiB a minute the memory grows in the second half, by least squares, and its largest value."""
+    """Returns by how much a minute everything grows in the second half, by least squares, and the largest memory."""
     late = moments[len(moments) // 2 :]
     if len(late) < 2:
         return {}
     minutes = np.array([moment["seconds"] for moment in late]) / 60.0
-    slopes = {name: float(np.polyfit(minutes, [moment[name] for moment in late], 1)[0]) for name in ("rss", "pss")}
+    names = [name for name in late[0] if name not in ("seconds", "processor") and all(name in one for one in late)]
+    slopes = {name: float(np.polyfit(minutes, [moment[name] for moment in late], 1)[0]) for name in names}
     return {**slopes, "largest rss": max(moment["rss"] for moment in moments)}
 
 

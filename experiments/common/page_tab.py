@@ -28,6 +28,9 @@ PART = 512 * 1024
 CONNECTING = 120.0
 """Seconds within which a busy server must answer."""
 
+COMMANDS = 12
+"""Keys of a tab that viser triggers; they are the last that a tab adds."""
+
 MESSAGE = re.compile(r'<div data-message="(\w+)"[^>]*>(.*?)</div>', re.DOTALL)
 """A message below the controls: its kind and its text."""
 
@@ -210,3 +213,8 @@ async def open_tab(host: str, port: int, *, origin: str | None = None) -> AsyncI
             await connection.close()
             with contextlib.suppress(Exception):
                 await listening
+
+
+async def complete(tab: PageTab) -> None:
+    """Waits until a tab has all of its controls; the last is a command."""
+    await tab.until(lambda: len(tab.commands) >= COMMANDS, CONNECTING)
