@@ -82,7 +82,7 @@ TRANSFER = (
     | names("transfer.transformation_training", "_apply", "_batch_losses")
     | names("training.loop", "scan")
 )
-FEW_SHOT = names("training.few_shot_learning", "_row_errors", "_train_many")
+FEW_SHOT = names("training.few_shot_learning", "_row_errors", "_stack", "_train_many")
 TUNING = names("training.loop", "one") | names("training.film_styles", "_generate")
 
 PRODUCTS: dict[Precision, str] = {

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pfnn_jax.control.compiling import jit_quickly
 from pfnn_jax.control.loop.pursuit import make_timed_path
 from pfnn_jax.control.loop.rollout import Frames, Stability, follow_path, stability
 from pfnn_jax.control.loop.state import initial_state
@@ -71,7 +72,7 @@ def walk_circles(
     points = jnp.asarray(np.stack([path.points[0] for path in paths]), jnp.float32)
     yaws = jnp.asarray([path.start_yaw for path in paths], jnp.float32)
     start = (jnp.asarray(x), jnp.asarray(phase, jnp.float32), round(seconds * layout.fps), config)
-    return _walk(predictor, layout, tracks, points, yaws, *start)
+    return _walk_now(predictor, layout, tracks, points, yaws, *start)
 
 
 def is_stable_turn(found: Stability, allowed_peak: float) -> np.ndarray:
@@ -108,7 +109,9 @@ def make_stability_check(
 
     def is_stable(trained: Any) -> bool:
         predictor = commit(predictor_of(trained, shared, normaliser))
-        found = _stability(layout, walk_circles(predictor, layout, x[0], phase[0], speed, SECONDS, config), mean, std)
+        found = _stability_now(
+            layout, walk_circles(predictor, layout, x[0], phase[0], speed, SECONDS, config), mean, std
+        )
         return bool(is_stable_turn(found, PEAK_RATIO * own).all())
 
     return is_stable
@@ -127,3 +130,7 @@ def _walk(predictor: Predictor, layout: FrameLayout, tracks, points, yaws, x, ph
 @partial(jax.jit, static_argnums=0)
 def _stability(layout: FrameLayout, frames: Frames, mean: jax.Array, std: jax.Array) -> Stability:
     return jax.vmap(lambda one: stability(layout, one, mean, std))(frames)
+
+
+_walk_now = jit_quickly(_walk, static_argnames=("layout", "num_frames", "config"))
+_stability_now = jit_quickly(_stability, static_argnums=0)

@@ -294,7 +294,10 @@ def initial_parameters(config: FewShotConfig, shared: Network, start: Style | No
     sizes = config_of(shared)
     if config.method == "scratch":
         return init_network(sizes, key=key)
-    return init_style(AdapterConfig(config.method, config.rank), sizes, key=key)
+    return _init_style_now(AdapterConfig(config.method, config.rank), sizes, key=key)
+
+
+_init_style_now = jax.jit(init_style, static_argnums=(0, 1))  # one program instead of ten small ones
 
 
 def assemble(trained: Any, shared: Network) -> tuple[Network, Style | None]:
@@ -486,6 +489,7 @@ def _row_errors(trained, shared: Network, data: Batch) -> jax.Array:
     return jax.vmap(one)(trained)
 
 
+@partial(jax.jit, static_argnums=1)
 def _stack(params: Any, count: int) -> TrainState:
     """Returns `count` equal states at step 0 on a leading axis."""
     return jax.vmap(lambda _: init_few_shot_state(params))(jnp.arange(count))

@@ -35,7 +35,7 @@ from pfnn_jax.training.config import (
     TuningConfig,
 )
 from pfnn_jax.training.data import Rows, hold_out
-from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style, row_errors
+from pfnn_jax.training.few_shot_learning import FewShotResult, fit_style, initial_parameters, row_errors
 from pfnn_jax.training.hosts import is_first, wait_for_all
 from pfnn_jax.training.loop import Progress as TrainingProgress
 from pfnn_jax.training.loop import no_progress
@@ -211,15 +211,27 @@ def precompile(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
         config: the grid.
         num_frames: of a clip of a symmetric style; clips of other lengths need no further compilation.
     """
+    rows = _mean_rows(run, num_frames)
+    _fit(run, [rows, rows], replace(config, eval_epochs=(1,)))
+
+
+def precompile_walks(run: Run, config: FewShotConfig) -> None:
+    """Compiles the circles on which `learn_style` judges a style; `precompile` does it too, after the training."""
+    form = jax.eval_shape(lambda key: initial_parameters(config, run.shared, key=key), jax.random.key(0))
+    zeros = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), form)
+    _stability_check(run, [_mean_rows(run, 1)])(zeros)
+
+
+def _mean_rows(run: Run, num_frames: int) -> Features:
+    """Returns rows of the mean pose."""
     x, y = (np.asarray(part.mean, np.float32) for part in (run.normaliser.inputs, run.normaliser.outputs))
     phase = run.normaliser.initial_phase()
-    features = Features(
+    return Features(
         np.broadcast_to(x, (num_frames, *x.shape)),
         np.broadcast_to(y, (num_frames, *y.shape)),
         np.broadcast_to(phase, (num_frames, *phase.shape)),
         np.arange(num_frames),
     )
-    _fit(run, [features, features], replace(config, eval_epochs=(1,)))
 
 
 def load_for_run(clip_file: ClipFile, run: Run, roles_file: str | Path | None = None) -> LabelledClip:

@@ -35,7 +35,8 @@ from pfnn_jax.viewer.page.uploads import (
     check_upload,
     learn_upload,
     page_config,
-    prepare_learning,
+    prepare_training,
+    prepare_walks,
     style_name,
 )
 from pfnn_jax.workflows.learn import default_config, learn_style
@@ -68,7 +69,8 @@ def contents(folder: Path) -> dict[str, bytes | None]:
 
 
 def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_path):
-    prepare_learning(library, "run")
+    prepare_walks(library, "run")
+    prepare_training(library, "run")
     calls: list[tuple[float, str]] = []
     before = set(contents(run_path))
     name, notes, warnings = learn_upload(

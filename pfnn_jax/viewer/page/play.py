@@ -26,7 +26,7 @@ from pfnn_jax.viewer.page.scene import CAMERA_FIELD, CAMERA_POSITION, CAMERA_TAR
 from pfnn_jax.viewer.page.start_screen import StandingBody, StartProgress, Ticker, WaitingTab, standing_body
 from pfnn_jax.viewer.page.start_times import StartTimes
 from pfnn_jax.viewer.page.tab import Tab
-from pfnn_jax.viewer.page.uploads import cancel_learning, prepare_learning
+from pfnn_jax.viewer.page.uploads import cancel_learning, prepare_training, prepare_walks
 
 if TYPE_CHECKING:
     import viser
@@ -230,7 +230,7 @@ def _play(
             if open_browser:
                 webbrowser.open(page.url)
             library = background.do(partial(RunLibrary, run_paths, progress.report))
-            background.do(library.warm_up)
+            background.do(partial(library.warm_up, partial(prepare_walks, library)))
             page.begin(library)
             threading.Thread(target=_precompile, args=(library,), name="precompile", daemon=True).start()
             if keep_compiled:
@@ -275,9 +275,9 @@ def _ended_by_signals() -> Iterator[Callable[[], None]]:
 
 
 def _precompile(library: RunLibrary) -> None:
-    """Compiles what the first upload needs, once characters can walk: next to a step it would delay them."""
+    """Compiles the rest of what the first upload needs, once characters can walk: before, it would delay them."""
     for run in library.runs:
-        prepare_learning(library, run)
+        prepare_training(library, run)
 
 
 def check_viser() -> None:

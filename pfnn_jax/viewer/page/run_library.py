@@ -6,8 +6,9 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -25,6 +26,7 @@ from pfnn_jax.models.style import Style, StyleSum
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run import Run, load_run, load_style
 from pfnn_jax.run_config import list_styles
+from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.learning import LearningBoard
 from pfnn_jax.viewer.page.style_files import (
     DeletedStyle,
@@ -44,6 +46,18 @@ DELETED = "\0"
 SPARE = 8
 """Least number of spare rows of a bank of styles: this many can be learned before the step must be compiled again.
 Banks have multiples of it, so that what was compiled before a style was learned as a rule serves the next start too."""
+
+
+class Preparation(NamedTuple):
+    """Locks of a run, so that nothing is compiled twice: each is held while what it is named after may be compiled.
+
+    Attributes:
+        training: of a style.
+        walking: the walks by which a style is judged and calibrated.
+    """
+
+    training: threading.Lock
+    walking: threading.Lock
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +140,7 @@ class LoadedRun:
         reused = self if free is None or style in self.controller.styles else self._with_names({free: style})
         controller = add_to_bank(self.run, reused.controller, style, load_style(self.run, style))
         if controller.capacity != self.controller.capacity:
-            compile_step(controller)  # now, so that no character waits for it
+            compile_character(controller)  # now, so that no character waits for it
         renamed = {old: new for old, new in self.renamed.items() if old != style}
         return replace(self, controller=controller, speeds=_speeds(controller), renamed=renamed)
 
@@ -167,7 +181,7 @@ class RunLibrary:
         self._report = report
         names = run_names(paths)
         self._loaded = {name: LoadedRun.load(name, path, report) for name, path in zip(names, paths, strict=True)}
-        self._preparations = {name: threading.Lock() for name in self._loaded}
+        self._preparations = {name: Preparation(threading.Lock(), threading.Lock()) for name in self._loaded}
         self._version = 0
         self._deleted: list[tuple[str, DeletedStyle]] = []
         self._strafes: dict[tuple[str, str], bool] = {}
@@ -201,19 +215,23 @@ class RunLibrary:
             raise InputError("page", "run", ascii(run)[:60], f"must be one of {', '.join(self.runs)}")
         return self._loaded[run]
 
-    def preparation(self, run: str) -> threading.Lock:
-        """Returns the lock to hold while compiling or learning in a run, so that nothing is compiled twice.
+    def preparation(self, run: str) -> Preparation:
+        """Returns the locks to hold while something is compiled in a run or used for the first time.
 
         Raises:
             InputError: for an unknown run.
         """
         return self._preparations[self.get(run).name]
 
-    def warm_up(self) -> None:
-        """Compiles one step of every run, so that the first character does not wait for it."""
+    def warm_up(self, meanwhile: Callable[[str], None] = lambda run: None) -> None:
+        """Compiles one step of every run, so that the first character does not wait for it.
+
+        Args:
+            meanwhile: called with the name of each run, in another thread, while its step is still being compiled.
+        """
         for name in self.runs:
             self._report(f"Compiling a step of {name} for this machine")
-            compile_step(self.get(name).controller)
+            compile_character(self.get(name).controller, partial(meanwhile, name))
 
     def add_style(self, run: str, style: str) -> None:
         """Adds a style that has been saved in a run's folder to its bank; characters can choose it at once.
@@ -322,10 +340,31 @@ def compile_calibration(controller: Controller) -> None:
     calibrate(controller.setup, controller.params, [0])
 
 
-def compile_step(controller: Controller) -> None:
-    """Starts a character and takes one step, so that everything is compiled that a character needs."""
+def compile_character(controller: Controller, meanwhile: Callable[[], None] = lambda: None) -> None:
+    """Starts a character and takes one step from a state of zeros, so that everything is compiled that one needs.
+
+    Both are compiled at the same time.
+
+    Args:
+        controller: of the character.
+        meanwhile: called in the thread of the start once that is compiled, while the step still is, which leaves a core
+            idle; not waited for.
+    """
+    started = threading.Event()
+
+    def start() -> None:
+        try:
+            background.do(lambda: jax.block_until_ready(controller.start()))
+        finally:
+            started.set()
+        meanwhile()
+
+    threading.Thread(target=start, name="start", daemon=True).start()
+    form = jax.eval_shape(controller.start)
+    state = commit(jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), form))
     command = make_command(1.0, 0.0, 0.0, controller.style_weights(controller.styles[0]))
-    jax.block_until_ready(controller.step(controller.start(), command))
+    jax.block_until_ready(controller.step(state, command))
+    started.wait()
 
 
 def make_command(speed: float, heading: float, facing: float, weights: np.ndarray) -> Command:

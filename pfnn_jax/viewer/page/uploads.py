@@ -28,7 +28,7 @@ from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, compile_calibration
 from pfnn_jax.viewer.page.style_files import own_folder, taken_names, unfinished_mark
-from pfnn_jax.workflows.learn import default_config, learn_style, precompile
+from pfnn_jax.workflows.learn import default_config, learn_style, precompile, precompile_walks
 
 MOST_BYTES = 10_000_000
 """Size of the largest file taken as a clip."""
@@ -93,17 +93,24 @@ def page_config(run: Run) -> FewShotConfig:
     return config if config.restyled else replace(config, method=kind)
 
 
-def prepare_learning(library: RunLibrary, run: str) -> None:
-    """Compiles what learning needs, in the background of a page that has just been opened; see `precompile`.
+def prepare_walks(library: RunLibrary, run: str) -> None:
+    """Compiles the walks by which a style is judged and then calibrated, while a page is opened."""
+    loaded = library.get(run)
+    with library.preparation(run).walking:
+        background.do(partial(precompile_walks, loaded.run, page_config(loaded.run)), niceness=NICENESS)
+        background.do(partial(compile_calibration, loaded.controller), niceness=NICENESS)
 
-    An upload takes precedence, and waits for the preparation of its own run only.
+
+def prepare_training(library: RunLibrary, run: str) -> None:
+    """Compiles the training of a style, in the background of a page that has just been opened; see `precompile`.
+
+    An upload takes precedence, and waits for what is being compiled of its own run only.
     """
     with _learning:  # wait for an upload that is being learned
         pass
-    loaded = library.get(run)
-    with library.preparation(run):
-        background.do(partial(precompile, loaded.run, page_config(loaded.run)), niceness=NICENESS)
-        background.do(partial(compile_calibration, loaded.controller), niceness=NICENESS)
+    loaded = library.get(run).run
+    with library.preparation(run).training:
+        background.do(partial(precompile, loaded, page_config(loaded)), niceness=NICENESS)
 
 
 def cancel_learning(library: RunLibrary, wait: float = 0.5) -> None:
@@ -172,9 +179,9 @@ def learn_upload(
             _kept_upload(library.get(run), style, suffix, data) as clip,
         ):
             style = clip.style
-            with library.preparation(run):
+            with library.preparation(run).training:
                 info = background.do(partial(_learn, loaded, clip, report), niceness=NICENESS)
-            with _saved_style(loaded.path, clip):
+            with _saved_style(loaded.path, clip), library.preparation(run).walking:
                 background.do(partial(library.add_style, run, style))
     except InputError as error:
         if library.closing.is_set():  # its clip has been removed by `cancel_learning`
