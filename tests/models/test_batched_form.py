@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 
 from pfnn_jax.models.config import AdapterConfig, NetworkConfig
 from pfnn_jax.models.layers.full import BlendedLayer
@@ -103,3 +105,22 @@ def test_mixture_for_a_batch_builds_no_matrix_for_a_sample(kind):
     ]
     largest = BATCH * SIZES.hidden * (POINTS if kind == "full" else 1)
     assert sizes and max(math.prod(size) for size in sizes) <= largest
+
+
+@pytest.mark.parametrize("kind", ["cp", "full"])
+def test_derivatives_of_a_mixture_are_those_of_the_weighted_sum(kind, float64: None):
+    """Also by the weight of a style that is left out, whose layer is not read."""
+    c, x, weights = normal(3, POINTS), normal(4, SIZES.hidden), jnp.array([0.7, 0.0, 0.3])
+
+    def size(mixed, *args):
+        return jnp.sum(jnp.sin(mixed(*args)))
+
+    def weighted_sum(weights, c, x):
+        return jnp.einsum("s,so->o", weights, jax.vmap(lambda style: style(c, x))(bank(kind)))
+
+    found, expected = (
+        jax.grad(partial(size, f), argnums=(0, 1, 2))(weights, c, x) for f in (mixture(kind), weighted_sum)
+    )
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=FLOAT32, atol=FLOAT32), found, expected)
+    assert np.asarray(found[0])[1] != 0.0
+    check_grads(mixture(kind), (weights, c, x), order=1, modes=["rev"])
