@@ -1,4 +1,4 @@
-"""`pfnn-jax pretrain` in two processes: one is killed, the other says so, and both resume the run."""
+"""Training by commands in two processes: one is killed, the other says so, and both resume the run."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import subprocess
 import time
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -15,11 +16,15 @@ from pfnn_jax.cli.command_line import TRY_AGAIN, in_options
 from pfnn_jax.cli.several_hosts import HostsConfig, how_it_ended
 from pfnn_jax.errors import InputError, LostProcessError
 from pfnn_jax.models.config import AdapterConfig
+from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
-from pfnn_jax.motion.synthetic.walks import synthetic_clips
+from pfnn_jax.motion.datasets.sources import ClipFile
+from pfnn_jax.motion.synthetic.walks import synthesise, synthetic_clips
+from pfnn_jax.run import load_run, load_style
 from pfnn_jax.run_config import train_step
-from pfnn_jax.training.config import PretrainConfig
+from pfnn_jax.training.config import PretrainConfig, TuningConfig
 from pfnn_jax.training.log import read_metrics
+from pfnn_jax.workflows.learn import tune_style
 from pfnn_jax.workflows.pretrain import pretrain_run
 from tests.training.processes import LONGEST, free_port, start
 
@@ -85,6 +90,30 @@ def test_when_one_process_is_killed_the_other_ends_and_the_run_resumes(dataset, 
     pretrain_run(dataset, tmp_path / "whole", config(saved + 10))
     losses = [[record["loss"] for record in read_metrics(run)] for run in (out, tmp_path / "whole")]
     np.testing.assert_allclose(*losses, rtol=SUMS)
+
+
+def test_two_processes_tune_a_generator_as_one(tmp_path):
+    """Process 0 saves the style; both have the run and the clip."""
+    clips = [clip for style in ("neutral", "proud") for clip in synthetic_clips(style, 8)]
+    data = prepare(clips, tmp_path / "data", PrepareConfig(layout="mason2022"))
+    sizes = {"hidden": 8, "generator_filters": 2, "generator_width": 3, "generator_hidden": 4}
+    run = pretrain_run(data, tmp_path / "run", PretrainConfig(AdapterConfig("film"), steps=2, **sizes)).path
+    clip, port = tmp_path / "old.bvh", free_port()
+    write_bvh(clip, synthesise("old", np.zeros(200), np.ones(200))[0])
+    words = ("few-shot", run, clip, "--name", "both", "--recipe", "generator", "--tuning.steps", 4)
+    hosts = ("--coordinator", f"127.0.0.1:{port}", "--processes", 2, "--process-id")
+    both = [start("-c", PROGRAM, *words, *hosts, number) for number in range(2)]
+    try:
+        ended = [process.communicate(timeout=LONGEST) for process in both]
+    finally:
+        for process in both:
+            process.kill()
+    assert [process.returncode for process in both] == [0, 0], ended
+    info = tune_style(run, ClipFile(clip, "one"), TuningConfig(steps=4))
+    found, expected = (load_style(load_run(run), name) for name in ("both", "one"))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=SUMS), found, expected)
+    saved = json.loads((run / "styles" / "both" / "style.json").read_text())["info"]
+    assert saved["loss"] == pytest.approx(info["loss"], rel=SUMS)
 
 
 ABORTED = "F1129 client.h:80] Terminating process because the JAX distributed service detected fatal errors. "

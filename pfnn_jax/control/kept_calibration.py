@@ -2,8 +2,8 @@
 
 A calibration is kept under a digest of all that it follows from: the network, the style, the statistics and the
 settings. Nothing else finds it, so no style can get that of another. Those of the base network come with the package,
-in `base_network/walks.safetensors`. Others lie in the private folder of compiled code, under a digest that also names
-the source of the package, while a command keeps compiled code there.
+in `base_network/calibrations.safetensors`. Others lie in the private folder of compiled code, under a digest that also
+names the source of the package, while a command keeps compiled code there.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from pfnn_jax.models.style import Style, StyleSum
 
 PACKAGE = Path(__file__).resolve().parents[1]
 
-SHIPPED = PACKAGE / "base_network" / "walks.safetensors"
+SHIPPED = PACKAGE / "base_network" / "calibrations.safetensors"
 """Calibrations of the styles of the base network."""
 
 SUFFIX = "-cache"

@@ -11,8 +11,10 @@ import pytest
 from pfnn_jax.control import kept_calibration
 from pfnn_jax.control.controller import Controller, make_controller
 from pfnn_jax.control.kept_calibration import SHIPPED, calibrate, style_digests
+from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.run import load_run
 from pfnn_jax.workflows.base import BASE_NETWORK
+from pfnn_jax.workflows.learn import default_config
 
 SAME_WALK = 0.02
 """Metres, metres per second and unit vectors: the walks of two compilers drift apart by millimetres in 3.5 seconds."""
@@ -107,3 +109,16 @@ def known(controller: Controller, rows):
     params, chosen = controller.params, np.asarray(rows)
     arrays = (params.speeds, params.speed_gains, params.stances, params.waiting)
     return [jax.tree.map(lambda leaf: np.asarray(leaf)[chosen], array) for array in arrays]
+
+
+def test_spare_rows_and_room_for_another_kind_of_style_change_no_digest(controller):
+    run = load_run(BASE_NETWORK)
+    few_shot = default_config(run)
+    later = AdapterConfig(few_shot.method, few_shot.rank)
+    padded = make_controller(run, capacity=24, later=later)
+    assert padded.capacity > controller.capacity
+    assert jax.tree.structure(padded.params.bank) != jax.tree.structure(controller.params.bank)
+    rows = range(len(controller.styles))
+    expected = style_digests(controller.setup, controller.params, rows)
+    assert style_digests(padded.setup, padded.params, rows) == expected
+    assert len(set(expected)) == len(rows)

@@ -63,7 +63,8 @@ def learn(run_path: Path, name: str) -> None:
 def test_the_shipped_network_is_a_small_finished_run():
     assert sum(map(len, content(BASE_NETWORK).values())) <= LARGEST
     assert {path.name for path in BASE_NETWORK.iterdir()} == {
-        "CARD.md", "config.json", "differences", "metrics.jsonl", "normaliser", "shared", "styles", "walks.safetensors",
+        "CARD.md", "calibrations.safetensors", "config.json", "differences", "metrics.jsonl", "normaliser", "shared",
+        "styles",
     }  # fmt: skip
     run = load_run(BASE_NETWORK)
     assert set(list_styles(BASE_NETWORK)) == set(run.config.styles) > {"neutral"}

@@ -19,13 +19,15 @@ from pfnn_jax.inference.rows import predict_rows
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
 from pfnn_jax.motion.synthetic.walks import synthetic_clips
-from pfnn_jax.run import load_generator, load_run, load_style
+from pfnn_jax.run import load_generator, load_run, load_style, load_train_state
 from pfnn_jax.run_config import list_styles, style_note, train_step
 from pfnn_jax.training.config import PretrainConfig
 from pfnn_jax.training.data import Rows
 from pfnn_jax.training.film_styles import mean_styles
 from pfnn_jax.training.log import read_metrics
+from pfnn_jax.training.loop import Progress
 from pfnn_jax.training.order import order_of
+from pfnn_jax.training.pretraining import init_state
 from pfnn_jax.workflows.pretrain import pretrain_run
 from tests.raising import assert_refused
 
@@ -246,3 +248,20 @@ def test_a_film_run_from_disk_is_the_one_from_memory_and_holds_its_generator(dat
     films = mean_styles(generator, Rows.from_dataset(dataset))
     for index, style in enumerate(dataset.styles):
         assert_bitwise_equal(load_style(memory, style), jax.tree.map(lambda leaf, i=index: leaf[i], films))
+
+
+def test_data_that_is_removed_while_it_is_read_from_disk_is_named(dataset, tmp_path):
+    """What was saved before stays, and loads."""
+    path = shutil.copytree(dataset.path, tmp_path / "data")
+    config = replace(CONFIG, steps=5000, steps_per_dispatch=5, save_every=5, device_bytes=0)
+
+    def remove(progress: Progress) -> None:
+        if progress.step == 10:
+            shutil.rmtree(path / dataset.styles[0])
+
+    refused = assert_refused(lambda: pretrain_run(path, tmp_path / "run", config, progress_callback=remove))
+    assert refused.file.startswith(str(path / dataset.styles[0]))
+    assert "prepare" in refused.rule
+    data = Rows.from_dataset(dataset)
+    state = jax.eval_shape(lambda: init_state(config, data.layout, len(dataset.styles)))
+    assert train_step(tmp_path / "run") is not None and load_train_state(tmp_path / "run", state) is not None
