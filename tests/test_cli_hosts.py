@@ -96,8 +96,10 @@ def test_two_processes_tune_a_generator_as_one(tmp_path):
     """Process 0 saves the style; both have the run and the clip."""
     clips = [clip for style in ("neutral", "proud") for clip in synthetic_clips(style, 8)]
     data = prepare(clips, tmp_path / "data", PrepareConfig(layout="mason2022"))
-    sizes = {"hidden": 8, "generator_filters": 2, "generator_width": 3, "generator_hidden": 4}
-    run = pretrain_run(data, tmp_path / "run", PretrainConfig(AdapterConfig("film"), steps=2, **sizes)).path
+    small = PretrainConfig(
+        AdapterConfig("film"), hidden=8, generator_filters=2, generator_width=3, generator_hidden=4, steps=2
+    )
+    run = pretrain_run(data, tmp_path / "run", small).path
     clip, port = tmp_path / "old.bvh", free_port()
     write_bvh(clip, synthesise("old", np.zeros(200), np.ones(200))[0])
     words = ("few-shot", run, clip, "--name", "both", "--recipe", "generator", "--tuning.steps", 4)

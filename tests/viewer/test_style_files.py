@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -15,8 +16,9 @@ import pytest
 from pfnn_jax.control.abilities import can_strafe
 from pfnn_jax.run import load_run, load_style, save_style
 from pfnn_jax.run_config import list_styles, style_note
-from pfnn_jax.viewer.page import style_files
+from pfnn_jax.viewer.page import journal, style_files
 from pfnn_jax.viewer.page.character import Character
+from pfnn_jax.viewer.page.journal import JOURNAL
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary
 from pfnn_jax.viewer.page.style_files import empty_trash, remove_unfinished, unfinished_mark
 from tests.raising import assert_refused
@@ -117,7 +119,7 @@ def test_a_style_that_cannot_be_renamed_keeps_its_name(library, monkeypatch, fai
         raise OSError(28, "No space left on device")
 
     if fails == "note":
-        monkeypatch.setattr(style_files, "write_json", broken)
+        monkeypatch.setattr(journal, "write_json", broken)
     else:
         monkeypatch.setattr(Path, "rename", refuse)
     assert_refused(lambda: library.rename_style("run", "mine", "other"), file="styles/mine", place="style")
@@ -126,6 +128,69 @@ def test_a_style_that_cannot_be_renamed_keeps_its_name(library, monkeypatch, fai
     if fails == "clip":
         assert_refused(lambda: library.delete_style("run", "mine"), file="styles/mine", place="style")
         assert "mine" in list_styles(run) and library.deleted_style("run") is None
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from pfnn_jax.viewer.page import style_files
+
+run, change, left = Path(sys.argv[1]), sys.argv[2], [int(sys.argv[3])]
+deleted = style_files.delete_style(run, "mine") if change == "restore" else None
+rename = Path.rename
+
+def limited(path, target):
+    if target.suffix != ".json":
+        if not left[0]:
+            os._exit(0)
+        left[0] -= 1
+    return rename(path, target)
+
+Path.rename = limited
+if change == "rename":
+    style_files.rename_style(run, "mine", "other")
+elif change == "delete":
+    style_files.delete_style(run, "mine")
+else:
+    style_files.restore_style(run, deleted)
+raise RuntimeError("was not killed")
+"""
+
+
+@pytest.mark.parametrize("moves", [0, 1])
+@pytest.mark.parametrize(("change", "left"), [("rename", "other"), ("delete", None), ("restore", "mine")])
+def test_what_a_kill_leaves_of_a_change_is_done_by_the_next_program(library, change, left, moves):
+    """Killed before its first move, and between that of the style and that of its clip."""
+    run = path_of(library)
+    subprocess.run([sys.executable, "-c", KILLED, run, change, str(moves)], check=True)
+    assert (run / JOURNAL).is_file()
+    RunLibrary([run])
+    assert sorted(path.name for path in (run / "uploads").iterdir()) == ([] if left is None else [f"{left}.bvh"])
+    assert set(list_styles(run)) - {"depressed", "neutral", "proud"} == ({left} - {None})
+    if left is not None:
+        assert style_note(run, left)["name"] == left
+    assert not list(run.glob(".[dm]*")), "neither a journal nor anything deleted"
+
+
+@pytest.mark.parametrize(
+    "moves",
+    [
+        [["styles/mine", "../mine"]],
+        [["styles/mine", "linked/mine"]],
+        [["/etc", "styles/x"]],
+        [["styles/mine", "\0"]],
+        [3],
+        "a",
+        None,
+    ],
+)
+def test_a_journal_that_leads_out_of_the_run_moves_nothing(library, tmp_path, moves):
+    run = path_of(library)
+    (tmp_path / "outside").mkdir()
+    (run / "linked").symlink_to(tmp_path / "outside", target_is_directory=True)
+    (run / JOURNAL).write_text(json.dumps({"moves": moves}))
+    assert "mine" in RunLibrary([run]).get("run").styles
+    assert not list((tmp_path / "outside").iterdir())
 
 
 def test_nothing_outside_the_run_is_moved(library, tmp_path):

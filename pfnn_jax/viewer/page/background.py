@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
 import os
 import shutil
 import sys
@@ -50,6 +51,7 @@ def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
         except BaseException as error:  # raised again below, in the waiting thread
             errors.append(error)
         finally:
+            release_memory()
             _working.discard(thread)
             done.set()
 
@@ -60,6 +62,17 @@ def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
     if errors:
         raise errors[0]
     return results[0]
+
+
+def release_memory() -> None:
+    """Gives memory that is free back to the system, where the C library is GNU's, which keeps it otherwise.
+
+    What is compiled needs much for a moment: after the preparation of learning a third of the page's memory is free.
+    """
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(ctypes.c_size_t(0))
 
 
 @contextmanager

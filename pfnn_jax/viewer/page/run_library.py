@@ -27,6 +27,7 @@ from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run import Run, load_run, load_style
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.viewer.page import background
+from pfnn_jax.viewer.page.journal import finish_moves
 from pfnn_jax.viewer.page.learning import LearningBoard
 from pfnn_jax.viewer.page.style_files import (
     DeletedStyle,
@@ -180,6 +181,8 @@ class RunLibrary:
         self._lock = threading.RLock()
         self._report = report
         names = run_names(paths)
+        for path in paths:
+            finish_moves(path)
         self._loaded = {name: LoadedRun.load(name, path, report) for name, path in zip(names, paths, strict=True)}
         self._preparations = {name: Preparation(threading.Lock(), threading.Lock()) for name in self._loaded}
         self._version = 0

@@ -1,8 +1,7 @@
 """Renaming and deleting styles that were learned in a run, with a way back.
 
 A deleted style and its uploaded clip are moved into a hidden folder of the run, which is removed when the program ends
-or, if it did not end properly, by the next one. Everything is moved by renaming: a style is at one place or the other,
-complete.
+or, if it did not end properly, by the next one. A style and its clip are moved together (`journal`).
 """
 
 from __future__ import annotations
@@ -11,16 +10,17 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import failure, is_running, read_note, write_json
+from pfnn_jax.io.files import failure, is_running
 from pfnn_jax.io.locks import writing
 from pfnn_jax.motion.clip_files import CLIP_SUFFIXES
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run_config import check_new_style, list_styles
+from pfnn_jax.viewer.page.journal import move_together
 
 DELETED_FOLDER = re.compile(r"\.deleted\.(\d+)")
 """Name of the hidden folder: with the number of the process that has made it."""
@@ -51,20 +51,16 @@ def rename_style(run: Path, old: str, new: str) -> None:
         InputError: for an unknown style, a note that cannot be read, a name that cannot be a folder's or is taken, a
             link, or a run that cannot be written or that another process is writing.
     """
-    with _changing(run, old), ExitStack() as undo:
+    with _changing(run, old):
         before, clip = _saved_folder(run, old), uploaded_clip(run, old)
         if new.lower() == old.lower():
             check_style_name(new, run)
         else:
             _check_free(run, new)
-        after, note = own_folder(run, "styles", new), read_note(before, "style.json", "must be a style's note")
-        before.rename(after)
-        undo.callback(after.rename, before)
-        write_json(after / "style.json", {**note, "name": new})
-        undo.callback(write_json, after / "style.json", note)
+        moves = [(before, own_folder(run, "styles", new))]
         if clip is not None:
-            clip.rename(clip.with_name(f"{new}{clip.suffix}"))
-        undo.pop_all()
+            moves.append((clip, clip.with_name(f"{new}{clip.suffix}")))
+        move_together(run, moves)
 
 
 def delete_style(run: Path, name: str) -> DeletedStyle:
@@ -74,16 +70,14 @@ def delete_style(run: Path, name: str) -> DeletedStyle:
         InputError: for an unknown style, a link, or a run that cannot be written or that
             another process is writing.
     """
-    with _changing(run, name), ExitStack() as undo:
+    with _changing(run, name):
         folder, clip = _saved_folder(run, name), uploaded_clip(run, name)
         hidden = own_folder(run, f".deleted.{os.getpid()}")
         hidden.mkdir(exist_ok=True)
         place = next(place for number in range(10**6) if not (place := hidden / str(number)).exists())
         place.mkdir()
-        folder.rename(place / "style")
-        undo.callback((place / "style").rename, folder)
-        kept = None if clip is None else clip.rename(place / clip.name)
-        undo.pop_all()
+        kept = None if clip is None else place / clip.name
+        move_together(run, [(folder, place / "style"), *([] if clip is None or kept is None else [(clip, kept)])])
     return DeletedStyle(name, place / "style", kept)
 
 
@@ -94,15 +88,14 @@ def restore_style(run: Path, deleted: DeletedStyle) -> None:
         InputError: if its name has been taken meanwhile, for a link, or a run that cannot be written or that
             another process is writing.
     """
-    with _changing(run, deleted.name), ExitStack() as undo:
+    with _changing(run, deleted.name):
         _check_free(run, deleted.name)
         folder, uploads = own_folder(run, "styles", deleted.name), own_folder(run, "uploads")
-        deleted.folder.rename(folder)
-        undo.callback(folder.rename, deleted.folder)
+        moves = [(deleted.folder, folder)]
         if deleted.clip is not None:
             uploads.mkdir(exist_ok=True)
-            deleted.clip.rename(uploads / deleted.clip.name)
-        undo.pop_all()
+            moves.append((deleted.clip, uploads / deleted.clip.name))
+        move_together(run, moves)
 
 
 def empty_trash(run: Path) -> None:

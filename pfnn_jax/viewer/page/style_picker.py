@@ -82,8 +82,12 @@ class StylePicker:
 
     @property
     def run(self) -> str:
-        """The run chosen in the list, whether `apply_changes` has applied it or not."""
-        return self._run.value
+        """The run chosen in the list, whether `apply_changes` has applied it or not.
+
+        The character's where there is none of that name: viser takes any text for a choice.
+        """
+        chosen = self._run.value
+        return chosen if chosen in self._library.runs else self._character.run
 
     def refresh(self) -> None:
         """Follows the styles that any tab has learned, renamed or deleted.
@@ -168,7 +172,7 @@ class StylePicker:
 
     def _show_manage(self) -> None:
         """Offers renaming and deleting for learned styles only, and the style that can be restored."""
-        run, style = self._run.value, self._style.value
+        run, style = self.run, self._style.value
         learned = style != MIXTURE and self._library.get(run).is_learned(style)
         self._manage.visible = learned
         deleted = self._library.deleted_style(run)
