@@ -185,6 +185,19 @@ def learned(panel: Any, style: str, *lines: tuple[str, ...], run: str = "run") -
     panel.serve(0.0)
 
 
+def test_a_run_that_no_list_offers_changes_nothing_while_another_tab_adds_a_style(server):
+    """Viser takes any text for a choice, and a tab may follow the styles before it applies what was chosen."""
+    library = Library()
+    picker = StylePicker(server.gui, any_of(library), any_of(StubCharacter()))
+    picker._run.value = "nan"
+    library.join("run", "zombie")
+    picker.refresh()
+    assert picker.run == "run" and "zombie" in picker._style.options
+    assert_refused(lambda: picker.apply_changes(0.0), value="nan")
+    picker.apply_changes(1.0)
+    server.gui.reset()
+
+
 def test_a_style_learned_with_warnings_is_not_shown_as_a_success(panel, client):
     learned(panel, "neutral")
     assert not client.received
