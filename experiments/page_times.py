@@ -1,8 +1,8 @@
 """How long does a person wait for the page: until a character walks, and until an uploaded style does?
 
 Question  How many seconds pass from the command until a character can be driven and moves, in a tab of the protocol
-          and in a browser that draws? From sending a clip until it is a style that the tab's character walks in, when
-          the clip is sent at once, or some seconds later? With nothing kept from earlier starts, and with everything?
+          and in a browser that draws? From sending a clip until the tab's character has changed to its style, when the
+          clip is sent at once, or some seconds later? With nothing kept from earlier starts, and with everything?
 Data      the base network, and clips of the package.
 Method    every measurement is a start of its own, `pfnn-jax play` in a process with its own home. Cold: the home is
           empty. Warm: its last start prepared all that learning needs. Medians over the repetitions.
@@ -85,14 +85,15 @@ async def walk(port: int) -> None:
             now = place(tab)  # a character begins at the origin
             return now is not None and math.hypot(*now) > MOVED
 
-        while not moved():
-            number += 1
-            await tab.set(tab.find(DRIVE), AHEAD.format(number=number))
-            await tab.until(moved, 0.2)
+        async with asyncio.timeout(ANSWERING):
+            while not moved():
+                number += 1
+                await tab.set(tab.find(DRIVE), AHEAD.format(number=number))
+                await tab.until(moved, 0.2)
 
 
 async def learn(port: int, name: str, delay: float) -> float:
-    """Opens a tab, sends a clip after a delay, and returns the seconds until its character walks in the new style."""
+    """Opens a tab, sends a clip after a delay, and returns the seconds until its character has the new style."""
     opened = time.monotonic()
     async with open_tab(HOST, port) as tab:
         await complete(tab)
@@ -117,7 +118,8 @@ def walk_in_browser(port: int) -> None:
         page.keyboard.down("w")
         page.wait_for_function(
             f"() => {{const [x, z] = document.querySelector('[data-value]').dataset.value.split(' ').map(Number);"
-            f" return Math.hypot(x, z) > {MOVED}}}"
+            f" return Math.hypot(x, z) > {MOVED}}}",
+            timeout=1e3 * ANSWERING,
         )
         browser.close()
 
@@ -156,7 +158,7 @@ def make_home(kept: Path | None, fresh: Path) -> None:
 
 
 def processor(server: psutil.Process) -> float:
-    """Returns the seconds that a process has computed."""
+    """Returns the processor time of a process in seconds."""
     return sum(server.cpu_times()[:2])
 
 

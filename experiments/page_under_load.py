@@ -42,6 +42,9 @@ from pfnn_jax.workflows.samples import sample_clips
 ENDING = 60.0
 """Seconds within which threads of closed tabs must have ended; what a tab was learning is learned to its end."""
 
+STALE = 60.0
+"""Seconds after which what a server's memory holds is not taken for present: the thread that notes it has ended."""
+
 ANSWERING = 300.0
 """Seconds within which an upload must be answered, on a busy machine."""
 
@@ -123,8 +126,11 @@ def measure(server: psutil.Process, began: float, out: Path) -> dict[str, Any]:
             "processor": round(sum(server.cpu_times()[:2]), 1),
             "styles": len(list((out / "run" / "styles").glob("[!.]*"))),
         }
-    held = out / HELD
-    return {**moment, **json.loads(held.read_text())} if held.exists() else moment
+    with contextlib.suppress(OSError):
+        held = json.loads((out / HELD).read_text())
+        if time.time() - held.pop("noted") < STALE:
+            moment |= held
+    return moment
 
 
 async def visit(port: int, number: int, files: tuple[Path, ...], config: Config, until: float, found: Found) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import psutil
 
-from pfnn_jax.io.compilation_cache import LOG_LEVEL
+from pfnn_jax.io.compilation_cache import LOG_LEVEL, VARIABLE
 
 HOST = "127.0.0.1"
 
@@ -36,7 +36,7 @@ def serving(
     """Runs the page in a process; yields it and its port once it has printed a line.
 
     Args:
-        runs: words after `pfnn-jax play`; none for the base network.
+        runs: arguments of `pfnn-jax play`; none for the base network.
         out: folder of the server's home and of its output, `server.log`. What an earlier one has kept there is used.
         until: the line.
         watched: whether the process notes what its memory holds in the file `held.json`.
@@ -46,7 +46,8 @@ def serving(
     """
     home = out / "home"
     (home / "tmp").mkdir(parents=True, exist_ok=True)
-    kept = {name: value for name, value in os.environ.items() if name != LOG_LEVEL}  # set by JAX when it is imported
+    dropped = (VARIABLE, "JAX_ENABLE_COMPILATION_CACHE", LOG_LEVEL)  # JAX sets the last when it is imported
+    kept = {name: value for name, value in os.environ.items() if name not in dropped}
     own = {"HOME": home, "XDG_CACHE_HOME": home / "cache", "XDG_DATA_HOME": home / "data", "TMPDIR": home / "tmp"}
     alone = ["-c", "from pfnn_jax.cli import main; main()"]
     program = ["-m", "experiments.common.watched_page", str(out / HELD)] if watched else alone

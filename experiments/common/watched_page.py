@@ -40,7 +40,7 @@ def held() -> dict[str, Any]:
         "programs": len(jax.devices()[0].client.live_executables()),
         "objects": len(gc.get_objects()),
     }
-    return {**found, **allocated()}
+    return {**found, **allocated(), "noted": time.time()}
 
 
 def allocated() -> dict[str, float]:

@@ -74,9 +74,9 @@ def _peak_bytes() -> int:
 
 
 def _own_peak() -> int | None:
-    """Returns the peak memory of this process since its program began, where the system tells.
+    """Returns the peak memory of this process, or None where /proc is not available.
 
-    The `ru_maxrss` of Linux also covers what the process was before: a copy of the one that started it.
+    On Linux `ru_maxrss` includes the memory of the parent from before `exec`.
     """
     with suppress(OSError):
         found = re.search(r"^VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text(), re.MULTILINE)

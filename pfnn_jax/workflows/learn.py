@@ -215,8 +215,8 @@ def precompile(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
     _fit(run, [rows, rows], replace(config, eval_epochs=(1,)))
 
 
-def precompile_walks(run: Run, config: FewShotConfig) -> None:
-    """Compiles the circles on which `learn_style` judges a style; `precompile` does it too, after the training."""
+def precompile_rollouts(run: Run, config: FewShotConfig) -> None:
+    """Compiles the rollouts on circles by which `learn_style` judges a style; `precompile` does it after training."""
     form = jax.eval_shape(lambda key: initial_parameters(config, run.shared, key=key), jax.random.key(0))
     zeros = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), form)
     _stability_check(run, [_mean_rows(run, 1)])(zeros)

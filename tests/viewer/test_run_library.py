@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import threading
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +23,14 @@ from pfnn_jax.inference.mixture import in_parts
 from pfnn_jax.models.style import StyleSum
 from pfnn_jax.run import load_run, load_style, save_style
 from pfnn_jax.viewer.page.character import Character, with_capacity
-from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, add_to_bank, bank_rows, compile_calibration
+from pfnn_jax.viewer.page.run_library import (
+    LoadedRun,
+    RunLibrary,
+    add_to_bank,
+    bank_rows,
+    compile_calibration,
+    compile_character,
+)
 from pfnn_jax.viewer.page.view import View
 from pfnn_jax.workflows.base import open_base
 from tests.raising import assert_refused
@@ -52,6 +62,14 @@ def walked(library: RunLibrary, style: str, frames: int = 20) -> np.ndarray:
     character.set_stick(1.0, 0.0)
     character.advance(0.0)
     return np.stack([character.advance(frame * FRAME).joints for frame in range(1, frames)])
+
+
+def until(what: Callable[[], bool]) -> bool:
+    """Waits until a condition holds, on a loaded machine."""
+    ends = time.monotonic() + 60.0
+    while not what() and time.monotonic() < ends:
+        time.sleep(0.05)
+    return what()
 
 
 def compilations() -> list[int]:
@@ -131,6 +149,29 @@ def test_a_change_of_run_ends_a_recording(library):
     assert clip is not None and clip.num_frames == 30
     np.testing.assert_allclose(clip.root_positions, [view.joints[0] for view in views], atol=HIPS)
     assert character.advance(now).recorded_seconds is None and character.stop_recording() is None
+
+
+def test_a_character_compiles_nothing_after_the_warm_up(library):
+    """The step is compiled from zeros before a character has been started."""
+    told: list[str] = []
+    library.warm_up(told.append)
+    quick: tuple[Any, ...] = (controlling._start_now, controlling._step_now)
+    before = [function.compiled()._cache_size() for function in quick]
+    walked(library, "neutral")
+    assert [function.compiled()._cache_size() for function in quick] == before
+    assert until(lambda: set(told) == set(library.runs))
+
+
+def test_an_error_of_the_start_of_a_character_is_raised(library, monkeypatch):
+    def broken(self: Controller, *_: Any) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            raise MemoryError("no room")
+        return start(self)
+
+    start = Controller.start
+    monkeypatch.setattr(Controller, "start", broken)
+    with pytest.raises(MemoryError, match="no room"):
+        compile_character(library.get(library.runs[0]).controller)
 
 
 def test_adding_a_style_changes_no_other(library, two_runs):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -14,14 +15,16 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control.abilities import can_strafe
+from pfnn_jax.io.files import write_json
 from pfnn_jax.run import load_run, load_style, save_style
 from pfnn_jax.run_config import list_styles, style_note
 from pfnn_jax.viewer.page import journal, style_files
 from pfnn_jax.viewer.page.character import Character
-from pfnn_jax.viewer.page.journal import JOURNAL
+from pfnn_jax.viewer.page.journal import JOURNAL, finish_moves
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary
 from pfnn_jax.viewer.page.style_files import empty_trash, remove_unfinished, unfinished_mark
 from tests.raising import assert_refused
+from tests.writers import another_writer
 
 FRAME = 1.0 / 60.0
 SECONDS = 20.0  # on a loaded machine
@@ -35,6 +38,11 @@ def library(trained_run, tmp_path) -> RunLibrary:
     (path / "uploads").mkdir()
     (path / "uploads" / "mine.bvh").write_text("a clip")
     return RunLibrary([path])
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """Returns the bytes of every file of a folder, None for folders."""
+    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
 def path_of(library: RunLibrary) -> Path:
@@ -172,25 +180,72 @@ def test_what_a_kill_leaves_of_a_change_is_done_by_the_next_program(library, cha
     assert not list(run.glob(".[dm]*")), "neither a journal nor anything deleted"
 
 
+def test_a_killed_restore_waits_while_another_process_writes_the_run(library):
+    """What was deleted, and is to be restored, is not removed before."""
+    run = path_of(library)
+    subprocess.run([sys.executable, "-c", KILLED, run, "restore", "1"], check=True)
+    with another_writer(run):
+        RunLibrary([run])
+        assert (run / JOURNAL).is_file() and not (run / "uploads" / "mine.bvh").exists()
+    RunLibrary([run])
+    assert (run / "uploads" / "mine.bvh").read_text() == "a clip" and "mine" in list_styles(run)
+
+
+def test_moves_that_have_become_impossible_are_dropped_together(library):
+    """Another style has taken the name meanwhile: the clip stays with its style."""
+    run = path_of(library)
+    save_style(run, "other", load_style(load_run(run), "neutral"), {"speed": 1.0})
+    moves = [["styles/mine", "styles/other"], ["uploads/mine.bvh", "uploads/other.bvh"]]
+    write_json(run / JOURNAL, {"moves": moves})
+    finish_moves(run)
+    assert (run / "uploads" / "mine.bvh").is_file() and {"mine", "other"} <= set(list_styles(run))
+    assert not (run / JOURNAL).exists()
+
+
+GOOD = ["styles/mine", "styles/other"]
+
+
 @pytest.mark.parametrize(
     "moves",
     [
-        [["styles/mine", "../mine"]],
-        [["styles/mine", "linked/mine"]],
-        [["/etc", "styles/x"]],
-        [["styles/mine", "\0"]],
-        [3],
+        [GOOD, ["uploads/mine.bvh", "../mine.bvh"]],
+        [GOOD, ["uploads/mine.bvh", "linked/mine.bvh"]],
+        [GOOD, ["OUTSIDE", "uploads/clip.bvh"]],
+        [GOOD, ["uploads/mine.bvh", "c:\\mine.bvh"]],
+        [GOOD, ["uploads/mine.bvh", "\0"]],
+        [GOOD, ["styles/none", "styles/linked"]],
+        [GOOD, 3],
         "a",
         None,
     ],
 )
 def test_a_journal_that_leads_out_of_the_run_moves_nothing(library, tmp_path, moves):
-    run = path_of(library)
-    (tmp_path / "outside").mkdir()
-    (run / "linked").symlink_to(tmp_path / "outside", target_is_directory=True)
-    (run / JOURNAL).write_text(json.dumps({"moves": moves}))
-    assert "mine" in RunLibrary([run]).get("run").styles
-    assert not list((tmp_path / "outside").iterdir())
+    run, outside = path_of(library), tmp_path / "outside"
+    outside.mkdir()
+    (outside / "clip.bvh").write_text("not of the run")
+    (outside / "style.json").write_text('{"name": "not of the run"}')
+    for link in (run / "linked", run / "styles" / "linked"):
+        link.symlink_to(outside, target_is_directory=True)
+    text = json.dumps({"moves": moves}).replace("OUTSIDE", str(outside / "clip.bvh"))
+    (run / JOURNAL).write_text(text)
+    before = contents(run), contents(outside)
+    finish_moves(run)
+    assert not (run / JOURNAL).exists()
+    assert (contents(run), contents(outside)) == ({k: v for k, v in before[0].items() if k != JOURNAL}, before[1])
+
+
+def test_a_full_disk_keeps_nobody_from_deleting(library, monkeypatch):
+    run, write = path_of(library), Path.write_text
+
+    def full(path: Path, *args: object, **options: object) -> int:
+        if JOURNAL in path.name:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(path, *args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Path, "write_text", full)
+    library.delete_style("run", "mine")
+    assert "mine" not in list_styles(run) and not (run / "uploads" / "mine.bvh").exists()
+    assert library.restore_style("run") == "mine"
 
 
 def test_nothing_outside_the_run_is_moved(library, tmp_path):

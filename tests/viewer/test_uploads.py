@@ -9,18 +9,20 @@ import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import pytest
 
-from pfnn_jax.control import stability
+from pfnn_jax.control import calibration, stability, stance
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.bvh import read_bvh, write_bvh
 from pfnn_jax.motion.datasets.sources import ClipFile, check_style_name
 from pfnn_jax.motion.synthetic.walks import synthesise
 from pfnn_jax.run import load_run, load_style
 from pfnn_jax.run_config import list_styles
+from pfnn_jax.training import few_shot_learning
 from pfnn_jax.training.config import RESTYLED_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import uploads
 from pfnn_jax.viewer.page.character import Character
@@ -68,15 +70,28 @@ def contents(folder: Path) -> dict[str, bytes | None]:
     return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
+def compilations() -> list[int]:
+    """Returns how often what learning needs has been compiled."""
+    quick: tuple[Any, ...] = (
+        stability._walk_now,
+        stability._stability_now,
+        calibration._measure_now,
+        stance._walks_now,
+    )
+    training: tuple[Any, ...] = (few_shot_learning._train_many, few_shot_learning._row_errors)
+    return [function._cache_size() for function in (*(each.compiled() for each in quick), *training)]
+
+
 def test_an_upload_is_learned_as_by_few_shot(library, run_path, zombie_bvh, tmp_path):
     prepare_walks(library, "run")
     prepare_training(library, "run")
     calls: list[tuple[float, str]] = []
-    before = set(contents(run_path))
+    before, compiled = set(contents(run_path)), compilations()
     name, notes, warnings = learn_upload(
         library, "run", "C:\\clips\\zombie walk.bvh", zombie_bvh.read_bytes(), lambda *t: calls.append(t)
     )
     assert name == "zombie walk" and ("run", name) in library.styles
+    assert compilations() == compiled, "everything was prepared"
     assert all(new.startswith(("uploads", "styles/zombie walk")) for new in set(contents(run_path)) - before)
     assert (run_path / "uploads" / "zombie walk.bvh").read_bytes() == zombie_bvh.read_bytes()
     shares = [share for share, _ in calls]

@@ -11,6 +11,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import TypeVar
 
 from pfnn_jax.errors import InputError, TrainingError
@@ -51,9 +52,9 @@ def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
         except BaseException as error:  # raised again below, in the waiting thread
             errors.append(error)
         finally:
-            release_memory()
             _working.discard(thread)
             done.set()
+            release_memory()
 
     done, thread = threading.Event(), threading.Thread(target=run, name="work", daemon=True)
     _working.add(thread)
@@ -65,14 +66,23 @@ def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
 
 
 def release_memory() -> None:
-    """Gives memory that is free back to the system, where the C library is GNU's, which keeps it otherwise.
+    """Returns free heap memory to the system, with the GNU C library alone, which keeps it by default.
 
-    What is compiled needs much for a moment: after the preparation of learning a third of the page's memory is free.
+    Compiling allocates much memory temporarily: after the preparation of learning it is a third of the page's.
     """
-    if sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
-            trim(ctypes.c_size_t(0))
+    trim = _malloc_trim()
+    if trim is not None:
+        trim(ctypes.c_size_t(0))
+
+
+@cache
+def _malloc_trim() -> Callable[[ctypes.c_size_t], int] | None:
+    if sys.platform != "linux":
+        return None
+    try:
+        return getattr(ctypes.CDLL(None), "malloc_trim", None)
+    except OSError:  # a Python without dynamic libraries
+        return None
 
 
 @contextmanager

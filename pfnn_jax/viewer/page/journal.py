@@ -1,92 +1,112 @@
 """Moves of several files of a run that belong together, such as a style and its uploaded clip.
 
-A process that is killed between two of them would leave the style under one name and its clip under another. What is
-to be moved is therefore written down before, in a hidden file of the run, and the next program that opens the run does
-the rest.
+A process that is killed between two of them would leave the style under one name and its clip under another. The moves
+are therefore written into a hidden file of the run first, and the next page that opens the run completes them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io.files import read_json, read_note, write_json
 from pfnn_jax.io.locks import writing
+from pfnn_jax.viewer.page.run_places import own_folder
 
 JOURNAL = ".moves.json"
 """Hidden file of a run with the moves of a change that has begun."""
 
 RULE = "must be a list of moves within the run"
 
+Move = tuple[Path, Path]
+"""Present and new place."""
 
-def move_together(run: Path, moves: Sequence[tuple[Path, Path]]) -> None:
+
+def move_together(run: Path, moves: Sequence[Move]) -> None:
     """Moves files and folders of a run; if one cannot be moved, none is. A style takes the name of its new folder.
 
     Args:
         run: that the caller is writing (`io.locks.writing`).
-        moves: present and new place of each, both in the run.
+        moves: of which all places are in the run.
 
     Raises:
         OSError: of the move that failed.
-        InputError: for a style's note that cannot be read.
+        InputError: for a style's note that cannot be read or written.
     """
-    journal = run / JOURNAL
+    finish_moves(run)
     with ExitStack() as undo:
-        undo.callback(journal.unlink, missing_ok=True)
-        with suppress(OSError):  # a full disk has room for moves, but not for a file
-            write_json(journal, {"moves": [[_within(run, place) for place in move] for move in moves]})
+        undo.callback((run / JOURNAL).unlink, missing_ok=True)
+        with suppress(OSError, InputError):  # a full disk has room for moves, but not for a file
+            places = [[place.relative_to(run).as_posix() for place in move] for move in moves]
+            write_json(run / JOURNAL, {"moves": places})
         for before, after in moves:
             before.rename(after)
             undo.callback(after.rename, before)
             undo.callback(_take_name(run, after))
         undo.pop_all()
-    journal.unlink(missing_ok=True)
+    (run / JOURNAL).unlink(missing_ok=True)
 
 
 def finish_moves(run: Path) -> None:
-    """Makes the rest of the moves that a killed process has begun, unless another process writes the run."""
-    if not (run / JOURNAL).is_file():
+    """Completes the moves that a killed process began, all or none of them.
+
+    None is made, and the journal dropped, if one of them has become impossible: because another style has taken its
+    place, or because the journal is not one that `move_together` has written. The journal stays while another process
+    writes the run, and where the run cannot be written.
+    """
+    if not has_unfinished_moves(run):
         return
     with suppress(OSError, InputError), writing(run):
-        for before, after in _read_moves(run):
-            if before.exists() and not after.exists():
-                before.rename(after)
-            _take_name(run, after)
+        moves = _read_moves(run)
+        if all(_is_done(*move) or _is_possible(*move) for move in moves):
+            for before, after in moves:
+                if not _is_done(before, after):
+                    before.rename(after)
+                with suppress(InputError):  # a note that cannot be read
+                    _take_name(run, after)
         (run / JOURNAL).unlink()
 
 
-def _within(run: Path, place: Path) -> str:
-    return place.relative_to(run).as_posix()
+def has_unfinished_moves(run: Path) -> bool:
+    """Returns whether a killed process has left moves that are not completed yet."""
+    return (run / JOURNAL).is_file()
 
 
-def _read_moves(run: Path) -> Iterator[tuple[Path, Path]]:
-    """Yields the moves of the journal, of which none leads out of the run.
+def _is_done(before: Path, after: Path) -> bool:
+    return after.exists() and not before.exists()
 
-    Raises:
-        InputError: for anything else that the file holds.
-    """
-    moves = read_json(run / JOURNAL, RULE).get("moves")
-    if not isinstance(moves, list) or not all(isinstance(move, list) and len(move) == 2 for move in moves):
-        raise InputError(run / JOURNAL, "moves", ascii(moves)[:60], RULE)
-    for before, after in moves:
-        yield _place(run, before), _place(run, after)
+
+def _is_possible(before: Path, after: Path) -> bool:
+    """Returns whether a file can be moved: to a free place, or to its own in letters of another case."""
+    return before.exists() and after.parent.is_dir() and (not after.exists() or after.samefile(before))
+
+
+def _read_moves(run: Path) -> list[Move]:
+    """Returns the moves of the journal; none if one of them leads out of the run, or behind a link."""
+    with suppress(InputError):
+        moves = read_json(run / JOURNAL, RULE).get("moves")
+        if isinstance(moves, list) and all(isinstance(move, list) and len(move) == 2 for move in moves):
+            return [(_place(run, before), _place(run, after)) for before, after in moves]
+    return []
 
 
 def _place(run: Path, text: object) -> Path:
-    """Returns a place in the run; refuses one outside, also by way of a link."""
-    path = PurePosixPath(text if isinstance(text, str) and text.isprintable() else "..")
-    above = path.parts[:-1]
-    outside = path.is_absolute() or ".." in path.parts or path.name == ""
-    if outside or run.joinpath(*above).resolve() != run.resolve().joinpath(*above):
+    """Returns a place in the run.
+
+    Raises:
+        InputError: for one outside, or behind a link, or a name that is a path on another system.
+    """
+    parts = text.split("/") if isinstance(text, str) and text.isprintable() else []
+    if not parts or any(part in ("", ".", "..") or "\\" in part or ":" in part for part in parts):
         raise InputError(run / JOURNAL, "moves", ascii(text)[:60], RULE)
-    return run / path
+    return own_folder(run, *parts)
 
 
 def _take_name(run: Path, folder: Path) -> Callable[[], None]:
-    """Writes the name of a style's folder into its note; returns a function that puts the present note back."""
+    """Writes the name of a style's folder into its note; returns a function that restores the note."""
     if folder.parent != run / "styles":
         return lambda: None
     note = read_note(folder, "style.json", "must be a style's note")

@@ -50,15 +50,16 @@ Banks have multiples of it, so that what was compiled before a style was learned
 
 
 class Preparation(NamedTuple):
-    """Locks of a run, so that nothing is compiled twice: each is held while what it is named after may be compiled.
+    """Locks of a run that keep two threads from compiling the same at the same time.
 
     Attributes:
-        training: of a style.
-        walking: the walks by which a style is judged and calibrated.
+        training: held while a style is learned, or learning is compiled.
+        calibration: held while a style is calibrated, or its calibration and the rollouts that judge it are compiled.
+            Learning, which needs these rollouts last, does not wait for it.
     """
 
     training: threading.Lock
-    walking: threading.Lock
+    calibration: threading.Lock
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,11 +354,14 @@ def compile_character(controller: Controller, meanwhile: Callable[[], None] = la
         meanwhile: called in the thread of the start once that is compiled, while the step still is, which leaves a core
             idle; not waited for.
     """
-    started = threading.Event()
+    started, errors = threading.Event(), []
 
     def start() -> None:
         try:
             background.do(lambda: jax.block_until_ready(controller.start()))
+        except Exception as error:  # raised below, in the calling thread
+            errors.append(error)
+            return
         finally:
             started.set()
         meanwhile()
@@ -368,6 +372,8 @@ def compile_character(controller: Controller, meanwhile: Callable[[], None] = la
     command = make_command(1.0, 0.0, 0.0, controller.style_weights(controller.styles[0]))
     jax.block_until_ready(controller.step(state, command))
     started.wait()
+    if errors:
+        raise errors[0]
 
 
 def make_command(speed: float, heading: float, facing: float, weights: np.ndarray) -> Command:

@@ -20,7 +20,8 @@ from pfnn_jax.io.locks import writing
 from pfnn_jax.motion.clip_files import CLIP_SUFFIXES
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run_config import check_new_style, list_styles
-from pfnn_jax.viewer.page.journal import move_together
+from pfnn_jax.viewer.page.journal import has_unfinished_moves, move_together
+from pfnn_jax.viewer.page.run_places import own_folder
 
 DELETED_FOLDER = re.compile(r"\.deleted\.(\d+)")
 """Name of the hidden folder: with the number of the process that has made it."""
@@ -99,7 +100,12 @@ def restore_style(run: Path, deleted: DeletedStyle) -> None:
 
 
 def empty_trash(run: Path) -> None:
-    """Removes what this process has deleted, and what processes have deleted that have ended."""
+    """Removes what this process has deleted, and what processes have deleted that have ended.
+
+    Nothing is removed while moves are unfinished: one of them may restore a style.
+    """
+    if has_unfinished_moves(run):
+        return
     with suppress(OSError):
         for folder in run.iterdir():
             found = DELETED_FOLDER.fullmatch(folder.name)
@@ -127,18 +133,6 @@ def remove_unfinished(run: Path) -> None:
                         upload.unlink(missing_ok=True)
                     mark.unlink()
             (run / "uploads").rmdir()  # if it is empty
-
-
-def own_folder(run: Path, *parts: str) -> Path:
-    """Returns a folder of a run, which need not exist.
-
-    Raises:
-        InputError: if it or one above it within the run is a link: what is moved or deleted there could be outside.
-    """
-    folder = run.joinpath(*parts)
-    if folder.resolve() != run.resolve().joinpath(*parts):
-        raise InputError(folder, "folder", "is a link", "must be a folder of the run itself")
-    return folder
 
 
 def uploaded_clip(run: Path, style: str) -> Path | None:

@@ -113,7 +113,7 @@ class StylePicker:
         corners = self._corner_names()
         chosen = self._values.changed("style", self._style.value)
         if chosen and self._style.value != MIXTURE:
-            self.select(self._run.value, self._style.value)
+            self.select(self.run, self._style.value)
         moved = self._values.changed("corners", corners) | self._values.changed("shares", self._share_field.value)
         if moved or (chosen and self._style.value == MIXTURE):
             self._mix(corners, now)

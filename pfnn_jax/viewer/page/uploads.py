@@ -27,8 +27,9 @@ from pfnn_jax.run import Run
 from pfnn_jax.training.config import FILM_FEW_SHOT, FewShotConfig
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary, compile_calibration
-from pfnn_jax.viewer.page.style_files import own_folder, taken_names, unfinished_mark
-from pfnn_jax.workflows.learn import default_config, learn_style, precompile, precompile_walks
+from pfnn_jax.viewer.page.run_places import own_folder
+from pfnn_jax.viewer.page.style_files import taken_names, unfinished_mark
+from pfnn_jax.workflows.learn import default_config, learn_style, precompile, precompile_rollouts
 
 MOST_BYTES = 10_000_000
 """Size of the largest file taken as a clip."""
@@ -94,10 +95,10 @@ def page_config(run: Run) -> FewShotConfig:
 
 
 def prepare_walks(library: RunLibrary, run: str) -> None:
-    """Compiles the walks by which a style is judged and then calibrated, while a page is opened."""
+    """Compiles the rollouts by which a style is judged, and its calibration, while a page is opened."""
     loaded = library.get(run)
-    with library.preparation(run).walking:
-        background.do(partial(precompile_walks, loaded.run, page_config(loaded.run)), niceness=NICENESS)
+    with library.preparation(run).calibration:
+        background.do(partial(precompile_rollouts, loaded.run, page_config(loaded.run)), niceness=NICENESS)
         background.do(partial(compile_calibration, loaded.controller), niceness=NICENESS)
 
 
@@ -181,7 +182,7 @@ def learn_upload(
             style = clip.style
             with library.preparation(run).training:
                 info = background.do(partial(_learn, loaded, clip, report), niceness=NICENESS)
-            with _saved_style(loaded.path, clip), library.preparation(run).walking:
+            with _saved_style(loaded.path, clip), library.preparation(run).calibration:
                 background.do(partial(library.add_style, run, style))
     except InputError as error:
         if library.closing.is_set():  # its clip has been removed by `cancel_learning`
