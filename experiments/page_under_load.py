@@ -9,7 +9,7 @@ Data      a run of three procedural styles, trained here; uploads are the packag
 Method    `pfnn-jax play` runs in a process with a home and folders of temporary files of its own. Tabs speak its
           protocol without a browser (`experiments/common/page_tab.py`): twenty browsers would draw in software on the
           same cores. Every ten seconds the memory of the server, its threads and its open files are noted, and what
-          its memory holds: arrays, compiled programs, Python's objects (`experiments/common/watched_page.py`).
+          its memory holds: arrays, compiled programs, blocks of Python (`experiments/common/watched_page.py`).
 Run       python -m experiments.page_under_load --out OUT --seconds 3600 [--uploads FOLDER ...] [--every-file]
 """
 

@@ -6,7 +6,6 @@ Run       python -m experiments.common.watched_page FILE play RUN ...
 from __future__ import annotations
 
 import ctypes
-import gc
 import json
 import sys
 import threading
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 EVERY = 5.0
-"""Seconds between two notes; counting Python's objects takes a tenth of one."""
+"""Seconds between two notes."""
 
 MEBIBYTE = 2**20
 
@@ -30,7 +29,10 @@ class MallInfo(ctypes.Structure):
 
 
 def held() -> dict[str, Any]:
-    """Returns how many arrays, compiled programs and objects live, and the MiB that malloc has given out and kept."""
+    """Returns how many arrays, compiled programs and blocks of Python live, and the MiB that malloc has given out.
+
+    Not Python's objects: a list of them would hold tuples that are being made, which then fails.
+    """
     import jax
 
     arrays = jax.live_arrays()
@@ -38,7 +40,7 @@ def held() -> dict[str, Any]:
         "arrays": len(arrays),
         "array_mib": round(sum(array.nbytes for array in arrays) / MEBIBYTE, 1),
         "programs": len(jax.devices()[0].client.live_executables()),
-        "objects": len(gc.get_objects()),
+        "blocks": sys.getallocatedblocks(),
     }
     return {**found, **allocated(), "noted": time.time()}
 

@@ -12,6 +12,7 @@ import hashlib
 import logging
 import os
 import shutil
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -46,6 +47,10 @@ SMALL_FILES = 2**18
 
 FILES = "files.json"
 """The checkpoint's files and their sizes, by which a damaged copy is recognised."""
+
+_orbax = threading.Lock()
+"""Held while Orbax works. It numbers its operations for the whole process, and waits by this number for its folders: a
+save during which another thread begins to load fails now and then, because it does not find its own folder."""
 
 
 def save_record(folder: Path, tree: Any, note_name: str, note: Mapping[str, Any]) -> None:
@@ -228,16 +233,17 @@ def _compare(folder: Path, stored: Mapping[str, Any], expected: Mapping[str, Any
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silences Orbax's log lines, and only while Orbax works; of several processes it then waits for no other."""
+    """Lets one thread use Orbax, without its log lines; of several processes it then waits for no other."""
     logger = logging.getLogger("absl")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    context: Any = ocp.Context()
-    if jax.process_count() > 1:
-        for name, value in _alone().items():
-            setattr(context.multiprocessing, name, value)
-    try:
-        with context:
-            yield
-    finally:
-        logger.setLevel(level)
+    with _orbax:
+        level = logger.level
+        logger.setLevel(logging.CRITICAL)
+        context: Any = ocp.Context()
+        if jax.process_count() > 1:
+            for name, value in _alone().items():
+                setattr(context.multiprocessing, name, value)
+        try:
+            with context:
+                yield
+        finally:
+            logger.setLevel(level)

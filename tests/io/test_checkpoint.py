@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import jax
@@ -273,3 +275,24 @@ def test_saving_is_silent(tmp_path, capfd):
     save(tmp_path / "state")
     load_record(tmp_path / "state", make_state())
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_thread_can_save_while_another_loads(tmp_path):
+    """Without the lock one of a dozen saves fails, because Orbax removes the folder that it writes into."""
+    save(tmp_path / "old")
+    stopped = threading.Event()
+
+    def load() -> None:
+        while not stopped.is_set():
+            load_record(tmp_path / "old", jax.eval_shape(make_state))
+
+    with ThreadPoolExecutor(2) as threads:
+        loading = [threads.submit(load) for _ in range(2)]
+        try:
+            for seed in range(40):
+                save(tmp_path / "new", seed)
+        finally:
+            stopped.set()
+        for future in loading:
+            future.result()
+    assert_equal(load_record(tmp_path / "new", jax.eval_shape(make_state)), make_state(39))

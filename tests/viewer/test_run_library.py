@@ -163,7 +163,7 @@ def test_a_character_compiles_nothing_after_the_warm_up(library):
 
 
 def test_an_error_of_the_start_of_a_character_is_raised(library, monkeypatch):
-    def broken(self: Controller, *_: Any) -> None:
+    def broken(self: Controller) -> Any:
         if threading.current_thread() is not threading.main_thread():
             raise MemoryError("no room")
         return start(self)
