@@ -47,7 +47,7 @@ def _mocap() -> Path | None:
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """Sizes of the benchmark; the defaults are the papers' networks and take about 8 minutes on two cores.
+    """Sizes of the benchmark; the defaults are the papers' networks and take about 4 minutes on two idle cores.
 
     Attributes:
         num_joints: J of the layout `mason2018`, which gives the network's inputs and outputs (234 and 400 at 31).
