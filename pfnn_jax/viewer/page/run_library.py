@@ -46,7 +46,8 @@ DELETED = "\0"
 
 SPARE = 8
 """Least number of spare rows of a bank of styles: this many can be learned before the step must be compiled again.
-Banks have multiples of it, so that what was compiled before a style was learned as a rule serves the next start too."""
+Banks have a power of two, so that what was compiled before a style was learned as a rule serves the next start too, and
+that a run that learns many styles is rarely compiled again: what was compiled for a smaller bank stays in memory."""
 
 
 class Preparation(NamedTuple):
@@ -335,8 +336,8 @@ class RunLibrary:
 
 
 def bank_rows(num_styles: int) -> int:
-    """Returns the rows of a bank for some styles and at least `SPARE` more: a multiple of `SPARE`."""
-    return math.ceil(num_styles / SPARE) * SPARE + SPARE
+    """Returns the rows of a bank for some styles and at least `SPARE` more: a power of two."""
+    return 1 << (num_styles + SPARE - 1).bit_length()
 
 
 def compile_calibration(controller: Controller) -> None:
