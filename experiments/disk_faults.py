@@ -7,7 +7,7 @@ Method    each command runs in a folder that is a file system of its own (`tmpfs
           - full: with room for a part of what the command writes when nothing hinders it; then again with enough;
           - read-only: mounted so, because the superuser is refused by no permission;
           - removed: the folder of the output is removed as soon as something appears in it;
-          - clock: the time of day that Python tells jumps by 1,000 hours, back and forth, four times a second. A
+          - clock: the time of day that Python returns jumps by 1,000 hours, back and forth, four times a second. A
             library that makes it jump for all of a process (libfaketime) is no use: it makes `time.sleep` fail.
 Run       python -m experiments.disk_faults --out OUT (as the superuser, on Linux)
 """

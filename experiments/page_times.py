@@ -23,12 +23,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import psutil
 import tyro
 
-from experiments.common.page_server import HOST, LOADED, OPEN, serving
+from experiments.common.chromium import FLAGS
+from experiments.common.page_server import HOST, LOADED, OPEN, processor_time, serving
 from experiments.common.page_tab import PageTab, complete, open_tab
-from experiments.common.random_visitor import DRIVE, STYLE
+from experiments.common.random_visitor import STYLE
 from experiments.common.results_files import write_results
 from pfnn_jax.workflows.samples import sample_clips
 
@@ -40,11 +40,6 @@ ANSWERING = 300.0
 
 MOVED = 0.05
 """Metres from where it stood at which a character counts as walking."""
-
-AHEAD = "{number} 1.000 0.000 0.000 0 30 1"
-"""What the page's script sends while W is held: ahead, 30 frames a second, visible."""
-
-CHROMIUM_FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage")
 
 
 @dataclass(frozen=True)
@@ -88,7 +83,7 @@ async def walk(port: int) -> None:
         async with asyncio.timeout(ANSWERING):
             while not moved():
                 number += 1
-                await tab.set(tab.find(DRIVE), AHEAD.format(number=number))
+                await tab.drive(number, (1.0, 0.0, 0.0))
                 await tab.until(moved, 0.2)
 
 
@@ -111,7 +106,7 @@ def walk_in_browser(port: int) -> None:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as api:
-        browser = api.chromium.launch(executable_path=shutil.which("chromium"), args=list(CHROMIUM_FLAGS))
+        browser = api.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
         page = browser.new_page(viewport={"width": 760, "height": 440})
         page.goto(f"http://{HOST}:{port}")
         page.wait_for_selector("[data-value]", state="attached", timeout=1e3 * ANSWERING)
@@ -137,16 +132,16 @@ def timed_start(kept: Path | None, visit: Callable[[int], Any], until: str, fres
     began = time.monotonic()
     with serving([], fresh, until) as (server, port):
         visit(port)
-        return {"seconds": time.monotonic() - began, "processor": processor(server)}
+        return {"seconds": time.monotonic() - began, "processor": processor_time(server)}
 
 
 def timed_learning(kept: Path | None, name: str, delay: float, fresh: Path) -> dict[str, float]:
     """Starts the page, sends a clip after a delay, and returns the seconds that learning took; see `timed_start`."""
     make_home(kept, fresh)
     with serving([], fresh) as (server, port):
-        before = processor(server)
+        before = processor_time(server)
         seconds = asyncio.run(learn(port, name, delay))
-        return {"seconds": seconds, "processor": processor(server) - before}
+        return {"seconds": seconds, "processor": processor_time(server) - before}
 
 
 def make_home(kept: Path | None, fresh: Path) -> None:
@@ -155,11 +150,6 @@ def make_home(kept: Path | None, fresh: Path) -> None:
         fresh.mkdir(parents=True)
     else:
         shutil.copytree(kept, fresh)
-
-
-def processor(server: psutil.Process) -> float:
-    """Returns the processor time of a process in seconds."""
-    return sum(server.cpu_times()[:2])
 
 
 def prepare_home(here: Path, kept: Path) -> None:

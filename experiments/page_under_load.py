@@ -33,7 +33,7 @@ import psutil
 import tyro
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
-from experiments.common.page_server import HELD, HOST, serving
+from experiments.common.page_server import HELD, HOST, processor_time, serving
 from experiments.common.page_tab import PageTab, complete, open_tab
 from experiments.common.random_visitor import acts
 from pfnn_jax.io.files import write_json
@@ -123,7 +123,7 @@ def measure(server: psutil.Process, began: float, out: Path) -> dict[str, Any]:
             "pss": round(getattr(memory, "pss", memory.rss) / 2**20, 1),
             "threads": server.num_threads(),
             "files": server.num_fds(),
-            "processor": round(sum(server.cpu_times()[:2]), 1),
+            "processor": round(processor_time(server), 1),
             "styles": len(list((out / "run" / "styles").glob("[!.]*"))),
         }
     with contextlib.suppress(OSError):

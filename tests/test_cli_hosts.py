@@ -26,7 +26,7 @@ from pfnn_jax.training.config import PretrainConfig, TuningConfig
 from pfnn_jax.training.log import read_metrics
 from pfnn_jax.workflows.learn import tune_style
 from pfnn_jax.workflows.pretrain import pretrain_run
-from tests.training.processes import LONGEST, free_port, start
+from tests.training.processes import LONGEST, free_port, outputs, start
 
 PROGRAM = "from pfnn_jax.cli import main; main()"
 ENDLESS = 1_000_000  # steps
@@ -55,13 +55,7 @@ def pretraining(number: int, port: int, steps: int, *words: object) -> subproces
 def resume(dataset: Path, out: Path, steps: int, result: Path) -> None:
     """Resumes a run in two processes, by the same command line but for their numbers."""
     words, port = (dataset, "--out", out, "--resume", "--json", result), free_port()
-    both = [pretraining(number, port, steps, *words) for number in range(2)]
-    try:
-        ended = [process.communicate(timeout=LONGEST) for process in both]
-    finally:
-        for process in both:
-            process.kill()
-    assert [process.returncode for process in both] == [0, 0], ended
+    outputs([pretraining(number, port, steps, *words) for number in range(2)])
 
 
 def test_when_one_process_is_killed_the_other_ends_and_the_run_resumes(dataset, tmp_path):
@@ -104,13 +98,7 @@ def test_two_processes_tune_a_generator_as_one(tmp_path):
     write_bvh(clip, synthesise("old", np.zeros(200), np.ones(200))[0])
     words = ("few-shot", run, clip, "--name", "both", "--recipe", "generator", "--tuning.steps", 4)
     hosts = ("--coordinator", f"127.0.0.1:{port}", "--processes", 2, "--process-id")
-    both = [start("-c", PROGRAM, *words, *hosts, number) for number in range(2)]
-    try:
-        ended = [process.communicate(timeout=LONGEST) for process in both]
-    finally:
-        for process in both:
-            process.kill()
-    assert [process.returncode for process in both] == [0, 0], ended
+    outputs([start("-c", PROGRAM, *words, *hosts, number) for number in range(2)])
     info = tune_style(run, ClipFile(clip, "one"), TuningConfig(steps=4))
     found, expected = (load_style(load_run(run), name) for name in ("both", "one"))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=SUMS), found, expected)

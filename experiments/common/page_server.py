@@ -63,6 +63,11 @@ def serving(
             server.wait()
 
 
+def processor_time(process: psutil.Process) -> float:
+    """Returns the processor time of a process in seconds."""
+    return sum(process.cpu_times()[:2])
+
+
 def port_of(log: Path, server: subprocess.Popen[Any], until: str = LOADED) -> int:
     """Returns the port of a page once it has printed a line.
 

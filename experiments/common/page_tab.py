@@ -31,6 +31,9 @@ CONNECTING = 120.0
 COMMANDS = 12
 """Keys of a tab that viser triggers; they are the last that a tab adds."""
 
+DRIVE = "Stick and keys"
+"""Label of the field in which the page's script says how to drive."""
+
 MESSAGE = re.compile(r'<div data-message="(\w+)"[^>]*>(.*?)</div>', re.DOTALL)
 """A message below the controls: its kind and its text."""
 
@@ -159,6 +162,28 @@ class PageTab:
         """Enters a value, presses a button (True), or chooses an option."""
         control.value = value
         await self.send({"type": "GuiUpdateMessage", "uuid": control.uuid, "updates": {"value": value}})
+
+    async def drive(
+        self,
+        number: int,
+        stick: tuple[float, float, float],
+        *,
+        faster: bool = False,
+        rate: float = 30,
+        visible: bool = True,
+    ) -> None:
+        """Sends what the page's script says of the stick and of the window.
+
+        Args:
+            number: another one each time.
+            stick: ahead, left and turn, -1 to 1.
+            faster: whether Shift is held.
+            rate: pictures per second that the browser manages, 0 before it knows.
+            visible: whether the tab can be seen.
+        """
+        ahead, left, turn = stick
+        text = f"{number} {ahead:.3f} {left:.3f} {turn:.3f} {int(faster)} {rate} {int(visible)}"
+        await self.set(self.find(DRIVE), text)
 
     async def press(self, label: str) -> None:
         """Presses a button by its label."""

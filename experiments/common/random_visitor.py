@@ -11,7 +11,7 @@ import msgspec
 
 from experiments.common.page_tab import CAMERA, Control, PageTab
 
-DRIVE, NEW_NAME, STYLE = "Stick and keys", "New name", "Style"
+NEW_NAME, STYLE = "New name", "Style"
 """Labels of controls that this file uses by name."""
 
 TEXTS = (
@@ -55,9 +55,9 @@ Act = Callable[[PageTab, Random], Awaitable[None]]
 async def drive(tab: PageTab, random: Random) -> None:
     """Moves the stick, or releases it; sometimes the tab is hidden."""
     ahead, left, turn = (random.uniform(-0.7, 0.7) * random.choice((0, 1)) for _ in range(3))
-    rate, visible = random.choice((0, 10, 30, 60)), int(random.random() < 0.7)
-    text = f"{random.randrange(10**9)} {ahead:.3f} {left:.3f} {turn:.3f} {random.randrange(2)} {rate} {visible}"
-    await tab.set(tab.find(DRIVE), text)
+    rate, visible = random.choice((0, 10, 30, 60)), random.random() < 0.7
+    number, faster = random.randrange(10**9), bool(random.randrange(2))
+    await tab.drive(number, (ahead, left, turn), faster=faster, rate=rate, visible=visible)
 
 
 async def choose(tab: PageTab, random: Random) -> None:
@@ -143,7 +143,7 @@ async def mislead(tab: PageTab, random: Random) -> None:
 
 
 async def send_garbage(tab: PageTab, random: Random) -> None:
-    """Sends what is no message: the server must close the connection."""
+    """Sends frames that are not messages: the server must close the connection."""
     frame: bytes | str = random.choice(
         (b"", "text", random.randbytes(200), b"\x91" * 50_000, msgspec.msgpack.encode({"type": "Nothing"}))
     )

@@ -46,7 +46,7 @@ def jit_quickly(function: Callable[Arguments, Result], **options: Any) -> Callab
 
 @cache
 def _quick_options() -> dict[str, Any] | None:
-    """Returns the options for the default backend, or None where it is no CPU or a later XLA does not know them."""
+    """Returns the options for the default backend, or None where it is not a CPU or XLA does not know them."""
     if jax.default_backend() != "cpu":
         return None
     try:

@@ -34,6 +34,7 @@ from pfnn_jax.control.controller_state import (
     standing_point,
     style_speed,
 )
+from pfnn_jax.control.forms import zeros_of
 from pfnn_jax.control.ik.foot_lock import FootLockConfig
 from pfnn_jax.control.ik.pose import make_rig
 from pfnn_jax.control.kept_calibration import kept_calibration
@@ -246,8 +247,7 @@ _straight_row = jax.jit(straight_row, static_argnums=0)
 def _empty_style(config: AdapterConfig, network: Network) -> Style:
     """Returns a style of zeros of a kind; only its form matters."""
     sizes = config_of(network)
-    form = jax.eval_shape(lambda key: init_style(config, sizes, key=key), jax.random.key(0))
-    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), form)
+    return zeros_of(lambda key: init_style(config, sizes, key=key), jax.random.key(0))
 
 
 def _padded(tree: Any, rows: int) -> Any:

@@ -177,8 +177,7 @@ def _sum_of_all(layers: Any, weights: jax.Array, coefficients: jax.Array, x: jax
         weight, layer = part
         return total + weight * layer(coefficients, x), None
 
-    total = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], layers)(coefficients, x))
-    return jax.lax.scan(add, jnp.zeros(total.shape, total.dtype), (weights, layers))[0]
+    return jax.lax.scan(add, _no_output(layers, coefficients, x), (weights, layers))[0]
 
 
 @with_batched_form(_sum_of_all)
@@ -195,8 +194,13 @@ def _sum_of_used(layers: Any, weights: jax.Array, coefficients: jax.Array, x: ja
 
         return jax.lax.cond(weights[index] != 0.0, used, lambda: total)
 
-    total = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], layers)(coefficients, x))
-    return jax.lax.fori_loop(0, len(weights), add, jnp.zeros(total.shape, total.dtype))
+    return jax.lax.fori_loop(0, len(weights), add, _no_output(layers, coefficients, x))
+
+
+def _no_output(layers: Any, coefficients: jax.Array, x: jax.Array) -> jax.Array:
+    """Returns zeros [O] in the form of the output of one of S layers."""
+    output = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], layers)(coefficients, x))
+    return jnp.zeros(output.shape, output.dtype)
 
 
 @struct.dataclass(kw_only=True)

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from pfnn_jax.control.forms import zeros_of
 from pfnn_jax.control.run_settings import loop_config
 from pfnn_jax.control.stability import make_stability_check
 from pfnn_jax.errors import InputError
@@ -217,9 +218,8 @@ def precompile(run: Run, config: FewShotConfig, num_frames: int = 180) -> None:
 
 def precompile_rollouts(run: Run, config: FewShotConfig) -> None:
     """Compiles the rollouts on circles by which `learn_style` judges a style; `precompile` does it after training."""
-    form = jax.eval_shape(lambda key: initial_parameters(config, run.shared, key=key), jax.random.key(0))
-    zeros = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), form)
-    _stability_check(run, [_mean_rows(run, 1)])(zeros)
+    style = zeros_of(lambda key: initial_parameters(config, run.shared, key=key), jax.random.key(0))
+    _stability_check(run, [_mean_rows(run, 1)])(style)
 
 
 def _mean_rows(run: Run, num_frames: int) -> Features:

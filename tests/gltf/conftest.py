@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments.common.chromium import FLAGS
+
 HERE = Path(__file__).parent
 MODULES = HERE / "node_modules"
 SITE = "http://gltf.test/"  # every request is answered from files by the tests themselves
 TYPES = {".html": "text/html", ".mjs": "text/javascript", ".js": "text/javascript", ".glb": "model/gltf-binary"}
-FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage")
 
 
 @pytest.fixture(scope="session")

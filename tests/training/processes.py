@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,3 +29,14 @@ def start(*arguments: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
         program, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+
+
+def outputs(processes: Sequence[subprocess.Popen[str]]) -> list[str]:
+    """Waits for processes that train together, and returns what each has printed; all must succeed, none is left."""
+    try:
+        ended = [process.communicate(timeout=LONGEST) for process in processes]
+    finally:
+        for process in processes:
+            process.kill()
+    assert [process.returncode for process in processes] == [0] * len(processes), ended
+    return [output for output, _ in ended]

@@ -10,7 +10,7 @@ import pytest
 
 from pfnn_jax.training.order import order_of
 from tests.training.on_devices import BATCH, FILM, FULL, training
-from tests.training.processes import LONGEST, free_port, start
+from tests.training.processes import free_port, outputs, start
 from tests.training.test_sharding import assert_same
 from tests.training.toy import body_rows, toy_rows
 
@@ -20,13 +20,7 @@ def both() -> list[dict]:
     """What `on_hosts.py` prints in each of two processes."""
     address = f"127.0.0.1:{free_port()}"
     processes = [start("-m", "tests.training.on_hosts", address, number, 2) for number in range(2)]
-    try:
-        ended = [process.communicate(timeout=LONGEST) for process in processes]
-    finally:
-        for process in processes:
-            process.kill()
-    assert [process.returncode for process in processes] == [0, 0], ended
-    return [json.loads(output.splitlines()[-1]) for output, _ in ended]
+    return [json.loads(output.splitlines()[-1]) for output in outputs(processes)]
 
 
 def test_two_processes_train_as_one_device(both):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments.common.chromium import FLAGS
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.motion.bvh import write_bvh
 from pfnn_jax.motion.datasets.preparation import PrepareConfig, prepare
@@ -21,7 +22,6 @@ from pfnn_jax.workflows.pretrain import pretrain_run
 STYLES = ("depressed", "neutral", "proud")
 TIMEOUT_SECONDS = 60.0  # seconds, for a browser that draws in software on a loaded machine
 WINDOW = {"width": 760, "height": 440}  # small, because it is drawn in software
-FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage")
 
 
 @pytest.fixture(scope="session")

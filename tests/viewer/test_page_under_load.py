@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-import time
 
 import psutil
 import pytest
@@ -15,21 +14,13 @@ pytest.importorskip("viser", reason="viser is not installed")
 from experiments import page_under_load  # noqa: E402
 from experiments.common.page_tab import open_tab  # noqa: E402
 from experiments.common.random_visitor import WRONG  # noqa: E402
-
-SECONDS = 60.0  # on a loaded machine
+from tests.viewer.watching import SECONDS, until  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning")
 
 
 def tab_threads() -> list[str]:
     return [thread.name for thread in threading.enumerate() if thread.name.startswith("tab ")]
-
-
-def until(what) -> bool:
-    began = time.monotonic()
-    while not what() and time.monotonic() - began < SECONDS:
-        time.sleep(0.05)
-    return bool(what())
 
 
 def test_random_input_leaves_no_thread_and_no_traceback(served, tmp_path, caplog, capsys, monkeypatch):
@@ -48,7 +39,7 @@ def test_random_input_leaves_no_thread_and_no_traceback(served, tmp_path, caplog
 
 
 def test_values_that_fit_no_control_are_dropped_without_a_word(served, caplog):
-    """They are of a kind that browsers send, so the connection stays, and the tab goes on."""
+    """They are of a kind that browsers send, so the connection stays, and the tab keeps working."""
 
     async def send_all() -> bool:
         async with open_tab("127.0.0.1", served.port) as tab:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import threading
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +32,7 @@ from pfnn_jax.viewer.page.run_library import (
 from pfnn_jax.viewer.page.view import View
 from pfnn_jax.workflows.base import open_base
 from tests.raising import assert_refused
+from tests.viewer.watching import until
 
 FRAME = 1.0 / 60.0
 SHARE = 1e-5
@@ -62,14 +61,6 @@ def walked(library: RunLibrary, style: str, frames: int = 20) -> np.ndarray:
     character.set_stick(1.0, 0.0)
     character.advance(0.0)
     return np.stack([character.advance(frame * FRAME).joints for frame in range(1, frames)])
-
-
-def until(what: Callable[[], bool]) -> bool:
-    """Waits until a condition holds, on a loaded machine."""
-    ends = time.monotonic() + 60.0
-    while not what() and time.monotonic() < ends:
-        time.sleep(0.05)
-    return what()
 
 
 def compilations() -> list[int]:
@@ -153,13 +144,13 @@ def test_a_change_of_run_ends_a_recording(library):
 
 def test_a_character_compiles_nothing_after_the_warm_up(library):
     """The step is compiled from zeros before a character has been started."""
-    told: list[str] = []
-    library.warm_up(told.append)
+    prepared: list[str] = []
+    library.warm_up(prepared.append)
     quick: tuple[Any, ...] = (controlling._start_now, controlling._step_now)
     before = [function.compiled()._cache_size() for function in quick]
     walked(library, "neutral")
     assert [function.compiled()._cache_size() for function in quick] == before
-    assert until(lambda: set(told) == set(library.runs))
+    assert until(lambda: set(prepared) == set(library.runs))
 
 
 def test_an_error_of_the_start_of_a_character_is_raised(library, monkeypatch):

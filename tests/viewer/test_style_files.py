@@ -24,6 +24,7 @@ from pfnn_jax.viewer.page.journal import JOURNAL, finish_moves
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary
 from pfnn_jax.viewer.page.style_files import empty_trash, remove_unfinished, unfinished_mark
 from tests.raising import assert_refused
+from tests.viewer.watching import contents
 from tests.writers import another_writer
 
 FRAME = 1.0 / 60.0
@@ -38,11 +39,6 @@ def library(trained_run, tmp_path) -> RunLibrary:
     (path / "uploads").mkdir()
     (path / "uploads" / "mine.bvh").write_text("a clip")
     return RunLibrary([path])
-
-
-def contents(folder: Path) -> dict[str, bytes | None]:
-    """Returns the bytes of every file of a folder, None for folders."""
-    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
 def path_of(library: RunLibrary) -> Path:

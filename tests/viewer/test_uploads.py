@@ -43,6 +43,7 @@ from pfnn_jax.viewer.page.uploads import (
 )
 from pfnn_jax.workflows.learn import default_config, learn_style
 from tests.raising import assert_refused
+from tests.viewer.watching import contents
 
 FRAME = 1.0 / 60.0
 SMALL = FewShotConfig("cp", 4, (1e-3,), (0.0,), (0.3,), eval_epochs=(1,))
@@ -64,10 +65,6 @@ def library(run_path) -> RunLibrary:
 def quickly(monkeypatch):
     monkeypatch.setattr(stability, "SECONDS", 1.2)  # a short test: stability does not matter here
     monkeypatch.setattr(uploads, "page_config", lambda run: SMALL)
-
-
-def contents(folder: Path) -> dict[str, bytes | None]:
-    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
 def compilations() -> list[int]:

@@ -16,6 +16,7 @@ import numpy as np
 from pfnn_jax.control.abilities import can_strafe
 from pfnn_jax.control.controller import Command, Controller, make_controller, with_calibrated_speeds
 from pfnn_jax.control.controller_state import ControllerParams
+from pfnn_jax.control.forms import zeros_of
 from pfnn_jax.control.kept_calibration import calibrate
 from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.errors import InputError
@@ -368,8 +369,7 @@ def compile_character(controller: Controller, meanwhile: Callable[[], None] = la
         meanwhile()
 
     threading.Thread(target=start, name="start", daemon=True).start()
-    form = jax.eval_shape(controller.start)
-    state = commit(jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), form))
+    state = commit(zeros_of(controller.start))
     command = make_command(1.0, 0.0, 0.0, controller.style_weights(controller.styles[0]))
     jax.block_until_ready(controller.step(state, command))
     started.wait()
