@@ -107,6 +107,19 @@ def test_reset_returns_to_the_middle(visitor):
     home(visitor)
 
 
+def test_a_click_between_messages_of_driving_arrives(visitor):
+    """Viser keeps the last message only of those within 50 ms."""
+    visitor.walk(0.3)
+    visitor.page.evaluate("""() => {
+      const drive = () => document.dispatchEvent(new Event("visibilitychange"));
+      const reset = [...document.querySelectorAll("button")].find((button) => button.textContent === "Reset");
+      drive();
+      reset.click();
+      drive();
+    }""")
+    visitor.wait(lambda: np.linalg.norm(visitor.root()) < AT_HOME, "reset returns to the middle")
+
+
 def test_the_list_changes_the_style(visitor):
     for style in ("proud", "neutral"):
         visitor.choose("Style", style)
@@ -151,7 +164,7 @@ def test_a_recording_is_downloaded_as_bvh(visitor, tmp_path):
 
 
 def test_a_bad_clip_is_refused_and_changes_nothing(visitor, served, played_run, tmp_path):
-    before, styles, style = files_of(played_run), visitor.options("Style"), visitor.read("style")
+    before, styles, style = files_of(played_run), visitor.options("Style"), visitor.field("Style").input_value()
     bad = tmp_path / "walk.bvh"
     bad.write_text("HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 nought\n}\n")
     visitor.upload("Upload a clip", bad)
@@ -159,7 +172,7 @@ def test_a_bad_clip_is_refused_and_changes_nothing(visitor, served, played_run, 
     message.wait_for()
     assert "walk.bvh" in message.inner_text()
     assert files_of(played_run) == before
-    assert visitor.options("Style") == styles and visitor.read("style") == style
+    assert visitor.options("Style") == styles and visitor.field("Style").input_value() == style
     visitor.walk(0.2)
 
 

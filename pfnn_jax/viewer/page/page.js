@@ -102,11 +102,24 @@
       knob.style.transform = `translate(${(-left / size) * 26}px, ${(-ahead / size) * 26}px)`;
     }
   };
-  let sent = -Infinity;
+  // Viser sends at once, but of what follows within 50 ms it keeps the last message only, of whatever control. What is
+  // pressed, chosen, typed or dragged must therefore not be followed by a message about keys before its time is over.
+  const ALONE = 60, LONGEST = 300; // ms; a drag that goes on must not hold up driving
+  let sent = -Infinity, acted = -Infinity, due = Infinity, later = 0;
+  const act = () => { acted = performance.now(); };
   const send = () => {
-    sent = performance.now();
-    return write(DRIVE, `${++count} ${input()} ${rate.toFixed(1)} ${document.hidden ? 0 : 1}`);
+    const now = performance.now(), wait = acted + ALONE - now;
+    clearTimeout(later);
+    due = Math.min(due, now + LONGEST);
+    if (wait > 0 && now < due) {
+      later = setTimeout(send, wait);
+      return;
+    }
+    [sent, due] = [now, Infinity];
+    write(DRIVE, `${++count} ${input()} ${rate.toFixed(1)} ${document.hidden ? 0 : 1}`);
   };
+  document.addEventListener("click", act, true);
+  document.addEventListener("input", (event) => { if (event.isTrusted) act(); }, true); // not what this script writes
   const report = (more = 1) => { // at once, then while anything is held; a release is sent twice, as messages can be merged
     send();
     show();
@@ -151,7 +164,10 @@
       event.preventDefault();
     }
     const key = KEYS[event.code];
-    if (!key) return;
+    if (!key) {
+      act();
+      return;
+    }
     if (event.type === "keyup") {
       if (held.delete(key)) report();
       return;
@@ -212,6 +228,7 @@
     const dot = svg.querySelector("[data-dot]");
     dot.setAttribute("cx", point[0]);
     dot.setAttribute("cy", point[1]);
+    act();
     write(SHARES, percent.join(" "));
   };
   const start = (event) => {
@@ -239,15 +256,20 @@
   };
   const end = (event) => {
     const drag = drags.get(event.pointerId);
-    if (!drag) return;
+    if (!drag) {
+      act();
+      return;
+    }
     drags.delete(event.pointerId);
     if (drag.move === toStick) stick = null;
     if (drag.move !== toTriangle) report();
   };
   document.addEventListener("pointerdown", start, true);
   const move = (event) => {
-    if (event.buttons === 0) end(event); // released outside the page
-    else drags.get(event.pointerId)?.move?.(event);
+    const drag = drags.get(event.pointerId);
+    if (drag && event.buttons === 0) end(event); // released outside the page
+    else if (drag) drag.move?.(event);
+    else if (event.buttons) act(); // a slider is dragged
   };
   document.addEventListener("pointermove", move, true);
   document.addEventListener("pointerup", end, true);

@@ -23,8 +23,8 @@ END_NAMES = ("left hand", "right hand", "left toe", "right toe")
 SPEED_SPAN = 15
 """Steps over which the shown speed is measured."""
 
-LEAST_WEIGHT = 1e-3
-"""Smaller weights of styles are not shown."""
+LEAST_WEIGHT = 5e-3
+"""Weights of styles up to this are not shown: they would read 0 %."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class View:
         dials: the phases: one of the gait cycle, four local ones, or none.
         speed: present speed along the ground, m/s.
         wanted_speed: commanded speed, m/s.
-        style_weights: style -> its smoothed weight; weights below a thousandth are omitted.
+        style_weights: style -> its smoothed weight; those that would be shown as 0 % are omitted.
         step_milliseconds: mean computing time of the last steps.
         steps_per_second: number of steps in the last second.
         recorded_seconds: length of the recording that is running or waits to be downloaded; None without one.
@@ -180,13 +180,13 @@ def future_trajectory(state: ControllerState, history: RootHistory) -> tuple[np.
 
 
 def shown_weights(styles: Sequence[str], weights: np.ndarray) -> dict[str, float]:
-    """Returns style -> weight without the smallest weights.
+    """Returns style -> weight without the weights that would be shown as 0 %.
 
     Args:
         styles: names of the first rows of the controller's bank.
         weights: [C] of all rows.
     """
-    return {name: float(w) for name, w in zip(styles, weights, strict=False) if w >= LEAST_WEIGHT}
+    return {name: float(w) for name, w in zip(styles, weights, strict=False) if w > LEAST_WEIGHT}
 
 
 def phase_dials(layout: FrameLayout, phase: np.ndarray, scale: np.ndarray | None = None) -> tuple[Dial, ...]:

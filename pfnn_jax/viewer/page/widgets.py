@@ -28,7 +28,7 @@ from pfnn_jax.viewer.draw.palette import (
     rgba_css,
 )
 from pfnn_jax.viewer.page.skinned_body import node_names
-from pfnn_jax.viewer.page.view import Dial, View
+from pfnn_jax.viewer.page.view import LEAST_WEIGHT, Dial, View
 
 if TYPE_CHECKING:
     import viser
@@ -178,7 +178,7 @@ def triangle(names: Sequence[str], shares: Sequence[float], active: bool) -> str
 def readout(view: View) -> str:
     """Returns the style and the speed of a moment."""
     styles = ", ".join(
-        html.escape(name.lstrip("\0")) + (f" {weight:.0%}" if weight < 0.995 else "")
+        html.escape(name.lstrip("\0")) + (f" {weight:.0%}" if weight < 1.0 - LEAST_WEIGHT else "")
         for name, weight in sorted(view.style_weights.items(), key=lambda item: -item[1])[:3]
     )
     wanted = f"<span style='color:{MUTED}'>of {plain_number(view.wanted_speed, 2)} wanted</span>"
