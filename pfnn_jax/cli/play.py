@@ -33,6 +33,9 @@ class Play(Command):
     keep_compiled: bool = True
 
     def run(self) -> Any:
+        from pfnn_jax.viewer.page.background import share_heap
+
+        share_heap()  # before JAX has threads
         paths = [open_run(path) for path in self.run_paths or (BASE,)]
         from pfnn_jax.cli.interrupts import release
         from pfnn_jax.viewer.page.play import play

@@ -45,9 +45,6 @@ SMOOTHING = tuple(comb(16, tap) / 2**16 for tap in range(17))
 """Binomial weights of 17 frames, a Gaussian with a standard deviation of 2: it halves 5 Hz and removes what alternates
 from frame to frame."""
 
-LENGTHS_PER_OCTAVE = 4
-"""Lengths that clips are padded to, for each doubling: padding adds at most a quarter."""
-
 SPEED_RATIOS = (0.5, 2.0)
 """Bounds of the ratio by which a content's velocity is scaled."""
 
@@ -167,10 +164,12 @@ def step_length(rows: np.ndarray, layout: ClipLayout) -> float | None:
 
 
 def padded_length(frames: int) -> int:
-    """Returns P, the even number of frames that a clip is padded to: margins, and one of a few lengths."""
-    needed = frames + 2 * MARGIN
-    step = max(2 ** (needed.bit_length() - 1) // LENGTHS_PER_OCTAVE, POOLING)
-    return -(-needed // step) * step
+    """Returns P, the number of frames that a clip is padded to with its margins: a power of two.
+
+    Compiling for one more length takes seconds, the frames of padding a fraction of one; and a program that runs for
+    long, like the page, keeps what it has compiled.
+    """
+    return 1 << (frames + 2 * MARGIN - 1).bit_length()
 
 
 def pad_edges(rows: np.ndarray, size: int) -> np.ndarray:

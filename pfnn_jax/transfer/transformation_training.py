@@ -167,7 +167,7 @@ def apply_network(
     x[:frames], x[frames:even] = run.statistics.apply(rows), run.statistics.apply(rows[-1])
     mask = (np.arange(len(x)) < even).astype(np.float32)
     y = _apply(network, run.autoencoder, x, mask, project=project, keep_detail=keep_detail)
-    return np.asarray(run.statistics.invert(np.asarray(y[:frames], np.float64)))
+    return np.asarray(run.statistics.invert(np.asarray(y, np.float64)[:frames]))
 
 
 @partial(jax.jit, static_argnames=("project", "keep_detail"))

@@ -21,7 +21,6 @@ from pfnn_jax.transfer.config import AutoencoderConfig, LossWeights, Optimisatio
 from pfnn_jax.transfer.layout import HOLDEN2017
 from pfnn_jax.transfer.losses import style_loss
 from pfnn_jax.transfer.optimisation import (
-    LENGTHS_PER_OCTAVE,
     MARGIN,
     add_change,
     descend,
@@ -120,9 +119,9 @@ def bone_error(rows: np.ndarray) -> float:
 @pytest.mark.parametrize("frames", [1, 25, 90, 240, 1000, 72000])
 def test_clips_are_padded_to_few_even_lengths(frames):
     length = padded_length(frames)
-    assert length % 2 == 0 and frames + 2 * MARGIN <= length <= (1 + 1 / LENGTHS_PER_OCTAVE) * (frames + 2 * MARGIN)
+    assert length % 2 == 0 and frames + 2 * MARGIN <= length < 2 * (frames + 2 * MARGIN)
     lengths = {padded_length(count) for count in range(240, 480)}
-    assert len(lengths) <= LENGTHS_PER_OCTAVE + 1
+    assert len(lengths) <= 2
 
 
 def test_losses_see_the_hidden_units_that_the_clip_is_decoded_from():

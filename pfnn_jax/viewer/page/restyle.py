@@ -9,12 +9,13 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.motion.blending import Parts
+from pfnn_jax.transfer.run import BASE_AUTOENCODER, TransferRun, load_transfer_run
 from pfnn_jax.viewer.draw.annotated_clip import annotate_clips
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.recording import bvh_bytes
@@ -120,7 +121,7 @@ def _restyle(
     with background.temporary_folder() as folder:
         paths = [_write(Path(folder) / role, clip) for role, clip in (("content", content), ("style", style))]
         try:
-            done = transfer_clip(*paths, strength=strength, parts=parts, progress_callback=progress)
+            done = transfer_clip(*paths, run=_autoencoder(), strength=strength, parts=parts, progress_callback=progress)
         except InputError as error:
             value = _shown(str(error.value), folder)
             raise InputError(_shown(error.file, folder), error.place, value, error.rule) from error
@@ -134,6 +135,12 @@ def _restyle(
         tuple(_shown(note, folder) for note in done.notes),
         done.seconds,
     )
+
+
+@cache
+def _autoencoder() -> TransferRun:
+    """Loads the autoencoder of the package, once."""
+    return load_transfer_run(BASE_AUTOENCODER)
 
 
 def _write(folder: Path, clip: ClipUpload) -> Path:
