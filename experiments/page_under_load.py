@@ -42,6 +42,9 @@ from pfnn_jax.workflows.samples import sample_clips
 ENDING = 60.0
 """Seconds within which threads of closed tabs must have ended; what a tab was learning is learned to its end."""
 
+PREPARING = 60.0
+"""Seconds within which a server has compiled what learning needs, after its first tab."""
+
 STALE = 60.0
 """Seconds after which what a server's memory holds is not taken for present: the thread that notes it has ended."""
 
@@ -238,7 +241,8 @@ def main(config: Config) -> dict[str, Any]:
         shutil.copytree(config.run, out / "run")
     with serving([str(out / "run")], out, watched=True) as (server, port):
         asyncio.run(settle(port))
-        before = wait_until_idle(server, 0, out)
+        time.sleep(PREPARING)
+        before = measure(server, time.monotonic(), out)
         found = asyncio.run(load(server, port, config))
         after = wait_until_idle(server, before["threads"], out)
         server.send_signal(signal.SIGTERM)

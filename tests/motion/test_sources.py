@@ -155,7 +155,8 @@ def test_folders_of_no_convention_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["", ".", "..", ".hidden", "a/b", "a\\b", "../up", "a\0b", "a\nb", " a", "a ", "a.", "a:b", "x" * 101]
+    "name",
+    ["", ".", "..", ".hidden", "a/b", "a\\b", "../up", "a\0b", "a\nb", " a", "a ", "a.", "a:b", "x" * 101, "老" * 67],
 )
 def test_style_names_that_are_not_valid_file_names_are_refused(name):
     assert_refused(partial(check_style_name, name, "run"), file="run", place="style name", rule_mentions="file name")

@@ -201,13 +201,15 @@ def check_style_name(name: str, source: str | Path = "style") -> str:
     """Returns a style's name if it can name a folder on every system.
 
     Raises:
-        InputError: if it is empty, longer than 100 characters, starts with a dot, ends with a dot or space, or holds a
-            slash, a control character or one of `<>:"|?*`.
+        InputError: if it is empty, longer than 100 characters or 200 bytes, starts with a dot, ends with a dot or
+            space, or holds a slash, a control character or one of `<>:"|?*`.
     """
-    bad = not name or len(name) > 100 or name.startswith((".", " ")) or name.endswith((".", " "))
+    too_long = len(name) > 100 or len(name.encode(errors="replace")) > 200  # file systems count bytes
+    bad = not name or too_long or name.startswith((".", " ")) or name.endswith((".", " "))
     if bad or not name.isprintable() or re.search(r'[/\\<>:"|?*]', name):
         shown = repr(name) if len(name) <= 40 else repr(name[:37]) + "..."
-        rule = 'must be a file name: at most 100 characters, none of / \\ < > : " | ? *, no dot or space at its ends'
+        size = "at most 100 characters and 200 bytes"
+        rule = f'must be a file name: {size}, none of / \\ < > : " | ? *, no dot or space at its ends'
         raise InputError(source, "style name", shown, rule)
     return name
 
