@@ -169,6 +169,7 @@ TARGETS = (
     Target("run/styles/old/style.json", "json", 0.003, read_run),
     Target("run/shared/shared.json", "json", 0.002, read_run),
     Target("run/shared/files.json", "json", 0.002, read_run),
+    Target("run/shared/arrays.json", "json", 0.002, read_run),
     Target("run/normaliser/x_mean.npy", "binary", 0.003, read_run),
     Target("run/shared/parameters/**/*", "binary", 0.004, read_run),
     Target("data/dataset.json", "json", 0.02, read_data),

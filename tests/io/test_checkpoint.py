@@ -8,6 +8,7 @@ import sys
 import textwrap
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, cast
 
 import jax
@@ -18,8 +19,8 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io import checkpoint, files
-from pfnn_jax.io.checkpoint import TREE, fingerprint, load_record, save_record
-from pfnn_jax.io.files import locate, read_json, read_note, replacing, saved_names, to_plain, write_json
+from pfnn_jax.io.checkpoint import ARRAYS, TREE, fingerprint, load_record, save_record
+from pfnn_jax.io.files import json_text, locate, read_json, read_note, replacing, saved_names, to_plain, write_json
 from pfnn_jax.models.config import NetworkConfig
 from pfnn_jax.models.network import Network, init_network
 from tests.raising import assert_refused
@@ -108,6 +109,28 @@ def test_a_damaged_save_is_refused_by_file(tmp_path, part, cut):
         path.unlink()
     error = assert_refused(lambda: load_record(tmp_path / "state", make_state()), file="state")
     assert error.place.startswith("file") and error.place.endswith(path.name)
+
+
+def test_shapes_that_are_not_those_of_the_checkpoint_are_refused(tmp_path):
+    """The file that states them was exchanged, and fits what is asked for."""
+    save_record(tmp_path / "state", {"a": np.zeros((2, 3), np.float32)}, "note.json", {})
+    for text, wanted in (("float32 [3, 2]", jnp.zeros((3, 2))), ("float32 [2, 4]", jnp.zeros((2, 4)))):
+        (tmp_path / "state" / ARRAYS).write_text(json_text({"a": text}))
+        load = partial(load_record, tmp_path / "state", {"a": wanted})
+        assert_refused(load, file="state", place="checkpoint", rule_mentions="undamaged")
+
+
+@pytest.mark.parametrize(
+    "stated", [None, [], ["float32 [2, 3]"], {"a": ["x"] * 1000}, {"a": None}, {}, {"a": 1, "b": 2}]
+)
+def test_a_save_without_proper_types_and_shapes_is_refused(tmp_path, stated):
+    save_record(tmp_path / "state", {"a": np.zeros((2, 3), np.float32)}, "note.json", {})
+    file = tmp_path / "state" / ARRAYS
+    file.unlink()
+    if stated is not None:
+        file.write_text(json_text(stated))
+    error = assert_refused(partial(load_record, tmp_path / "state", {"a": jnp.zeros((2, 3))}))
+    assert "state" in error.file
 
 
 def test_an_absent_save_is_refused(tmp_path):
