@@ -11,6 +11,8 @@ import sys
 import threading
 from pathlib import Path
 
+import chex
+import jax
 import numpy as np
 import pytest
 
@@ -82,6 +84,41 @@ def test_a_deleted_style_can_be_restored_and_is_gone_when_the_program_ends(libra
     library.empty_trash()
     assert library.deleted_style("run") is None and not list(run.glob(".deleted*"))
     assert_refused(lambda: library.restore_style("run"), place="style")
+
+
+@pytest.mark.parametrize("rows_are_left", [True, False])
+def test_styles_of_one_name_are_restored_in_turn(library, rows_are_left):
+    """Each from its row of the bank, or from its folder if another style has taken the row meanwhile."""
+    run = path_of(library)
+
+    def row(name: str) -> list[np.ndarray]:
+        controller = library.get("run").controller
+        return [np.asarray(leaf)[controller.styles.index(name)] for leaf in jax.tree.leaves(controller.params.bank)]
+
+    def learn(name: str, like: str) -> None:
+        save_style(run, name, load_style(load_run(run), like), {"speed": 1.0})
+        library.add_style("run", name)
+
+    if rows_are_left:
+        learn("spare", "neutral")
+        library.delete_style("run", "spare")
+    first = row("mine")
+    library.delete_style("run", "mine")
+    learn("mine", "depressed")
+    library.delete_style("run", "mine")
+    assert library.restore_style("run") == "mine"
+    chex.assert_trees_all_equal(row("mine"), row("depressed"))
+    library.rename_style("run", "mine", "second")
+    assert library.restore_style("run") == "mine"
+    chex.assert_trees_all_equal(row("mine"), first)
+    chex.assert_trees_all_equal(row("second"), row("depressed"))
+    assert {"mine", "second"} <= set(list_styles(run))
+
+
+def test_a_style_whose_row_is_left_is_restored_without_reading_it(library, monkeypatch):
+    library.delete_style("run", "mine")
+    monkeypatch.setattr("pfnn_jax.viewer.page.run_library.load_style", None)
+    assert library.restore_style("run") == "mine" and "mine" in library.get("run").styles
 
 
 def test_a_style_and_its_clip_stay_together(library):

@@ -43,7 +43,8 @@ from pfnn_jax.workflows.base import is_base
 from pfnn_jax.workflows.learn import default_config
 
 DELETED = "\0"
-"""First character of the name of a bank's row whose style was deleted. No style can have such a name."""
+"""First character of the name of a bank's row whose style was deleted; one more stands before it for each style of the
+same name that was deleted later. No style can have such a name."""
 
 SPARE = 8
 """Least number of spare rows of a bank of styles: this many can be learned before the step must be compiled again.
@@ -155,7 +156,20 @@ class LoadedRun:
 
     def without_style(self, style: str) -> LoadedRun:
         """Returns the run without a style; its row of the bank stays, so that nothing is compiled again."""
-        return self._with_names({style: f"{DELETED}{style}"})
+        same = [name for name in self.controller.styles if name.lstrip(DELETED) == style]
+        return self._with_names({name: f"{DELETED}{name}" for name in same})
+
+    def with_restored(self, style: str) -> LoadedRun:
+        """Returns the run with the style of this name that was deleted last: from its row, or its folder if that is used.
+
+        Raises:
+            InputError: as `with_style`.
+        """
+        row = f"{DELETED}{style}"
+        if row not in self.controller.styles:
+            return self.with_style(style)
+        renamed = {old: new for old, new in self.renamed.items() if old != style}
+        return replace(self._with_names({row: style}), renamed=renamed)
 
     def _with_names(self, names: Mapping[str, str]) -> LoadedRun:
         controller = replace(self.controller, styles=tuple(names.get(name, name) for name in self.controller.styles))
@@ -245,13 +259,7 @@ class RunLibrary:
         Raises:
             InputError: for an unknown run or style, or a style of another kind than the run's.
         """
-        while True:
-            before = self.get(run)
-            after = before.with_style(style)  # without the lock: it may compile, and tabs would stand still meanwhile
-            with self._lock:
-                if self.get(run) is before:
-                    self._replace(run, after)
-                    return
+        self._change(run, lambda loaded: loaded.with_style(style))
 
     def rename_style(self, run: str, old: str, new: str) -> None:
         """Renames a learned style, in the run's folder and for all characters.
@@ -296,7 +304,7 @@ class RunLibrary:
                 raise InputError(run, "style", "none", "nothing was deleted that could be restored")
             restore_style(self.get(run).run.path, found[1])
             self._deleted.remove(found)
-        self.add_style(run, found[1].name)
+        self._change(run, lambda loaded: loaded.with_restored(found[1].name))
         return found[1].name
 
     def strafes(self, run: str, style: str) -> bool | None:
@@ -329,6 +337,16 @@ class RunLibrary:
                 run, "style", ascii(name)[:60], "must be a style that was learned; the run's own ones stay"
             )
         return loaded
+
+    def _change(self, run: str, change: Callable[[LoadedRun], LoadedRun]) -> None:
+        """Replaces a run by what a function makes of it, called again if another thread has replaced it meanwhile."""
+        while True:
+            before = self.get(run)
+            after = change(before)  # without the lock: it may compile, and tabs would stand still meanwhile
+            with self._lock:
+                if self.get(run) is before:
+                    self._replace(run, after)
+                    return
 
     def _replace(self, run: str, loaded: LoadedRun) -> None:
         self._loaded = {**self._loaded, run: loaded}
