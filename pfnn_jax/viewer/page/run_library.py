@@ -160,7 +160,7 @@ class LoadedRun:
         return self._with_names({name: f"{DELETED}{name}" for name in same})
 
     def with_restored(self, style: str) -> LoadedRun:
-        """Returns the run with the style of this name that was deleted last: from its row, or its folder if that is used.
+        """Returns the run with the style of a name that was deleted last: from its row, or its folder if that is used.
 
         Raises:
             InputError: as `with_style`.
