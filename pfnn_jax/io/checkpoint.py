@@ -165,11 +165,13 @@ def load_record(folder: Path, abstract: Tree) -> Tree:
         return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=getattr(leaf, "sharding", None) or sharding)
 
     leaves = jax.tree.map(described, jax.eval_shape(lambda: abstract))
-    _compare(folder, read_json(record / ARRAYS, COMPLETE), _arrays(leaves))
     stored = str((record / TREE).absolute())
     try:
         with _quiet():
+            _compare(folder, _stated_arrays(record, stored), _arrays(leaves))
             return ocp.load(stored, leaves)
+    except InputError:
+        raise
     except Exception as error:  # Orbax and tensorstore report damage by a dozen kinds
         first = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
         raise InputError(folder, "checkpoint", first, COMPLETE) from error
@@ -225,6 +227,12 @@ def _arrays(tree: Any) -> dict[str, str]:
             leaf = jax.eval_shape(jax.random.key_data, leaf)
         found[name] = f"{leaf.dtype} {list(leaf.shape)}"
     return found
+
+
+def _stated_arrays(record: Path, stored: str) -> dict[str, Any]:
+    """Returns what a record says of its arrays; of one that an earlier version wrote, what Orbax says."""
+    file = record / ARRAYS
+    return read_json(file, COMPLETE) if file.exists() else _arrays(ocp.metadata(stored).metadata)
 
 
 def _compare(folder: Path, stored: Mapping[str, Any], expected: Mapping[str, str]) -> None:

@@ -120,17 +120,21 @@ def test_shapes_that_are_not_those_of_the_checkpoint_are_refused(tmp_path):
         assert_refused(load, file="state", place="checkpoint", rule_mentions="undamaged")
 
 
-@pytest.mark.parametrize(
-    "stated", [None, [], ["float32 [2, 3]"], {"a": ["x"] * 1000}, {"a": None}, {}, {"a": 1, "b": 2}]
-)
+@pytest.mark.parametrize("stated", [[], ["float32 [2, 3]"], {"a": ["x"] * 1000}, {"a": None}, {}, {"a": 1, "b": 2}])
 def test_a_save_without_proper_types_and_shapes_is_refused(tmp_path, stated):
     save_record(tmp_path / "state", {"a": np.zeros((2, 3), np.float32)}, "note.json", {})
-    file = tmp_path / "state" / ARRAYS
-    file.unlink()
-    if stated is not None:
-        file.write_text(json_text(stated))
+    (tmp_path / "state" / ARRAYS).write_text(json_text(stated))
     error = assert_refused(partial(load_record, tmp_path / "state", {"a": jnp.zeros((2, 3))}))
     assert "state" in error.file
+
+
+def test_saves_of_earlier_versions_which_do_not_state_types_and_shapes_are_read(tmp_path):
+    save(tmp_path / "state", seed=1)
+    (tmp_path / "state" / ARRAYS).unlink()
+    assert_equal(load_record(tmp_path / "state", make_state()), make_state(1))
+    wrong = {**make_state(), "step": jnp.float32(0)}
+    load = partial(load_record, tmp_path / "state", wrong)
+    assert_refused(load, place="parameter step", value="int32 []", rule_mentions="float32 []")
 
 
 def test_an_absent_save_is_refused(tmp_path):
