@@ -3,7 +3,7 @@
 A record is one folder: an Orbax checkpoint of the tree, a JSON note that can be read without it, the names, types and
 shapes of its arrays, and the sizes of the checkpoint's files. Orbax alone would notice a damaged file only in its
 threads, with many tracebacks, and its own atomic rename covers neither the note nor an exchange of an earlier record.
-To tell types and shapes it takes as long as to load, and TensorStore 0.1.86 leaks what it reads then.
+It takes as long to report types and shapes as to load the arrays, and TensorStore 0.1.86 leaks memory when it does.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ ARRAYS = "arrays.json"
 """Type and shape of every array by its dotted name, as in "float32 [6, 31]"."""
 
 COMPLETE = "must be a complete, undamaged save"
-"""What is asked of a folder that is read."""
+"""Rule that a damaged save breaks."""
 
 _orbax = threading.Lock()
 """Held while Orbax works. It numbers its operations for the whole process, and waits by this number for its folders: a
@@ -225,12 +225,12 @@ def _arrays(tree: Any) -> dict[str, str]:
         name = ".".join(str(getattr(k, "name", getattr(k, "key", getattr(k, "idx", k)))) for k in path)
         if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             leaf = jax.eval_shape(jax.random.key_data, leaf)
-        found[name] = f"{leaf.dtype} {list(leaf.shape)}"
+        found[name] = f"{leaf.dtype.name} {list(leaf.shape)}"
     return found
 
 
 def _stated_arrays(record: Path, stored: str) -> dict[str, Any]:
-    """Returns what a record says of its arrays; of one that an earlier version wrote, what Orbax says."""
+    """Returns types and shapes as the record states them, or as Orbax does for records that earlier versions wrote."""
     file = record / ARRAYS
     return read_json(file, COMPLETE) if file.exists() else _arrays(ocp.metadata(stored).metadata)
 

@@ -44,9 +44,8 @@ def convolve(frames: jax.Array, filters: jax.Array, before: int | None = None) -
 
     Even and odd frames are computed from three convolutions of even and odd frames with half as many taps, instead of
     four: the fast FIR algorithm of two phases (Parhi 1999, *VLSI Digital Signal Processing Systems*, §9.2). Each is one
-    matrix product of all windows with all filters. XLA's own convolution is as fast on a processor, but in the loop of
-    a compiled program takes 5 to 90 times as long in gradients (jax-ml/jax#12868), and the optimisation of style
-    transfer is one.
+    matrix product of all windows with all filters. On CPUs, XLA's own convolution takes 5 to 90 times as long in
+    gradients within a compiled loop (jax-ml/jax#12868), and style transfer optimises in such a loop.
 
     Args:
         frames: [T, I].

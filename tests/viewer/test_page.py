@@ -148,6 +148,43 @@ def test_the_triangle_mixes_three_styles(visitor):
     visitor.wait(lambda: share(visitor, corner) > CORNER, f"numbers work as well: {corner}")
 
 
+DRAG = """() => {
+  const triangle = document.querySelector("[data-triangle]"), box = triangle.getBoundingClientRect();
+  const point = (type, x, y) => triangle.dispatchEvent(new PointerEvent(type, { pointerId: 77, bubbles: true, button: 0,
+    buttons: 1, clientX: box.x + x * box.width, clientY: box.y + y * box.height }));
+  let count = 0;
+  point("pointerdown", 0.5, 0.6);
+  const timer = setInterval(() => {
+    count += 1;
+    if (count < 180) {
+      point("pointermove", 0.5 + 0.1 * Math.sin(count), 0.6);
+    } else {
+      point("pointermove", 0.02, 0.98);
+      point("pointerup", 0.02, 0.98);
+      clearInterval(timer);
+      window.dragged = true;
+    }
+  }, 16);
+}"""
+"""Drags the point of the triangle for three seconds or longer, sixty moves a second, and into the left corner."""
+
+
+def test_a_held_key_walks_on_while_the_triangle_is_dragged_and_its_last_point_counts(visitor):
+    home(visitor)
+    visitor.page.keyboard.down("w")
+    visitor.wait(lambda: wanted(visitor) > 0.0, "W asks for a speed")
+    visitor.page.evaluate(DRAG)
+    speeds = []
+    while not visitor.page.evaluate("window.dragged === true"):
+        speeds.append(wanted(visitor))
+        visitor.page.wait_for_timeout(50)
+    assert min(speeds) > 0.0, "the key counts as released"
+    corner = visitor.field("Left").input_value()
+    visitor.wait(lambda: share(visitor, corner) > CORNER, f"the point at the left corner is {corner}")
+    visitor.page.keyboard.up("w")
+    visitor.wait(lambda: wanted(visitor) == 0.0, "the character stands again")
+
+
 def test_a_recording_is_downloaded_as_bvh(visitor, tmp_path):
     visitor.press("Record")
     visitor.wait(lambda: visitor.page.get_by_role("button", name="Stop and download").count(), "it records")

@@ -231,6 +231,17 @@ def test_another_network_has_another_folder_and_leaves_learned_styles_where_they
     assert newer.earlier == (ours.path,) and "mine" in list_styles(ours.path)
 
 
+def test_a_copy_that_an_earlier_version_made_is_taken(home: Path):
+    """It lacks the files that state the types and shapes of arrays."""
+    copy = base_run()
+    stated = list(copy.rglob(base.STATED))
+    assert stated
+    for file in stated:
+        file.unlink()
+    assert base_run() == copy
+    assert load_run(copy).fingerprint == load_run(BASE_NETWORK).fingerprint
+
+
 def test_an_earlier_copy_without_learned_styles_is_not_mentioned(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

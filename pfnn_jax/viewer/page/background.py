@@ -71,8 +71,8 @@ def do(work: Callable[[], Result], *, niceness: int = 0) -> Result:
 def share_heap() -> None:
     """Makes all threads allocate from one heap, with the GNU C library alone; to be called before there are threads.
 
-    It gives them several, and `release_memory` cannot return the free end of any but the first: with each style that
-    is learned some 10 MB more would be kept, up to a gigabyte.
+    It gives threads several heaps, and `release_memory` cannot return the free end of any but the first: with each
+    style that is learned some 10 MB more would be kept, up to a gigabyte.
     """
     set_option = _c_function("mallopt")
     if set_option is not None:

@@ -102,25 +102,35 @@
       knob.style.transform = `translate(${(-left / size) * 26}px, ${(-ahead / size) * 26}px)`;
     }
   };
-  // Viser sends at once, but of what follows within 50 ms it keeps the last message only, of whatever control. What is
-  // pressed, chosen, typed or dragged must therefore not be followed by a message about keys before its time is over.
-  const ALONE = 60, LONGEST = 300; // ms; a drag that goes on must not hold up driving
-  let sent = -Infinity, acted = -Infinity, due = Infinity, later = 0;
-  const act = () => { acted = performance.now(); };
-  const send = () => {
-    const now = performance.now(), wait = acted + ALONE - now;
-    clearTimeout(later);
-    due = Math.min(due, now + LONGEST);
-    if (wait > 0 && now < due) {
-      later = setTimeout(send, wait);
-      return;
+  // Viser sends at once, but of what follows within 50 ms it keeps the last message only, of whatever control. The messages
+  // of this script are therefore sent one by one, and not until what a person has pressed, chosen or typed has been sent.
+  const GAP = 60, ALONE = 100; // ms after a message of this script, and after something that a person did
+  const waiting = new Map(); // label -> text; the one that has waited longest is first
+  let free = -Infinity, pump = 0, sent = -Infinity;
+  const act = () => { free = Math.max(free, performance.now() + ALONE); };
+  const flush = () => {
+    clearTimeout(pump);
+    if (free <= performance.now()) {
+      const [label, text] = waiting.entries().next().value;
+      waiting.delete(label);
+      write(label, text);
+      free = performance.now() + GAP;
     }
-    [sent, due] = [now, Infinity];
-    write(DRIVE, `${++count} ${input()} ${rate.toFixed(1)} ${document.hidden ? 0 : 1}`);
+    if (waiting.size) pump = setTimeout(flush, free - performance.now());
   };
-  document.addEventListener("click", act, true);
-  document.addEventListener("input", (event) => { if (event.isTrusted) act(); }, true); // not what this script writes
-  const report = (more = 1) => { // at once, then while anything is held; a release is sent twice, as messages can be merged
+  const post = (label, text) => { // of a label that waits already, the later text is sent in its turn
+    waiting.set(label, text);
+    flush();
+  };
+  const send = () => {
+    sent = performance.now();
+    post(DRIVE, `${++count} ${input()} ${rate.toFixed(1)} ${document.hidden ? 0 : 1}`);
+  };
+  const onAct = (event) => { // the camera has a way of its own, and a text field is also written by this script
+    if (event.target.tagName !== "CANVAS" && (event.type !== "input" || event.isTrusted)) act();
+  };
+  for (const type of ["click", "input", "focusout"]) document.addEventListener(type, onAct, true);
+  const report = (more = 1) => { // at once, then while anything is held; a release twice, as a slider's messages can replace it
     send();
     show();
     clearTimeout(timer);
@@ -165,7 +175,7 @@
     }
     const key = KEYS[event.code];
     if (!key) {
-      act();
+      if (event.target.getAttribute?.("role") === "slider") act();
       return;
     }
     if (event.type === "keyup") {
@@ -228,14 +238,14 @@
     const dot = svg.querySelector("[data-dot]");
     dot.setAttribute("cx", point[0]);
     dot.setAttribute("cy", point[1]);
-    act();
-    write(SHARES, percent.join(" "));
+    post(SHARES, percent.join(" "));
   };
   const start = (event) => {
     if (event.button !== 0) return;
     const target = event.target.closest?.("[data-drive], [data-stick], [data-triangle], [data-sheet]");
     if (!target) {
       if (event.target.tagName === "CANVAS") document.activeElement?.blur();
+      else act(); // on a slider, which changes at once
       return;
     }
     event.preventDefault();
@@ -256,20 +266,15 @@
   };
   const end = (event) => {
     const drag = drags.get(event.pointerId);
-    if (!drag) {
-      act();
-      return;
-    }
+    if (!drag) return;
     drags.delete(event.pointerId);
     if (drag.move === toStick) stick = null;
     if (drag.move !== toTriangle) report();
   };
   document.addEventListener("pointerdown", start, true);
   const move = (event) => {
-    const drag = drags.get(event.pointerId);
-    if (drag && event.buttons === 0) end(event); // released outside the page
-    else if (drag) drag.move?.(event);
-    else if (event.buttons) act(); // a slider is dragged
+    if (event.buttons === 0) end(event); // released outside the page
+    else drags.get(event.pointerId)?.move?.(event);
   };
   document.addEventListener("pointermove", move, true);
   document.addEventListener("pointerup", end, true);

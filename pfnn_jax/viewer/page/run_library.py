@@ -160,7 +160,7 @@ class LoadedRun:
         return self._with_names({name: f"{DELETED}{name}" for name in same})
 
     def with_restored(self, style: str) -> LoadedRun:
-        """Returns the run with the style of a name that was deleted last: from its row, or its folder if that is used.
+        """Returns the run with the style of a name deleted last, from its row, or from its folder if the row is reused.
 
         Raises:
             InputError: as `with_style`.
@@ -168,8 +168,9 @@ class LoadedRun:
         row = f"{DELETED}{style}"
         if row not in self.controller.styles:
             return self.with_style(style)
+        same = [name for name in self.controller.styles if name.lstrip(DELETED) == style]
         renamed = {old: new for old, new in self.renamed.items() if old != style}
-        return replace(self._with_names({row: style}), renamed=renamed)
+        return replace(self._with_names({name: name.removeprefix(DELETED) for name in same}), renamed=renamed)
 
     def _with_names(self, names: Mapping[str, str]) -> LoadedRun:
         controller = replace(self.controller, styles=tuple(names.get(name, name) for name in self.controller.styles))
