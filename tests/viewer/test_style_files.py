@@ -99,22 +99,24 @@ def test_styles_of_one_name_are_restored_in_turn(library, rows_are_left, monkeyp
         save_style(run, name, load_style(load_run(run), like), {"speed": 1.0})
         library.add_style("run", name)
 
-    if rows_are_left:
-        learn("spare", "neutral")
-        library.delete_style("run", "spare")
-    first = row("mine")
-    library.delete_style("run", "mine")
-    learn("mine", "depressed")
-    library.delete_style("run", "mine")
+    name = "mine"
+    if rows_are_left:  # the row before it is free
+        name = "other"
+        learn(name, "neutral")
+        library.delete_style("run", "mine")
+    first = row(name)
+    library.delete_style("run", name)
+    learn(name, "depressed")
+    library.delete_style("run", name)
     if rows_are_left:
         monkeypatch.setattr("pfnn_jax.viewer.page.run_library.load_style", None)
-    assert library.restore_style("run") == "mine"
-    chex.assert_trees_all_equal(row("mine"), row("depressed"))
-    library.rename_style("run", "mine", "second")
-    assert library.restore_style("run") == "mine"
-    chex.assert_trees_all_equal(row("mine"), first)
+    assert library.restore_style("run") == name
+    chex.assert_trees_all_equal(row(name), row("depressed"))
+    library.rename_style("run", name, "second")
+    assert library.restore_style("run") == name
+    chex.assert_trees_all_equal(row(name), first)
     chex.assert_trees_all_equal(row("second"), row("depressed"))
-    assert {"mine", "second"} <= set(list_styles(run))
+    assert {name, "second"} <= set(list_styles(run))
 
 
 def test_a_style_and_its_clip_stay_together(library):
