@@ -1,4 +1,4 @@
-"""How Chromium is started where there is no screen and no graphics card."""
+"""Flags of Chromium for machines without a screen or a graphics card."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ import msgspec
 import viser
 import zstandard
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 PART = 512 * 1024
 """Bytes of a part of an upload, as viser's page sends them."""
@@ -224,7 +224,7 @@ async def open_tab(host: str, port: int, *, origin: str | None = None) -> AsyncI
     async with connect(
         f"ws://{host}:{port}",
         subprotocols=[protocol],
-        origin=origin or f"http://{host}:{port}",  # type: ignore[arg-type]
+        origin=Origin(origin or f"http://{host}:{port}"),
         open_timeout=CONNECTING,
         max_size=None,
         ping_interval=None,

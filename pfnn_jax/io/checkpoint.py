@@ -27,7 +27,7 @@ import orbax.checkpoint as orbax
 from orbax.checkpoint import v1 as ocp
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import json_text, locate, read_json, remove, replacing
+from pfnn_jax.io.files import ARRAYS, json_text, locate, read_json, remove, replacing
 
 Tree = TypeVar("Tree")
 
@@ -48,9 +48,6 @@ SMALL_FILES = 2**18
 
 FILES = "files.json"
 """The checkpoint's files and their sizes, by which a damaged copy is recognised."""
-
-ARRAYS = "arrays.json"
-"""Type and shape of every array by its dotted name, as in "float32 [6, 31]"."""
 
 COMPLETE = "must be a complete, undamaged save"
 """Rule that a damaged save breaks."""

@@ -37,6 +37,10 @@ def _reasons(*codes: int) -> tuple[tuple[int, str], ...]:
 _FULL = _reasons(errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What the system reports when there is no room: on the disk, in a quota, or below the limit of a file's size."""
 
+ARRAYS = "arrays.json"
+"""File of a saved tree: type and shape of every array by its dotted name, as in "float32 [6, 31]". Saves of earlier
+versions lack it."""
+
 MAX_JSON = 64 * 2**20
 """Bytes of the largest JSON file that is read; configurations and notes have some kilobytes."""
 

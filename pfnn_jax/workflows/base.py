@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pfnn_jax.errors import InputError
-from pfnn_jax.io.files import copy_once, failure, read_note
+from pfnn_jax.io.files import ARRAYS, copy_once, failure, read_note
 from pfnn_jax.run_config import check_finished, list_styles, load_config
 
 BASE_NETWORK = Path(__file__).resolve().parents[1] / "base_network"
@@ -21,9 +21,6 @@ BASE_NETWORK = Path(__file__).resolve().parents[1] / "base_network"
 
 FIXED = ("differences", "normaliser", "shared")
 """Folders of the run that no command changes."""
-
-STATED = "arrays.json"
-"""File of saves that copies made by earlier versions lack; it follows from the others."""
 
 DIGITS = 12
 """Of the network's fingerprint, in the name of the copy."""
@@ -104,7 +101,7 @@ def _check_copy(copy: Path) -> None:
         raise InputError(error.file, error.place, error.value, f"{error.rule}; {fresh}") from error
     for original in (path for folder in FIXED for path in (BASE_NETWORK / folder).rglob("*") if path.is_file()):
         file = copy / original.relative_to(BASE_NETWORK)
-        if file.name == STATED and not file.exists():
+        if file.name == ARRAYS and not file.exists():  # a copy of an earlier version; it follows from the others
             continue
         if not file.is_file() or not filecmp.cmp(original, file, shallow=False):
             value = "damaged" if file.is_file() else "absent"

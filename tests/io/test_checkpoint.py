@@ -19,8 +19,18 @@ import pytest
 
 from pfnn_jax.errors import InputError
 from pfnn_jax.io import checkpoint, files
-from pfnn_jax.io.checkpoint import ARRAYS, TREE, fingerprint, load_record, save_record
-from pfnn_jax.io.files import json_text, locate, read_json, read_note, replacing, saved_names, to_plain, write_json
+from pfnn_jax.io.checkpoint import TREE, fingerprint, load_record, save_record
+from pfnn_jax.io.files import (
+    ARRAYS,
+    json_text,
+    locate,
+    read_json,
+    read_note,
+    replacing,
+    saved_names,
+    to_plain,
+    write_json,
+)
 from pfnn_jax.models.config import NetworkConfig
 from pfnn_jax.models.network import Network, init_network
 from tests.raising import assert_refused

@@ -234,7 +234,7 @@ def test_another_network_has_another_folder_and_leaves_learned_styles_where_they
 def test_a_copy_that_an_earlier_version_made_is_taken(home: Path):
     """It lacks the files that state the types and shapes of arrays."""
     copy = base_run()
-    stated = list(copy.rglob(base.STATED))
+    stated = list(copy.rglob(files.ARRAYS))
     assert stated
     for file in stated:
         file.unlink()

@@ -107,7 +107,7 @@
   const GAP = 60, ALONE = 100; // ms after a message of this script, and after something that a person did
   const waiting = new Map(); // label -> text; the one that has waited longest is first
   let free = -Infinity, pump = 0, sent = -Infinity;
-  const act = () => { free = Math.max(free, performance.now() + ALONE); };
+  const act = () => { free = performance.now() + ALONE; };
   const flush = () => {
     clearTimeout(pump);
     if (free <= performance.now()) {

@@ -156,8 +156,7 @@ class LoadedRun:
 
     def without_style(self, style: str) -> LoadedRun:
         """Returns the run without a style; its row of the bank stays, so that nothing is compiled again."""
-        same = [name for name in self.controller.styles if name.lstrip(DELETED) == style]
-        return self._with_names({name: f"{DELETED}{name}" for name in same})
+        return self._with_names({name: f"{DELETED}{name}" for name in self._rows_of(style)})
 
     def with_restored(self, style: str) -> LoadedRun:
         """Returns the run with the style of a name deleted last, from its row, or from its folder if the row is reused.
@@ -165,12 +164,15 @@ class LoadedRun:
         Raises:
             InputError: as `with_style`.
         """
-        row = f"{DELETED}{style}"
-        if row not in self.controller.styles:
+        rows = self._rows_of(style)
+        if f"{DELETED}{style}" not in rows:
             return self.with_style(style)
-        same = [name for name in self.controller.styles if name.lstrip(DELETED) == style]
         renamed = {old: new for old, new in self.renamed.items() if old != style}
-        return replace(self._with_names({name: name.removeprefix(DELETED) for name in same}), renamed=renamed)
+        return replace(self._with_names({name: name.removeprefix(DELETED) for name in rows}), renamed=renamed)
+
+    def _rows_of(self, style: str) -> list[str]:
+        """Returns the names of the bank's rows whose style has this name, or had it when it was deleted."""
+        return [name for name in self.controller.styles if name.lstrip(DELETED) == style]
 
     def _with_names(self, names: Mapping[str, str]) -> LoadedRun:
         controller = replace(self.controller, styles=tuple(names.get(name, name) for name in self.controller.styles))
