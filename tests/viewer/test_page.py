@@ -151,8 +151,9 @@ def test_the_triangle_mixes_three_styles(visitor):
 
 DRAG = """() => {
   const triangle = document.querySelector("[data-triangle]"), box = triangle.getBoundingClientRect();
-  // The server draws the triangle again when the point has rested: as with a real pointer, later events are the page's.
-  const point = (type, x, y) => (type === "pointerdown" ? triangle : document).dispatchEvent(new PointerEvent(type, { pointerId: 77, bubbles: true, button: 0,
+  // The server draws the triangle again when its point rests.
+  const on = (type) => (type === "pointerdown" ? triangle : document);
+  const point = (type, x, y) => on(type).dispatchEvent(new PointerEvent(type, { pointerId: 77, bubbles: true, button: 0,
     buttons: 1, clientX: box.x + x * box.width, clientY: box.y + y * box.height }));
   let count = 0;
   point("pointerdown", 0.5, 0.6);
