@@ -28,6 +28,7 @@ from pfnn_jax.viewer.page.uploads import MOST_BUFFERED, LearnedUpload, drop_larg
 from pfnn_jax.viewer.page.wear_panel import NOTHING  # noqa: E402
 from pfnn_jax.viewer.page.worn_character import FileContent  # noqa: E402
 from tests.raising import assert_refused  # noqa: E402
+from tests.viewer.threads import join_threads  # noqa: E402
 
 SOON = 20.0  # seconds for a thread to start or end on a loaded machine
 
@@ -353,7 +354,6 @@ def tab_of(client: Any, library: Any = None) -> Tab:
     return Tab(client, library or any_of(Library()))
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_an_unexpected_error_of_an_upload_is_shown(panel, client, monkeypatch):
     def fail(*_: Any, **__: Any) -> str:
         raise RuntimeError("out of paper")
@@ -414,7 +414,8 @@ def test_a_file_that_comes_while_another_is_read_is_refused(panel, monkeypatch):
     panel.wear.take_clip("second.glb", b"")
     assert soon(lambda: messages)[0][0] == "bad" and "Another file is being read" in messages[0][1]
     free.set()
-    assert soon(lambda: messages[1:]) == [("bad", "RuntimeError: out of paper")]
+    join_threads("wear")
+    assert messages[1:] == [("bad", "RuntimeError: out of paper")]
 
 
 def test_a_file_is_forgotten_when_nothing_more_can_be_done_with_it(panel, monkeypatch):

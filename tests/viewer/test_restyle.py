@@ -24,6 +24,7 @@ from pfnn_jax.workflows.transfer import transfer_clip
 from tests.raising import assert_refused
 from tests.transfer_runs import make_transfer_run, make_walk
 from tests.viewer.pages import captions, check_page
+from tests.viewer.threads import join_threads
 
 DECIMALS = 2e-5  # metres: numbers in a BVH file have 6 decimals, in centimetres
 
@@ -208,10 +209,8 @@ def test_an_unexpected_error_of_an_upload_is_shown(panel):
 
     sent = SimpleNamespace(target=SimpleNamespace(value=SimpleNamespace(name="walk.bvh", content=b"")))
     asyncio.run(panel._receiver(take)(sent))
-    end = time.monotonic() + 60.0
-    while "out of paper" not in panel._message.content:
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    join_threads("restyle")
+    assert "out of paper" in panel._message.content
 
 
 def test_the_last_style_clips_are_kept(panel, walk):
