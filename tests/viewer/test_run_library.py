@@ -24,11 +24,10 @@ from pfnn_jax.viewer.page.character import Character, with_capacity
 from pfnn_jax.viewer.page.run_library import (
     LoadedRun,
     RunLibrary,
-    add_to_bank,
-    bank_rows,
     compile_calibration,
     compile_character,
 )
+from pfnn_jax.viewer.page.style_bank import bank_rows, calibrated_row, with_row
 from pfnn_jax.viewer.page.view import View
 from pfnn_jax.workflows.base import open_base
 from tests.raising import assert_refused
@@ -188,12 +187,10 @@ def test_adding_a_style_changes_no_other(library, two_runs):
 
 def filled(controller: Controller) -> Controller:
     """Returns the controller without its spare rows."""
-    rows, params = len(controller.styles), controller.params
-    bank = jax.tree.map(lambda leaf: leaf[:rows], params.bank)
-    return replace(
-        controller,
-        params=replace(params, bank=bank, speeds=params.speeds[:rows], speed_gains=params.speed_gains[:rows]),
-    )
+    params = controller.params
+    names = ("bank", "speeds", "speed_gains", "stances", "waiting")
+    rows = {name: jax.tree.map(lambda leaf: leaf[: len(controller.styles)], getattr(params, name)) for name in names}
+    return replace(controller, params=replace(params, **rows))
 
 
 def test_a_full_bank_grows(library):
@@ -201,7 +198,7 @@ def test_a_full_bank_grows(library):
     styles = [style for name in loaded.styles if (style := load_style(loaded.run, name)) is not None]
     save_style(loaded.run.path, "more", styles[0], {"speed": 1.0})
     rows, full = len(loaded.styles), filled(loaded.controller)
-    grown = add_to_bank(loaded.run, full, "more", styles[0])
+    grown = with_row(full, "more", calibrated_row(loaded.run, full, "more", styles[0]))
     assert grown.styles == (*loaded.styles, "more") and grown.capacity == bank_rows(rows + 1)
     for index, style in enumerate([*styles, styles[0]]):
         rows_of = jax.tree.map(lambda leaf, i=index: leaf[i], grown.params.bank)
@@ -243,7 +240,7 @@ def test_styles_can_be_added_to_a_run_without_styles(played_run, tmp_path, monke
             monkeypatch.setattr(bare, "_loaded", {"bare": replace(loaded, controller=filled(loaded.controller))})
         learned = load_style(saved, style)
         assert learned is not None
-        monkeypatch.setattr("pfnn_jax.viewer.page.run_library.SPARE", spare)
+        monkeypatch.setattr("pfnn_jax.viewer.page.style_bank.SPARE", spare)
         save_style(path, style, learned, {"speed": 0.7})
         bare.add_style("bare", style)
         assert np.abs(after(FRAME).joints - before.joints).max() < 0.05
@@ -273,4 +270,4 @@ def test_styles_can_be_added_to_a_run_without_styles(played_run, tmp_path, monke
 def test_a_style_of_another_kind_is_refused(library):
     loaded = library.get("one/run")
     other: Any = np.zeros(3)
-    assert_refused(lambda: add_to_bank(loaded.run, loaded.controller, "new", other), place="style", value="new")
+    assert_refused(lambda: calibrated_row(loaded.run, loaded.controller, "new", other), place="style", value="new")

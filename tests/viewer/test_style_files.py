@@ -24,6 +24,7 @@ from pfnn_jax.viewer.page import journal, style_files
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.journal import JOURNAL, finish_moves
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary
+from pfnn_jax.viewer.page.style_bank import StyleRow
 from pfnn_jax.viewer.page.style_files import empty_trash, remove_unfinished, unfinished_mark
 from tests.raising import assert_refused
 from tests.viewer.watching import contents
@@ -360,20 +361,32 @@ def test_what_is_asked_of_a_style_that_was_deleted_meanwhile_is_asked_of_another
 
 
 def test_nobody_waits_while_a_style_is_added(library, monkeypatch):
-    """Adding one can compile, which takes seconds; a style that is renamed meanwhile keeps its new name."""
-    add, calls = LoadedRun.with_style, []
+    """Adding one takes seconds, but once only, and a style that is renamed meanwhile keeps its new name."""
+    calibrate, calls = LoadedRun.calibrated_row, []
 
-    def slow(loaded: LoadedRun, style: str) -> LoadedRun:
+    def slow(loaded: LoadedRun, style: str) -> StyleRow:
         calls.append(style)
-        if len(calls) == 1:
-            other = threading.Thread(target=library.rename_style, args=("run", "mine", "renamed"))
-            other.start()
-            other.join(SECONDS)
-            assert not other.is_alive(), "it waits"
-        return add(loaded, style)
+        other = threading.Thread(target=library.rename_style, args=("run", "mine", "renamed"))
+        other.start()
+        other.join(SECONDS)
+        assert not other.is_alive(), "it waits"
+        return calibrate(loaded, style)
 
     run = path_of(library)
     save_style(run, "new", load_style(load_run(run), "proud"), {"speed": 1.0})
-    monkeypatch.setattr(LoadedRun, "with_style", slow)
+    monkeypatch.setattr(LoadedRun, "calibrated_row", slow)
     library.add_style("run", "new")
-    assert calls == ["new", "new"] and {"new", "renamed"} < set(library.get("run").styles)
+    assert calls == ["new"] and {"new", "renamed"} < set(library.get("run").styles)
+
+
+def test_a_row_is_calibrated_independently_of_other_styles_and_of_its_place(library):
+    """Therefore other tabs can change the styles while one is calibrated."""
+    before = library.get("run")
+    row = before.calibrated_row("mine")
+    after = before.without_style("neutral").with_style("other", before.calibrated_row("proud"))
+    again = after.calibrated_row("mine")
+    jax.tree.map(np.testing.assert_array_equal, row, again)
+    added = after.without_style("mine").with_style("new", row).controller
+    index = added.styles.index("new")
+    stored = jax.tree.map(lambda leaf: np.asarray(leaf)[index], (added.params.bank, added.params.stances))
+    jax.tree.map(np.testing.assert_array_equal, stored, (row.style, row.stance))

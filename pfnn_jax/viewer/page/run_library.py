@@ -14,22 +14,19 @@ import jax
 import numpy as np
 
 from pfnn_jax.control.abilities import can_strafe
-from pfnn_jax.control.controller import Command, Controller, make_controller, with_calibrated_speeds
-from pfnn_jax.control.controller_state import ControllerParams
+from pfnn_jax.control.controller import Command, Controller, make_controller
 from pfnn_jax.control.forms import zeros_of
 from pfnn_jax.control.kept_calibration import calibrate
-from pfnn_jax.control.run_settings import default_speed
 from pfnn_jax.errors import InputError
-from pfnn_jax.inference.mixture import in_parts
 from pfnn_jax.models.config import AdapterConfig
 from pfnn_jax.models.placement import commit
-from pfnn_jax.models.style import Style, StyleSum
 from pfnn_jax.motion.datasets.sources import check_style_name
 from pfnn_jax.run import Run, load_run, load_style
 from pfnn_jax.run_config import list_styles
 from pfnn_jax.viewer.page import background
 from pfnn_jax.viewer.page.journal import finish_moves
 from pfnn_jax.viewer.page.learning import LearningBoard
+from pfnn_jax.viewer.page.style_bank import StyleRow, bank_rows, calibrated_row, with_row
 from pfnn_jax.viewer.page.style_files import (
     DeletedStyle,
     delete_style,
@@ -45,11 +42,6 @@ from pfnn_jax.workflows.learn import default_config
 DELETED = "\0"
 """First character of the name of a bank's row whose style was deleted; one more stands before it for each style of the
 same name that was deleted later. No style can have such a name."""
-
-SPARE = 8
-"""Least number of spare rows of a bank of styles: this many can be learned before the step must be compiled again.
-Banks have a power of two, so that what was compiled before a style was learned as a rule serves the next start too, and
-that a run that learns many styles is rarely compiled again: what was compiled for a smaller bank stays in memory."""
 
 
 class Preparation(NamedTuple):
@@ -132,22 +124,28 @@ class LoadedRun:
         )
         few_shot = default_config(run)
         later = AdapterConfig(few_shot.method, few_shot.rank) if few_shot.restyled else None
-        controller = _on_device(make_controller(run, styles, capacity=bank_rows(len(styles)), later=later))
+        controller = make_controller(run, styles, capacity=bank_rows(len(styles)), later=later)
+        controller = replace(controller, params=commit(controller.params))  # so that its step is compiled once
         return cls(name, run, controller, _speeds(controller), phase_scale(run.normaliser))
 
-    def with_style(self, style: str) -> LoadedRun:
-        """Returns the run with a style that has been saved in its folder.
+    def calibrated_row(self, style: str) -> StyleRow:
+        """Returns the row of a style that has been saved in the run's folder; takes a second of trial walks.
 
         Raises:
             InputError: for an unknown style, or a style of another kind than the run's.
         """
-        free = next((name for name in self.controller.styles if name.startswith(DELETED)), None)
-        reused = self if free is None or style in self.controller.styles else self._with_names({free: style})
-        controller = add_to_bank(self.run, reused.controller, style, load_style(self.run, style))
-        if controller.capacity != self.controller.capacity:
-            compile_character(controller)  # now, so that no character waits for it
+        return calibrated_row(self.run, self._with_place(style).controller, style, load_style(self.run, style))
+
+    def with_style(self, style: str, row: StyleRow) -> LoadedRun:
+        """Returns the run with a style, whose row is that of `calibrated_row`, here or in an earlier state."""
+        controller = with_row(self._with_place(style).controller, style, row)
         renamed = {old: new for old, new in self.renamed.items() if old != style}
         return replace(self, controller=controller, speeds=_speeds(controller), renamed=renamed)
+
+    def _with_place(self, style: str) -> LoadedRun:
+        """Returns the run with the name of a new style on a row whose style was deleted, if there is one."""
+        free = next((name for name in self.controller.styles if name.startswith(DELETED)), None)
+        return self if free is None or style in self.controller.styles else self._with_names({free: style})
 
     def with_renamed(self, old: str, new: str) -> LoadedRun:
         """Returns the run with another name for a style."""
@@ -158,15 +156,11 @@ class LoadedRun:
         """Returns the run without a style; its row of the bank stays, so that nothing is compiled again."""
         return self._with_names({name: f"{DELETED}{name}" for name in self._rows_of(style)})
 
-    def with_restored(self, style: str) -> LoadedRun:
-        """Returns the run with the style of a name deleted last, from its row, or from its folder if the row is reused.
-
-        Raises:
-            InputError: as `with_style`.
-        """
+    def with_restored(self, style: str) -> LoadedRun | None:
+        """Returns the run with the style of a name deleted last, or None if another style has its row by now."""
         rows = self._rows_of(style)
         if f"{DELETED}{style}" not in rows:
-            return self.with_style(style)
+            return None
         renamed = {old: new for old, new in self.renamed.items() if old != style}
         return replace(self._with_names({name: name.removeprefix(DELETED) for name in rows}), renamed=renamed)
 
@@ -262,7 +256,13 @@ class RunLibrary:
         Raises:
             InputError: for an unknown run or style, or a style of another kind than the run's.
         """
-        self._change(run, lambda loaded: loaded.with_style(style))
+        before = self.get(run)
+        row = before.calibrated_row(style)  # without the lock, for which tabs would stand still meanwhile
+        grown = before.with_style(style, row).controller
+        if grown.capacity != before.controller.capacity:
+            compile_character(grown)  # now, so that no character waits for it
+        with self._lock:
+            self._replace(run, self.get(run).with_style(style, row))
 
     def rename_style(self, run: str, old: str, new: str) -> None:
         """Renames a learned style, in the run's folder and for all characters.
@@ -307,7 +307,11 @@ class RunLibrary:
                 raise InputError(run, "style", "none", "nothing was deleted that could be restored")
             restore_style(self.get(run).run.path, found[1])
             self._deleted.remove(found)
-        self._change(run, lambda loaded: loaded.with_restored(found[1].name))
+            restored = self.get(run).with_restored(found[1].name)
+            if restored is not None:
+                self._replace(run, restored)
+                return found[1].name
+        self.add_style(run, found[1].name)
         return found[1].name
 
     def strafes(self, run: str, style: str) -> bool | None:
@@ -341,25 +345,10 @@ class RunLibrary:
             )
         return loaded
 
-    def _change(self, run: str, change: Callable[[LoadedRun], LoadedRun]) -> None:
-        """Replaces a run by what a function makes of it, called again if another thread has replaced it meanwhile."""
-        while True:
-            before = self.get(run)
-            after = change(before)  # without the lock: it may compile, and tabs would stand still meanwhile
-            with self._lock:
-                if self.get(run) is before:
-                    self._replace(run, after)
-                    return
-
     def _replace(self, run: str, loaded: LoadedRun) -> None:
         self._loaded = {**self._loaded, run: loaded}
         self._strafes = {}  # a name can be that of another style now
         self._version += 1
-
-
-def bank_rows(num_styles: int) -> int:
-    """Returns the rows of a bank for some styles and at least `SPARE` more: a power of two."""
-    return 1 << (num_styles + SPARE - 1).bit_length()
 
 
 def compile_calibration(controller: Controller) -> None:
@@ -413,65 +402,6 @@ def make_command(speed: float, heading: float, facing: float, weights: np.ndarra
         "style": np.asarray(weights, np.float32),
     }
     return Command(**arrays)
-
-
-def add_to_bank(run: Run, controller: Controller, style: str, parameters: Style) -> Controller:
-    """Returns a controller with one more style, in a spare row if there is one, else in a larger bank.
-
-    The other styles keep their rows and their calibrated speeds. In a run without styles the unmodified network remains
-    the first style: a row of zeros, which changes nothing.
-
-    Raises:
-        InputError: if the style is of another kind than those of the bank.
-    """
-    if controller.params.bank is None:
-        zeros = jax.tree.map(lambda leaf: np.zeros((controller.capacity, *np.shape(leaf)), np.float32), parameters)
-        controller = replace(controller, params=replace(controller.params, bank=zeros))
-    bank = controller.params.bank
-    if isinstance(bank, StyleSum) and type(parameters) in map(type, bank.parts):
-        parameters = in_parts(parameters, jax.tree.map(lambda leaf: np.asarray(leaf)[0], bank))
-    rows = [np.shape(leaf)[1:] for leaf in jax.tree.leaves(bank)]
-    if jax.tree.structure(bank) != jax.tree.structure(parameters) or rows != [
-        np.shape(leaf) for leaf in jax.tree.leaves(parameters)
-    ]:
-        raise InputError(run.path, "style", style, "must be of the kind of the run's other styles")
-    styles = controller.styles if style in controller.styles else (*controller.styles, style)
-    params = controller.params
-    if len(styles) > controller.capacity:
-        params = _padded(params, bank_rows(len(styles)))
-    index = styles.index(style)
-    bank = jax.tree.map(lambda rows, row: _with_row(rows, index, row), params.bank, parameters)
-    params = replace(params, bank=bank, speeds=_with_row(params.speeds, index, default_speed(run, style)))
-    controller = _on_device(replace(controller, params=params, styles=styles))
-    return _on_device(with_calibrated_speeds(controller, [style]))
-
-
-def _padded(params: ControllerParams, capacity: int) -> ControllerParams:
-    """Returns the parameters with spare rows for styles, like those of `make_controller`.
-
-    Nothing is read from disk, because not everything that is played is there: the network without a style is not.
-    """
-    more = capacity - len(params.speeds)
-
-    def longer(rows: Any, value: float) -> np.ndarray:
-        rows = np.asarray(rows)
-        return np.concatenate([rows, np.full((more, *rows.shape[1:]), value, rows.dtype)])
-
-    bank = jax.tree.map(lambda leaf: longer(leaf, 0.0), params.bank)
-    arrays: dict[str, Any] = {"speeds": longer(params.speeds, 0.0), "speed_gains": longer(params.speed_gains, 1.0)}
-    return replace(params, bank=bank, **arrays)
-
-
-def _with_row(rows: Any, index: int, row: Any) -> np.ndarray:
-    """Returns a copy with one row replaced. It uses NumPy, because JAX would compile the operation."""
-    rows = np.array(rows)
-    rows[index] = row
-    return rows
-
-
-def _on_device(controller: Controller) -> Controller:
-    """Returns a controller whose arrays are committed to a device, so that its step is compiled once."""
-    return replace(controller, params=commit(controller.params))
 
 
 def _speeds(controller: Controller) -> dict[str, float]:
