@@ -188,7 +188,8 @@ def plot(config: Config, result: dict[str, Any]) -> Figure:
         curves.plot([point["seconds"] for point in points], [point["error"] for point in points], label=label)
     curves.axhline(target, color="grey", linestyle=":", label="the paper's setting at its end")
     curves.set(xlabel="processor time (s)", ylabel="held-out error", yscale="log", xscale="log")
-    curves.legend(fontsize=8)
+    curves.set_ylim(bottom=target / 8)  # room for the legend
+    curves.legend(fontsize=8, loc="lower left")
     for rate in config.learning_rates:
         own = [one for one in result["trainings"] if one["learning_rate"] == rate]
         reached = [(one["batch_size"], seconds_to(one["curve"], 2 * target)) for one in own]

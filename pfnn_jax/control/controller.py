@@ -229,8 +229,8 @@ def assemble_controller(
     also = [] if later is None else [_empty_style(later, network)]
     params = ControllerParams(
         predictor=assemble_predictor(network, None, normaliser),
-        bank=_padded(stack_styles(styles, "controller", also), rows) if styles else None,
-        speeds=_padded(np.asarray([speeds.get(name, 0.0) for name in styles], np.float32), rows),
+        bank=pad_rows(stack_styles(styles, "controller", also), rows) if styles else None,
+        speeds=pad_rows(np.asarray([speeds.get(name, 0.0) for name in styles], np.float32), rows),
         default_speed=jnp.float32(default_speed),
         speed_gains=jnp.asarray(np.ones(rows, np.float32)),
         initial_row=_straight_row(layout, mean_row, default_speed),
@@ -238,7 +238,7 @@ def assemble_controller(
         foot_heights=jnp.asarray(foot_heights(layout, normaliser, rig), jnp.float32),
     )
     names = tuple(styles) or (AGNOSTIC,)
-    return with_calibrated_speeds(Controller(params, setup, names), names)
+    return with_calibrated_speeds(Controller(params, setup, names))
 
 
 _straight_row = jax.jit(straight_row, static_argnums=0)
@@ -250,42 +250,28 @@ def _empty_style(config: AdapterConfig, network: Network) -> Style:
     return zeros_of(lambda key: init_style(config, sizes, key=key), jax.random.key(0))
 
 
-def _padded(tree: Any, rows: int) -> Any:
-    """Returns leaves [S, ...] with zeros up to `rows`: [rows, ...]; in NumPy, because JAX would compile it."""
+def pad_rows(tree: Any, rows: int, value: float = 0.0) -> Any:
+    """Returns leaves [S, ...] with a value up to `rows`: [rows, ...]; in NumPy, because JAX would compile it."""
 
     def pad(leaf: Any) -> jax.Array:
         leaf = np.asarray(leaf)
-        return jnp.asarray(np.concatenate([leaf, np.zeros((rows - len(leaf), *leaf.shape[1:]), leaf.dtype)]))
+        return jnp.asarray(np.concatenate([leaf, np.full((rows - len(leaf), *leaf.shape[1:]), value, leaf.dtype)]))
 
     return jax.tree.map(pad, tree)
 
 
-def with_calibrated_speeds(controller: Controller, styles: Sequence[str]) -> Controller:
-    """Returns the controller with the speeds of some of its styles calibrated, from the speeds in its `params`, and
-    with the stances of these styles."""
-    rows = [controller.styles.index(name) for name in styles]
-    found = kept_calibration(controller.setup, controller.params, rows)
-    speeds, gains = np.array(controller.params.speeds), np.array(controller.params.speed_gains)
-    speeds[rows], gains[rows] = found.speeds, found.gains
-    params = replace(controller.params, speeds=jnp.asarray(speeds), speed_gains=jnp.asarray(gains))
-    old, new = (params.stances, params.waiting), (found.stances, found.waiting)
-    stances, waiting = _with_rows(old, rows, new, len(speeds))
-    return replace(controller, params=replace(params, stances=stances, waiting=waiting))
-
-
-def _with_rows(old: Any, rows: Sequence[int], new: Any, capacity: int) -> Any:
-    """Returns leaves [C, ...] with some rows replaced by those of `new`; before the first, the others are zeros."""
-
-    def put(new: Any, old: Any) -> jax.Array:
-        bank = np.zeros((capacity, *new.shape[1:]), new.dtype)
-        if old is not None:
-            bank[: len(old)] = old
-        bank[rows] = new
-        return commit(bank)
-
-    if old[0] is None:
-        return jax.tree.map(lambda leaf: put(leaf, None), new)
-    return jax.tree.map(put, new, old)
+def with_calibrated_speeds(controller: Controller) -> Controller:
+    """Returns the controller with the speeds of its styles calibrated, from the speeds in its `params`, and with the
+    stances of these styles."""
+    styles, rows = len(controller.styles), controller.capacity
+    found = kept_calibration(controller.setup, controller.params, range(styles))
+    arrays: dict[str, Any] = {
+        "speeds": pad_rows(found.speeds, rows),
+        "speed_gains": pad_rows(found.gains, rows, 1.0),
+        "stances": commit(pad_rows(found.stances, rows)),
+        "waiting": commit(pad_rows(found.waiting, rows)),
+    }
+    return replace(controller, params=replace(controller.params, **arrays))
 
 
 @partial(jax.jit, static_argnums=0)

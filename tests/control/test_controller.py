@@ -314,7 +314,7 @@ def mirrored(controller: Controller, partners: np.ndarray) -> Controller:
             speeds=jnp.asarray([0.0, SPEED]),  # as recorded, before they are calibrated
         ),
     )
-    return with_calibrated_speeds(other, other.styles)
+    return with_calibrated_speeds(other)
 
 
 def test_the_whole_controller_is_equivariant_under_mirroring(run, held_controller):

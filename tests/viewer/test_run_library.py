@@ -31,6 +31,7 @@ from pfnn_jax.viewer.page.style_bank import bank_rows, calibrated_row, with_row
 from pfnn_jax.viewer.page.view import View
 from pfnn_jax.workflows.base import open_base
 from tests.raising import assert_refused
+from tests.viewer.banks import without_spare_rows
 from tests.viewer.watching import until
 
 FRAME = 1.0 / 60.0
@@ -185,19 +186,11 @@ def test_adding_a_style_changes_no_other(library, two_runs):
     assert float(loaded.controller.params.speed_gains[index]) == pytest.approx(float(fresh.speed_gains[0]), rel=SHARE)
 
 
-def filled(controller: Controller) -> Controller:
-    """Returns the controller without its spare rows."""
-    params = controller.params
-    names = ("bank", "speeds", "speed_gains", "stances", "waiting")
-    rows = {name: jax.tree.map(lambda leaf: leaf[: len(controller.styles)], getattr(params, name)) for name in names}
-    return replace(controller, params=replace(params, **rows))
-
-
 def test_a_full_bank_grows(library):
     loaded = library.get("two/run")
     styles = [style for name in loaded.styles if (style := load_style(loaded.run, name)) is not None]
     save_style(loaded.run.path, "more", styles[0], {"speed": 1.0})
-    rows, full = len(loaded.styles), filled(loaded.controller)
+    rows, full = len(loaded.styles), without_spare_rows(loaded.controller)
     grown = with_row(full, "more", calibrated_row(loaded.run, full, "more", styles[0]))
     assert grown.styles == (*loaded.styles, "more") and grown.capacity == bank_rows(rows + 1)
     for index, style in enumerate([*styles, styles[0]]):
@@ -237,7 +230,9 @@ def test_styles_can_be_added_to_a_run_without_styles(played_run, tmp_path, monke
         """Adds a style to the run in a bank of 16 rows, for which the step has been compiled already."""
         before, loaded = after(FRAME), bare.get("bare")
         if loaded.controller.params.bank is not None:
-            monkeypatch.setattr(bare, "_loaded", {"bare": replace(loaded, controller=filled(loaded.controller))})
+            monkeypatch.setattr(
+                bare, "_loaded", {"bare": replace(loaded, controller=without_spare_rows(loaded.controller))}
+            )
         learned = load_style(saved, style)
         assert learned is not None
         monkeypatch.setattr("pfnn_jax.viewer.page.style_bank.SPARE", spare)

@@ -9,7 +9,9 @@ import shutil
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import chex
 import jax
@@ -17,16 +19,18 @@ import numpy as np
 import pytest
 
 from pfnn_jax.control.abilities import can_strafe
+from pfnn_jax.control.controller import Controller
 from pfnn_jax.io.files import write_json
 from pfnn_jax.run import load_run, load_style, save_style
 from pfnn_jax.run_config import list_styles, style_note
-from pfnn_jax.viewer.page import journal, style_files
+from pfnn_jax.viewer.page import journal, run_library, style_files
 from pfnn_jax.viewer.page.character import Character
 from pfnn_jax.viewer.page.journal import JOURNAL, finish_moves
 from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary
 from pfnn_jax.viewer.page.style_bank import StyleRow
 from pfnn_jax.viewer.page.style_files import empty_trash, remove_unfinished, unfinished_mark
 from tests.raising import assert_refused
+from tests.viewer.banks import without_spare_rows
 from tests.viewer.watching import contents
 from tests.writers import another_writer
 
@@ -46,6 +50,13 @@ def library(trained_run, tmp_path) -> RunLibrary:
 
 def path_of(library: RunLibrary) -> Path:
     return library.get("run").run.path
+
+
+def row_of(controller: Controller, style: str) -> tuple[Any, ...]:
+    """Returns parameters, speed, gain, stance and waiting frame of a style."""
+    params, index = controller.params, controller.styles.index(style)
+    bank = (params.bank, params.speeds, params.speed_gains, params.stances, params.waiting)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[index], bank)
 
 
 def shown(character: Character, seconds: float) -> set[str]:
@@ -296,16 +307,28 @@ def test_nothing_outside_the_run_is_moved(library, tmp_path):
     assert (tmp_path / "styles" / "proud").is_dir()
 
 
-def test_the_row_of_a_deleted_style_is_used_again(library):
-    run = path_of(library)
-    capacity, count = library.get("run").controller.capacity, len(library.get("run").controller.styles)
+def test_the_row_of_a_deleted_style_is_used_again_when_no_row_is_spare(library, monkeypatch):
+    run, loaded = path_of(library), library.get("run")
+    full = replace(loaded, controller=without_spare_rows(loaded.controller))
+    monkeypatch.setattr(library, "_loaded", {"run": full})
     for number in range(3):
         library.delete_style("run", "mine")
         save_style(run, "mine", load_style(load_run(run), "neutral"), {"speed": 1.0 + number})
         library.add_style("run", "mine")
     controller = library.get("run").controller
-    assert (controller.capacity, len(controller.styles)) == (capacity, count)
+    assert controller.capacity == len(controller.styles) == full.controller.capacity
     assert_refused(lambda: library.restore_style("run"), value="mine", rule_mentions="taken")
+
+
+def test_a_style_is_restored_from_its_row_while_other_rows_are_spare(library, monkeypatch):
+    run = path_of(library)
+    before = row_of(library.get("run").controller, "mine")
+    library.delete_style("run", "mine")
+    save_style(run, "new", load_style(load_run(run), "proud"), {"speed": 1.0})
+    library.add_style("run", "new")
+    monkeypatch.delattr(LoadedRun, "calibrated_row")
+    library.restore_style("run")
+    jax.tree.map(np.testing.assert_array_equal, row_of(library.get("run").controller, "mine"), before)
 
 
 def test_names_and_styles_that_cannot_be_used_are_refused(library):
@@ -381,12 +404,35 @@ def test_nobody_waits_while_a_style_is_added(library, monkeypatch):
 
 def test_a_row_is_calibrated_independently_of_other_styles_and_of_its_place(library):
     """Therefore other tabs can change the styles while one is calibrated."""
-    before = library.get("run")
+    before, run = library.get("run"), path_of(library)
+    save_style(run, "copy", load_style(load_run(run), "mine"), {"speed": 1.0})
     row = before.calibrated_row("mine")
-    after = before.without_style("neutral").with_style("other", before.calibrated_row("proud"))
-    again = after.calibrated_row("mine")
-    jax.tree.map(np.testing.assert_array_equal, row, again)
-    added = after.without_style("mine").with_style("new", row).controller
-    index = added.styles.index("new")
-    stored = jax.tree.map(lambda leaf: np.asarray(leaf)[index], (added.params.bank, added.params.stances))
-    jax.tree.map(np.testing.assert_array_equal, stored, (row.style, row.stance))
+    changed = before.without_style("neutral").with_style("other", before.calibrated_row("proud"))
+    jax.tree.map(np.testing.assert_array_equal, row, changed.calibrated_row("copy"))
+    added = changed.with_style("copy", row).controller
+    assert added.styles.index("copy") != before.controller.styles.index("mine")
+    expected = (row.style, row.speed, row.speed_gain, row.stance, row.waiting)
+    jax.tree.map(np.testing.assert_array_equal, row_of(added, "copy"), expected)
+
+
+def test_a_bank_that_grows_is_compiled_before_characters_have_it(library, monkeypatch):
+    """The last row is free when a style is calibrated, and taken by another style when it is put in."""
+    save_style(path_of(library), "new", load_style(load_run(path_of(library)), "proud"), {"speed": 1.0})
+    library.delete_style("run", "mine")
+    full = without_spare_rows(library.get("run").controller)
+    monkeypatch.setattr(library, "_loaded", {"run": replace(library.get("run"), controller=full)})
+    calibrate, compiled = LoadedRun.calibrated_row, []
+
+    def restored_meanwhile(loaded: LoadedRun, style: str) -> StyleRow:
+        library.restore_style("run")
+        return calibrate(loaded, style)
+
+    def compile_first(controller: Controller) -> None:
+        compiled.append(controller.capacity)
+        assert library.get("run").controller.capacity < controller.capacity
+
+    monkeypatch.setattr(LoadedRun, "calibrated_row", restored_meanwhile)
+    monkeypatch.setattr(run_library, "compile_character", compile_first)
+    library.add_style("run", "new")
+    assert {"mine", "new"} < set(library.get("run").styles)
+    assert compiled == [library.get("run").controller.capacity]

@@ -137,15 +137,18 @@ class LoadedRun:
         return calibrated_row(self.run, self._with_place(style).controller, style, load_style(self.run, style))
 
     def with_style(self, style: str, row: StyleRow) -> LoadedRun:
-        """Returns the run with a style, whose row is that of `calibrated_row`, here or in an earlier state."""
+        """Returns the run with a style, given its row, which `calibrated_row` may have found in an earlier state."""
         controller = with_row(self._with_place(style).controller, style, row)
         renamed = {old: new for old, new in self.renamed.items() if old != style}
         return replace(self, controller=controller, speeds=_speeds(controller), renamed=renamed)
 
     def _with_place(self, style: str) -> LoadedRun:
-        """Returns the run with the name of a new style on a row whose style was deleted, if there is one."""
-        free = next((name for name in self.controller.styles if name.startswith(DELETED)), None)
-        return self if free is None or style in self.controller.styles else self._with_names({free: style})
+        """Returns the run with the name of a new style on a row whose style was deleted, if no row is spare."""
+        names = self.controller.styles
+        free = next((name for name in names if name.startswith(DELETED)), None)
+        if free is None or style in names or len(names) < self.controller.capacity:
+            return self
+        return self._with_names({free: style})
 
     def with_renamed(self, old: str, new: str) -> LoadedRun:
         """Returns the run with another name for a style."""
@@ -251,18 +254,22 @@ class RunLibrary:
             compile_character(self.get(name).controller, partial(meanwhile, name))
 
     def add_style(self, run: str, style: str) -> None:
-        """Adds a style that has been saved in a run's folder to its bank; characters can choose it at once.
+        """Adds a new style, which has been saved in a run's folder, to its bank; characters can choose it at once.
 
         Raises:
             InputError: for an unknown run or style, or a style of another kind than the run's.
         """
         before = self.get(run)
-        row = before.calibrated_row(style)  # without the lock, for which tabs would stand still meanwhile
-        grown = before.with_style(style, row).controller
-        if grown.capacity != before.controller.capacity:
-            compile_character(grown)  # now, so that no character waits for it
-        with self._lock:
-            self._replace(run, self.get(run).with_style(style, row))
+        row, compiled = before.calibrated_row(style), before.controller.capacity  # without the lock: it takes a second
+        while True:
+            with self._lock:
+                present = self.get(run)
+                after = present.with_style(style, row)
+                if after.controller.capacity in (compiled, present.controller.capacity):
+                    self._replace(run, after)
+                    return
+            compile_character(after.controller)  # now, so that no character waits for it
+            compiled = after.controller.capacity
 
     def rename_style(self, run: str, old: str, new: str) -> None:
         """Renames a learned style, in the run's folder and for all characters.
@@ -311,7 +318,8 @@ class RunLibrary:
             if restored is not None:
                 self._replace(run, restored)
                 return found[1].name
-        self.add_style(run, found[1].name)
+        with self.preparation(run).calibration:
+            self.add_style(run, found[1].name)
         return found[1].name
 
     def strafes(self, run: str, style: str) -> bool | None:

@@ -1,6 +1,6 @@
-"""Adds a style that was learned to the styles that a controller plays: calibrated first, then put into a row at once.
+"""Adds a learned style to a controller: it is calibrated first, which takes long, and its row is then put in at once.
 
-Only the calibration takes long, and it depends on nothing that other tabs can change meanwhile.
+The calibration depends on nothing that other tabs can change meanwhile.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.controller import Controller
+from pfnn_jax.control.controller import Controller, pad_rows
 from pfnn_jax.control.controller_state import ControllerParams, WaitingFrame
 from pfnn_jax.control.kept_calibration import kept_calibration
 from pfnn_jax.control.run_settings import default_speed
@@ -52,10 +52,10 @@ def bank_rows(num_styles: int) -> int:
     return 1 << (num_styles + SPARE - 1).bit_length()
 
 
-def calibrated_row(run: Run, controller: Controller, name: str, style: Style | None) -> StyleRow:
+def calibrated_row(run: Run, controller: Controller, name: str, style: Style) -> StyleRow:
     """Returns the row of a style of a run, calibrated by trial walks, which take a second.
 
-    Neither the other styles of the controller nor the place of the row make a difference.
+    Neither the other styles of the controller nor the place of the row makes a difference.
 
     Raises:
         InputError: for a style of another kind than those of the bank.
@@ -70,7 +70,7 @@ def calibrated_row(run: Run, controller: Controller, name: str, style: Style | N
 
 
 def with_row(controller: Controller, name: str, row: StyleRow) -> Controller:
-    """Returns a controller with the row of a style: in its place, in a spare row, or else in a larger bank.
+    """Returns a controller with the row of a style: where that style is, in a spare row, or else in a larger bank.
 
     The other styles keep their rows. In a run without styles the unmodified network remains the first style: a row of
     zeros, which changes nothing. Arrays are committed to a device, so that the step is compiled once.
@@ -78,12 +78,10 @@ def with_row(controller: Controller, name: str, row: StyleRow) -> Controller:
     styles = controller.styles if name in controller.styles else (*controller.styles, name)
     index, params = styles.index(name), controller.params
     if params.bank is None:
-        params = replace(params, bank=_rows_of_zeros(row.style, controller.capacity))
-    if row.stance is not None and params.stances is None:
-        stances, waiting = (_rows_of_zeros(one, controller.capacity) for one in (row.stance, row.waiting))
-        params = replace(params, stances=stances, waiting=waiting)
+        zeros = jax.tree.map(lambda leaf: np.zeros((controller.capacity, *np.shape(leaf)), np.float32), row.style)
+        params = replace(params, bank=zeros)
     if len(styles) > controller.capacity:
-        params = _padded(params, bank_rows(len(styles)))
+        params = _grown(params, bank_rows(len(styles)))
     arrays: dict[str, Any] = {
         "bank": _put(params.bank, index, row.style),
         "speeds": _put(params.speeds, index, row.speed),
@@ -97,19 +95,19 @@ def with_row(controller: Controller, name: str, row: StyleRow) -> Controller:
     return replace(controller, params=commit(replace(params, **arrays)), styles=styles)
 
 
-def _of_bank(run: Run, controller: Controller, name: str, style: Style | None) -> Style:
+def _of_bank(run: Run, controller: Controller, name: str, style: Style) -> Style:
     """Returns the parameters of a style in the form of a controller's bank.
 
     Raises:
         InputError: if the style is of another kind than those of the bank.
     """
     bank = controller.params.bank
-    if style is not None and bank is None:
+    if bank is None:
         return style
-    if style is not None and isinstance(bank, StyleSum) and type(style) in map(type, bank.parts):
+    if isinstance(bank, StyleSum) and type(style) in map(type, bank.parts):
         style = in_parts(style, jax.tree.map(lambda leaf: np.asarray(leaf)[0], bank))
     rows = [np.shape(leaf)[1:] for leaf in jax.tree.leaves(bank)]
-    if style is None or _form(style) != (jax.tree.structure(bank), rows):
+    if _form(style) != (jax.tree.structure(bank), rows):
         raise InputError(run.path, "style", name, "must be of the kind of the run's other styles")
     return style
 
@@ -118,25 +116,14 @@ def _form(style: Style) -> tuple[Any, list[tuple[int, ...]]]:
     return jax.tree.structure(style), [np.shape(leaf) for leaf in jax.tree.leaves(style)]
 
 
-def _rows_of_zeros(row: Any, rows: int) -> Any:
-    return jax.tree.map(lambda leaf: np.zeros((rows, *np.shape(leaf)), np.float32), row)
-
-
-def _padded(params: ControllerParams, capacity: int) -> ControllerParams:
+def _grown(params: ControllerParams, rows: int) -> ControllerParams:
     """Returns the parameters with spare rows for styles, like those of `make_controller`.
 
     Nothing is read from disk, because not everything that is played is there: the network without a style is not.
     """
-    more = capacity - len(params.speeds)
-
-    def longer(rows: Any, value: float = 0.0) -> np.ndarray:
-        rows = np.asarray(rows)
-        return np.concatenate([rows, np.full((more, *rows.shape[1:]), value, rows.dtype)])
-
-    bank, stances, waiting = jax.tree.map(longer, (params.bank, params.stances, params.waiting))
-    gains: Any = longer(params.speed_gains, 1.0)
-    speeds: Any = longer(params.speeds)
-    return replace(params, bank=bank, stances=stances, waiting=waiting, speeds=speeds, speed_gains=gains)
+    names = "bank", "speeds", "stances", "waiting"
+    arrays = {name: pad_rows(getattr(params, name), rows) for name in names}
+    return replace(params, speed_gains=pad_rows(params.speed_gains, rows, 1.0), **arrays)
 
 
 def _put(bank: Any, index: int, row: Any) -> Any:
