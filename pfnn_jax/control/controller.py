@@ -229,8 +229,8 @@ def assemble_controller(
     also = [] if later is None else [_empty_style(later, network)]
     params = ControllerParams(
         predictor=assemble_predictor(network, None, normaliser),
-        bank=pad_rows(stack_styles(styles, "controller", also), rows) if styles else None,
-        speeds=pad_rows(np.asarray([speeds.get(name, 0.0) for name in styles], np.float32), rows),
+        bank=jax.tree.map(jnp.asarray, padded_bank(stack_styles(styles, "controller", also), rows)) if styles else None,
+        speeds=jnp.asarray(padded_bank(np.asarray([speeds.get(name, 0.0) for name in styles], np.float32), rows)),
         default_speed=jnp.float32(default_speed),
         speed_gains=jnp.asarray(np.ones(rows, np.float32)),
         initial_row=_straight_row(layout, mean_row, default_speed),
@@ -250,12 +250,12 @@ def _empty_style(config: AdapterConfig, network: Network) -> Style:
     return zeros_of(lambda key: init_style(config, sizes, key=key), jax.random.key(0))
 
 
-def pad_rows(tree: Any, rows: int, value: float = 0.0) -> Any:
+def padded_bank(tree: Any, rows: int, value: float = 0.0) -> Any:
     """Returns leaves [S, ...] with a value up to `rows`: [rows, ...]; in NumPy, because JAX would compile it."""
 
-    def pad(leaf: Any) -> jax.Array:
+    def pad(leaf: Any) -> np.ndarray:
         leaf = np.asarray(leaf)
-        return jnp.asarray(np.concatenate([leaf, np.full((rows - len(leaf), *leaf.shape[1:]), value, leaf.dtype)]))
+        return np.concatenate([leaf, np.full((rows - len(leaf), *leaf.shape[1:]), value, leaf.dtype)])
 
     return jax.tree.map(pad, tree)
 
@@ -266,10 +266,10 @@ def with_calibrated_speeds(controller: Controller) -> Controller:
     styles, rows = len(controller.styles), controller.capacity
     found = kept_calibration(controller.setup, controller.params, range(styles))
     arrays: dict[str, Any] = {
-        "speeds": pad_rows(found.speeds, rows),
-        "speed_gains": pad_rows(found.gains, rows, 1.0),
-        "stances": commit(pad_rows(found.stances, rows)),
-        "waiting": commit(pad_rows(found.waiting, rows)),
+        "speeds": jnp.asarray(padded_bank(found.speeds, rows)),
+        "speed_gains": jnp.asarray(padded_bank(found.gains, rows, 1.0)),
+        "stances": commit(padded_bank(found.stances, rows)),
+        "waiting": commit(padded_bank(found.waiting, rows)),
     }
     return replace(controller, params=replace(controller.params, **arrays))
 

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from pfnn_jax.control.controller import Controller, pad_rows
+from pfnn_jax.control.controller import Controller, padded_bank
 from pfnn_jax.control.controller_state import ControllerParams, WaitingFrame
 from pfnn_jax.control.kept_calibration import kept_calibration
 from pfnn_jax.control.run_settings import default_speed
@@ -122,8 +122,8 @@ def _grown(params: ControllerParams, rows: int) -> ControllerParams:
     Nothing is read from disk, because not everything that is played is there: the network without a style is not.
     """
     names = "bank", "speeds", "stances", "waiting"
-    arrays = {name: pad_rows(getattr(params, name), rows) for name in names}
-    return replace(params, speed_gains=pad_rows(params.speed_gains, rows, 1.0), **arrays)
+    arrays = {name: padded_bank(getattr(params, name), rows) for name in names}
+    return replace(params, speed_gains=padded_bank(params.speed_gains, rows, 1.0), **arrays)
 
 
 def _put(bank: Any, index: int, row: Any) -> Any:
