@@ -11,7 +11,6 @@ import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import chex
 import jax
@@ -30,7 +29,7 @@ from pfnn_jax.viewer.page.run_library import LoadedRun, RunLibrary
 from pfnn_jax.viewer.page.style_bank import StyleRow
 from pfnn_jax.viewer.page.style_files import empty_trash, remove_unfinished, unfinished_mark
 from tests.raising import assert_refused
-from tests.viewer.banks import without_spare_rows
+from tests.viewer.banks import ROWS, row_of, without_spare_rows
 from tests.viewer.watching import contents
 from tests.writers import another_writer
 
@@ -50,13 +49,6 @@ def library(trained_run, tmp_path) -> RunLibrary:
 
 def path_of(library: RunLibrary) -> Path:
     return library.get("run").run.path
-
-
-def row_of(controller: Controller, style: str) -> tuple[Any, ...]:
-    """Returns parameters, speed, gain, stance and waiting frame of a style."""
-    params, index = controller.params, controller.styles.index(style)
-    bank = (params.bank, params.speeds, params.speed_gains, params.stances, params.waiting)
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[index], bank)
 
 
 def shown(character: Character, seconds: float) -> set[str]:
@@ -411,7 +403,7 @@ def test_a_row_is_calibrated_independently_of_other_styles_and_of_its_place(libr
     jax.tree.map(np.testing.assert_array_equal, row, changed.calibrated_row("copy"))
     added = changed.with_style("copy", row).controller
     assert added.styles.index("copy") != before.controller.styles.index("mine")
-    expected = (row.style, row.speed, row.speed_gain, row.stance, row.waiting)
+    expected = dict(zip(ROWS, (row.style, row.speed, row.speed_gain, row.stance, row.waiting), strict=True))
     jax.tree.map(np.testing.assert_array_equal, row_of(added, "copy"), expected)
 
 

@@ -312,15 +312,16 @@ class RunLibrary:
             found = next((entry for entry in reversed(self._deleted) if entry[0] == run), None)
             if found is None:
                 raise InputError(run, "style", "none", "nothing was deleted that could be restored")
-            restore_style(self.get(run).run.path, found[1])
+            loaded, name = self.get(run), found[1].name
+            restore_style(loaded.run.path, found[1])
             self._deleted.remove(found)
-            restored = self.get(run).with_restored(found[1].name)
+            restored = loaded.with_restored(name)
             if restored is not None:
                 self._replace(run, restored)
-                return found[1].name
+                return name
         with self.preparation(run).calibration:
-            self.add_style(run, found[1].name)
-        return found[1].name
+            self.add_style(run, name)
+        return name
 
     def strafes(self, run: str, style: str) -> bool | None:
         """Returns whether a style can sidestep; None until `try_strafe` has found out."""
